@@ -1,0 +1,34 @@
+"""Base of all configuration: frozen, strict models whose fields know their unit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Model(BaseModel):
+    """A frozen configuration section; unknown keys and non-finite numbers are errors."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True, arbitrary_types_allowed=False
+    )
+
+
+def quantity(unit: str, doc: str, *, default: Any = ..., **bounds: Any) -> Any:
+    """Field of a physical quantity: number with a unit.
+
+    Parameters
+    ----------
+    unit : str
+        SI unit, "-" for dimensionless. Shown in error messages.
+    doc : str
+        What the quantity is.
+    default : Any
+        Default value; required when omitted.
+    **bounds
+        Pydantic's numeric bounds: ``gt``, ``ge``, ``lt``, ``le``.
+    """
+    return Field(
+        default, description=f"{doc} ({unit})", json_schema_extra={"unit": unit}, strict=True, **bounds
+    )
