@@ -1,0 +1,52 @@
+# Two commands do everything on a machine with Python 3.11 or newer: `make run` and `make test`.
+# pip's own settings (PIP_* variables, pip.conf) stay in force: mirrors, caches, certificates.
+
+SHELL := /bin/sh
+VENV := .venv
+BIN := $(VENV)/bin
+
+# The main job of `make run`: the critical speed of the passive vehicle on new and on worn wheels.
+RUN_JOB = $(BIN)/sayd critical-speed --profile new --out results/new && \
+          $(BIN)/sayd critical-speed --profile worn --out results/worn
+
+# Compiles the kernels once, so that parallel test processes find them in the cache instead of racing for it.
+WARM_UP = $(BIN)/sayd conicity --json > /dev/null
+
+# Options for both test passes, for example `make test PYTEST_OPTIONS="-k contact"`.
+PYTEST_OPTIONS =
+
+.PHONY: run test lint clean
+.DEFAULT_GOAL := run
+
+run: $(VENV)/.installed
+	$(RUN_JOB)
+
+# Tests that measure time run alone, after the others.
+test: $(VENV)/.installed
+	$(WARM_UP)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not timing" $(PYTEST_OPTIONS)
+	$(BIN)/python -m pytest -m timing $(PYTEST_OPTIONS)
+
+lint: $(VENV)/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf $(VENV) build dist sayd_env.egg-info .pytest_cache .mypy_cache .ruff_cache
+
+# PYTHON names the interpreter; without it the first of these that is new enough serves.
+# setuptools comes first and from the constraints: a build in isolation would fetch the newest one.
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@set -e; \
+	for python in $(if $(PYTHON),"$(PYTHON)",python3.11 python3 python3.12 python3.13 python); do \
+	  if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then found=$$python; break; fi; \
+	done; \
+	if [ -z "$${found:-}" ]; then \
+	  echo "make: Python 3.11 or newer is needed; name one with make PYTHON=/path/to/python3.11" >&2; exit 1; \
+	fi; \
+	echo "Installing into $(VENV) with $$found ($$("$$found" --version 2>&1))"; \
+	"$$found" -m venv --clear $(VENV); \
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt setuptools; \
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint]'; \
+	touch $@

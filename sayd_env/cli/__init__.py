@@ -1,0 +1,96 @@
+"""The command line, one command per study; the border at which every error becomes one message."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+
+INPUT_ERROR = 2
+FAILURE = 1
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``sayd``.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Arguments without the program name; those of the process by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0, 2 for bad input, 1 for a failed study or a defect, 130 when interrupted.
+    """
+    try:
+        # A terminated run cleans up like an interrupted one.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        status = _run(arguments)
+        sys.stdout.flush()
+        return status
+    except KeyboardInterrupt:
+        return _interrupted()
+    except BrokenPipeError:
+        # The reader (head, less) has seen enough; the interpreter would complain when it flushes at exit.
+        _drop_stdout()
+        return FAILURE
+    except OSError as error:
+        _drop_stdout()
+        _complain(f"error: {error.filename or 'standard output'}: {error.strerror or error}")
+        return FAILURE
+    except Exception as error:
+        # The last border: even a defect speaks in one line.
+        if os.environ.get("SAYD_DEBUG"):
+            traceback.print_exc()
+        detail = " ".join(str(error).split()) or "no message"
+        _complain(
+            f"internal error: {type(error).__name__}: {detail}; please report it with the command "
+            "(SAYD_DEBUG=1 shows where it happened)"
+        )
+        return FAILURE
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    # Imported here so that an interrupt or a defect during the import is caught as well.
+    import typer  # noqa: PLC0415
+    from typer.exceptions import TyperException  # noqa: PLC0415
+
+    from sayd_env.cli.app import app  # noqa: PLC0415
+    from sayd_env.config.errors import SaydError, StudyError  # noqa: PLC0415
+
+    command = typer.main.get_command(app)
+    try:
+        status = command.main(args=arguments, prog_name="sayd", standalone_mode=False)
+    except StudyError as error:
+        _complain(f"error: {error}")
+        return FAILURE
+    except SaydError as error:
+        _complain(f"error: {error}")
+        return INPUT_ERROR
+    except TyperException as error:
+        context = getattr(error, "ctx", None)
+        hint = f" (see '{context.command_path} --help')" if context is not None else ""
+        _complain(f"error: {' '.join(error.format_message().split())}{hint}")
+        return INPUT_ERROR
+    except typer.Abort:
+        return _interrupted()
+    if status == INTERRUPTED:
+        return _interrupted()
+    return status if isinstance(status, int) else 0
+
+
+def _interrupted() -> int:
+    _complain("interrupted; no result was written")
+    return INTERRUPTED
+
+
+def _complain(message: str) -> None:
+    print(f"sayd: {message}", file=sys.stderr)
+
+
+def _drop_stdout() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,33 @@
+"""The program ``sayd``: its global options and the list of its commands."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from sayd_env import __version__
+
+app = typer.Typer(
+    name="sayd",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"sayd {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def sayd(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """High-speed rail vehicle with semi-active yaw dampers: simulation and EN 14363 assessment."""

@@ -1,0 +1,183 @@
+"""Options that several commands share: one name, one meaning, one check."""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sayd_env.config.errors import ConfigError
+
+MAX_SPEEDS = 1000
+OUTPUT = "Output"
+SCENARIO = "Scenario"
+
+
+class Speeds(tuple[float, ...]):
+    """Running speeds in km/h, positive and rising."""
+
+    __slots__ = ()
+
+
+class Damper(StrEnum):
+    """The yaw damper's kind."""
+
+    PASSIVE = "passive"
+    SAYD = "sayd"
+
+
+def parse_speeds(text: str) -> Speeds:
+    """Read ``300,350,400`` or ``320:445:25`` (first, last, step; last included when a step meets it).
+
+    Parameters
+    ----------
+    text : str
+        Speeds in km/h.
+
+    Raises
+    ------
+    ConfigError
+        Not a number, not positive, not finite, not rising, empty, or more than `MAX_SPEEDS` values.
+    """
+    if ":" in text:
+        return Speeds(_grid(text))
+    speeds = Speeds(_speed(part, text) for part in text.split(","))
+    for before, after in pairwise(speeds):
+        if after <= before:
+            raise _speeds_error(text, f"{after:g} follows {before:g}; speeds must rise")
+    return speeds
+
+
+def _grid(text: str) -> list[float]:
+    parts = text.split(":")
+    if len(parts) != len(("first", "last", "step")):
+        raise _speeds_error(text, "expected first:last:step, for example 320:445:25")
+    first, last, step = (_speed(part, text) for part in parts)
+    if last < first:
+        raise _speeds_error(text, f"the last speed {last:g} is below the first {first:g}")
+    # Half a millionth of a step forgives the rounding of decimal steps such as 0.1.
+    steps = math.floor((last - first) / step + 5e-7)
+    if steps >= MAX_SPEEDS:
+        raise _speeds_error(text, f"gives {steps + 1} speeds; at most {MAX_SPEEDS} are allowed")
+    return [first + index * step for index in range(steps + 1)]
+
+
+def _speed(part: str, text: str) -> float:
+    try:
+        value = float(part)
+    except ValueError:
+        found = f"'{part.strip()}'" if part.strip() else "an empty place"
+        raise _speeds_error(text, f"found {found}; expected numbers in km/h") from None
+    if not (value > 0.0 and math.isfinite(value)):
+        raise _speeds_error(text, f"found {part.strip()}; expected a finite number above 0 km/h")
+    return value
+
+
+def _speeds_error(text: str, problem: str) -> ConfigError:
+    return ConfigError(f"--speeds '{text}': {problem} (use 300,350,400 or 320:445:25)")
+
+
+def parse_wear(text: str) -> float:
+    """Read the wear of the wheel profile: 0 (new) to 1 (worn)."""
+    return _bounded("--wear", text, 0.0, 1.0)
+
+
+def parse_friction(text: str) -> float:
+    """Read the friction coefficient of wheel and rail: above 0, at most 1."""
+    value = _bounded("--friction", text, 0.0, 1.0)
+    if value == 0.0:
+        raise ConfigError("--friction 0: expected a number above 0, at most 1")
+    return value
+
+
+def _bounded(option: str, text: str, low: float, high: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise ConfigError(f"{option} {text}: expected a number from {low:g} to {high:g}")
+    return value
+
+
+Config = Annotated[
+    str | None,
+    typer.Option("--config", metavar="NAME|FILE", help="Configuration: a packaged name or a YAML file."),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override one key of the configuration; repeatable."),
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, metavar="S", help="First random seed.")]
+Seeds = Annotated[
+    int, typer.Option("--seeds", min=1, metavar="N", help="Number of track realisations: seeds S to S+N-1.")
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers", min=1, metavar="N", help="Threads (default: all cores); results do not change."
+    ),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="DIR",
+        rich_help_panel=OUTPUT,
+        help="Directory of result.json, tables and plots. Default: results/COMMAND (none with --json).",
+    ),
+]
+Json = Annotated[
+    bool,
+    typer.Option("--json", rich_help_panel=OUTPUT, help="Print the result as JSON and nothing else."),
+]
+SpeedList = Annotated[
+    Speeds | None,
+    typer.Option(
+        "--speeds",
+        parser=parse_speeds,
+        metavar="KMH",
+        rich_help_panel=SCENARIO,
+        help="Speeds in km/h: 300,350,400 or 320:445:25.",
+    ),
+]
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        "--profile",
+        metavar="NAME",
+        rich_help_panel=SCENARIO,
+        help="Wheel profile: new, worn or a name.",
+    ),
+]
+Wear = Annotated[
+    float | None,
+    typer.Option(
+        "--wear",
+        parser=parse_wear,
+        metavar="0..1",
+        rich_help_panel=SCENARIO,
+        help="Tread wear, 0 is new.",
+    ),
+]
+Friction = Annotated[
+    float | None,
+    typer.Option(
+        "--friction",
+        parser=parse_friction,
+        metavar="MU",
+        rich_help_panel=SCENARIO,
+        help="Friction coefficient of wheel and rail.",
+    ),
+]
+Track = Annotated[
+    str | None,
+    typer.Option(
+        "--track", metavar="NAME|FILE", rich_help_panel=SCENARIO, help="Track: a name or a YAML file."
+    ),
+]
+DamperKind = Annotated[Damper, typer.Option("--damper", rich_help_panel=SCENARIO, help="The yaw dampers.")]
