@@ -1,0 +1,205 @@
+"""Track: co-moving sections, gauge and irregularities.
+
+Channels and signs (SI inside the program): `alignment` is the lateral position of the centre line, positive
+to the left (m); `vertical` its height, positive up (m); `cross_level` the angle of the track plane about the
+direction of travel, positive when the left rail is higher (rad); `gauge` the widening of the gauge (m).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, StrictFloat, model_validator
+
+from sayd_env.config.base import Model, quantity
+from sayd_env.config.loader import apply_overrides, read_config, validate
+
+Channel = Literal["alignment", "vertical", "cross_level", "gauge"]
+CHANNELS: tuple[Channel, ...] = ("alignment", "vertical", "cross_level", "gauge")
+
+
+class SectionConfig(Model):
+    """The piece of track that moves along under each wheelset: a body that shifts, sinks and rolls."""
+
+    mass: float = quantity("kg", "mass of the section", gt=0)
+    roll_inertia: float = quantity("kg m2", "moment of inertia about the direction of travel", gt=0)
+    lateral_stiffness: float = quantity("N/m", "lateral stiffness to the ground, both rails together", gt=0)
+    lateral_damping: float = quantity("N s/m", "lateral damping to the ground, both rails together", ge=0)
+    vertical_stiffness: float = quantity("N/m", "vertical stiffness to the ground under each rail", gt=0)
+    vertical_damping: float = quantity("N s/m", "vertical damping to the ground under each rail", ge=0)
+    seat_half_spacing: float = quantity("m", "distance of each vertical support from the centre line", gt=0)
+
+
+class _Irregularity(Model):
+    scale: float = quantity("-", "factor on the amplitude of every channel", default=1.0, ge=0)
+
+
+class LevelsConfig(Model):
+    """Amplitude factors of the channels of a spectrum."""
+
+    alignment: float = quantity("-", "factor on the amplitude of the alignment", default=1.0, ge=0)
+    vertical: float = quantity("-", "factor on the amplitude of the vertical irregularity", default=1.0, ge=0)
+    cross_level: float = quantity("-", "factor on the amplitude of the cross-level", default=1.0, ge=0)
+    gauge: float = quantity("-", "factor on the amplitude of the gauge irregularity", default=1.0, ge=0)
+
+
+class GermanDensityConfig(Model):
+    r"""Densities of ERRI B176, one-sided over the angular wavenumber :math:`\Omega`.
+
+    Alignment and vertical :math:`A\Omega_c^2 / ((\Omega^2+\Omega_r^2)(\Omega^2+\Omega_c^2))`; gauge the same
+    times :math:`\Omega^2/(\Omega^2+\Omega_s^2)`; cross-level (an angle) as gauge with :math:`A_v/b^2` for A.
+    """
+
+    type: Literal["german"]
+    alignment: float = quantity("m2 rad/m", "A_a of the alignment", ge=0)
+    vertical: float = quantity("m2 rad/m", "A_v of the vertical irregularity and of the cross-level", ge=0)
+    gauge: float = quantity("m2 rad/m", "A_g of the gauge irregularity", ge=0)
+    omega_c: float = quantity("rad/m", "upper cut-off Omega_c", gt=0)
+    omega_r: float = quantity("rad/m", "lower cut-off Omega_r", gt=0)
+    omega_s: float = quantity("rad/m", "cut-off Omega_s of cross-level and gauge", gt=0)
+    half_base: float = quantity("m", "b, half the distance of the rolling circles", gt=0)
+
+
+class PowerLawConfig(Model):
+    """A density of joined power laws, one-sided: S(f) = A / f^k, each pair (A, k) between two limits of f."""
+
+    limits: tuple[Annotated[StrictFloat, Field(gt=0)], ...] = Field(
+        description="ascending spatial frequencies at which the law changes (1/m)"
+    )
+    coefficients: tuple[Annotated[StrictFloat, Field(gt=0)], ...] = Field(
+        description="A of each law (S in mm2/(1/m) with f in 1/m)"
+    )
+    exponents: tuple[Annotated[StrictFloat, Field(ge=0)], ...] = Field(description="k of each law (-)")
+
+    @model_validator(mode="after")
+    def _laws_fit_the_limits(self) -> PowerLawConfig:
+        laws = len(self.limits) + 1
+        if len(self.coefficients) != laws or len(self.exponents) != laws:
+            raise ValueError(
+                f"{len(self.limits)} limits need {laws} coefficients and {laws} exponents, "
+                f"found {len(self.coefficients)} and {len(self.exponents)}"
+            )
+        if any(a >= b for a, b in pairwise(self.limits)):
+            raise ValueError("limits must ascend")
+        return self
+
+
+class ChinaDensityConfig(Model):
+    """Chinese high-speed (ballastless) spectrum: a mean spectrum of power laws, or a percentile of it."""
+
+    type: Literal["china"]
+    percentile: float | None = quantity(
+        "-", "percentile p of the spectrum, mean x -ln(1-p); the mean when absent", default=None, gt=0, lt=1
+    )
+    cross_level_base: float = quantity("m", "distance over which the cross-level's height is measured", gt=0)
+    alignment: PowerLawConfig
+    vertical: PowerLawConfig
+    cross_level: PowerLawConfig = Field(description="of the difference in height of the rails")
+    gauge: PowerLawConfig
+
+
+class SpectrumConfig(_Irregularity):
+    """Random irregularities of given power spectral densities, within a band of wavelengths."""
+
+    type: Literal["spectrum"]
+    wavelength_min: float = quantity("m", "shortest wavelength", gt=0)
+    wavelength_max: float = quantity("m", "longest wavelength", gt=0, le=1000)
+    levels: LevelsConfig = LevelsConfig()
+    density: Annotated[GermanDensityConfig | ChinaDensityConfig, Field(discriminator="type")]
+
+    @model_validator(mode="after")
+    def _band_is_not_empty(self) -> SpectrumConfig:
+        if self.wavelength_min >= self.wavelength_max:
+            raise ValueError(
+                f"wavelength_min ({self.wavelength_min} m) must be below "
+                f"wavelength_max ({self.wavelength_max} m)"
+            )
+        return self
+
+
+class SineConfig(_Irregularity):
+    """A sine along the track that starts with zero at position 0."""
+
+    type: Literal["sine"]
+    channel: Channel = Field(description="channel that carries the sine")
+    amplitude: float = quantity("m, or rad for cross_level", "amplitude")
+    wavelength: float = quantity("m", "wavelength", gt=0)
+
+
+class DefectConfig(_Irregularity):
+    """A single defect: amplitude (1 - cos(2 pi (x - position) / length)) / 2."""
+
+    type: Literal["defect"]
+    channel: Channel = Field(description="channel that carries the defect")
+    amplitude: float = quantity("m, or rad for cross_level", "height of the defect")
+    length: float = quantity("m", "length of the defect", gt=0)
+    position: float = quantity("m", "where the defect begins", ge=0)
+
+
+class FileConfig(_Irregularity):
+    """Measured irregularities: x_m and any of alignment_mm, vertical_mm, cross_level_mm, gauge_mm."""
+
+    type: Literal["file"]
+    path: str = Field(min_length=1, description="CSV file; relative to the YAML file that names it")
+    offset: float = quantity("m", "position on the run of the file's x = 0", default=0.0)
+    ramp: float | None = quantity(
+        "m",
+        "length of smooth ramps at the file's ends, the track being even outside; "
+        "when absent the file must cover the whole run",
+        default=None,
+        gt=0,
+    )
+    cross_level_base: float = quantity(
+        "m", "distance over which the cross-level's height is measured", default=1.5, gt=0
+    )
+
+
+class NoIrregularityConfig(Model):
+    """An even track."""
+
+    type: Literal["none"]
+
+
+IrregularityConfig = SpectrumConfig | SineConfig | DefectConfig | FileConfig | NoIrregularityConfig
+
+
+class TrackConfig(Model):
+    """A track: sections under the wheelsets, gauge, irregularities."""
+
+    section: SectionConfig
+    gauge: float = quantity("m", "nominal gauge, 14 mm below the top of the rails", gt=0.5, lt=2)
+    irregularity: Annotated[IrregularityConfig, Field(discriminator="type")]
+
+
+def read_track(name_or_path: str, overrides: Iterable[str] = ()) -> TrackConfig:
+    """Read and validate a track.
+
+    Parameters
+    ----------
+    name_or_path : str
+        Packaged name (``german_low``) or path to a YAML file. A measured file that this file names is taken
+        relative to it.
+    overrides : iterable of str
+        ``key=value`` assignments, for example ``irregularity.scale=0.5``.
+
+    Raises
+    ------
+    ConfigError
+        Unknown name, unreadable file, unknown key, or value out of its range.
+    """
+    data, source = read_config("track", name_or_path)
+    if isinstance(data, Mapping):
+        data = apply_overrides(_with_resolved_path(data, Path(source).parent), overrides)
+    return validate(TrackConfig, data, source)
+
+
+def _with_resolved_path(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    irregularity = data.get("irregularity")
+    if not isinstance(irregularity, Mapping) or not isinstance(irregularity.get("path"), str):
+        return dict(data)
+    # An empty path stays empty, so that the schema can refuse it.
+    path = irregularity["path"] and str(folder / irregularity["path"])
+    return {**data, "irregularity": {**irregularity, "path": path}}

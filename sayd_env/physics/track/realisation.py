@@ -1,0 +1,184 @@
+"""From an irregularity's configuration to the spline table that the time step reads."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sayd_env.config.errors import ConfigError, DataError
+from sayd_env.config.track import (
+    CHANNELS,
+    DefectConfig,
+    FileConfig,
+    IrregularityConfig,
+    NoIrregularityConfig,
+    SineConfig,
+    SpectrumConfig,
+)
+from sayd_env.physics.track.measured import read_measured
+from sayd_env.physics.track.spectra import random_irregularity
+from sayd_env.physics.track.spline import interpolation_coefficients, spline_table
+
+Array = NDArray[np.float64]
+
+FADE_IN = 50.0
+GRID_STEP = 0.25
+
+# A cubic spline through eight points a wave departs from a sine by 0.12 % in value and 0.44 % in slope.
+_POINTS_A_WAVE = 8
+# Grid points beyond both ends of the run. The influence of the ends on the spline falls by 0.27 a point.
+_MARGIN = 16
+# 128 MB of coefficients; 1000 km at the usual step.
+_MAX_POINTS = 4_000_000
+
+
+@dataclass(frozen=True)
+class TrackRealisation:
+    """Irregularities of one run, as a uniform cubic B-spline (continuous second derivative).
+
+    Attributes
+    ----------
+    x0 : float
+        Position of the first sample (m); it lies before the run's start at 0.
+    step : float
+        Distance of the samples (m).
+    length : float
+        Length of the run that the table covers (m).
+    coefficients : ndarray, shape (n, 4)
+        C-contiguous coefficients of alignment, vertical (m), cross-level (rad) and gauge (m) for
+        `sayd_env.physics.track.spline.spline_value_slope`. n depends on length and step alone.
+    """
+
+    x0: float
+    step: float
+    length: float
+    coefficients: Array
+
+    def evaluate(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Values and slopes d/dx at positions x (m) of shape (m,): two arrays of shape (m, 4)."""
+        positions = np.ascontiguousarray(np.atleast_1d(x), dtype=np.float64)
+        value, slope = np.empty((2, len(positions), len(CHANNELS)))
+        spline_table(self.coefficients, self.x0, self.step, positions, value, slope)
+        return value, slope
+
+
+def realise(
+    config: IrregularityConfig,
+    length: float,
+    seed: int,
+    fade_in: float = FADE_IN,
+    grid_step: float = GRID_STEP,
+) -> TrackRealisation:
+    """Irregularities from position 0 to `length`.
+
+    Parameters
+    ----------
+    config : IrregularityConfig
+        What kind of irregularity.
+    length : float
+        Length of the run (m).
+    seed : int
+        Seed of a random irregularity; the others do not depend on it. The same seed gives the same track for
+        the same length, not the same beginning for another length.
+    fade_in : float
+        Length from position 0 over which the irregularity grows from nothing (m), with continuous curvature;
+        the track before it is even. 0: none, and before the table its first values hold. A single defect is
+        not faded, being smooth itself.
+    grid_step : float
+        Distance of the spline's samples (m).
+
+    Raises
+    ------
+    ConfigError
+        Length, seed, fade or step out of range; waves shorter than eight grid steps.
+    DataError
+        A measured file that is wrong or too short for the run.
+    """
+    _check(config, length, seed, fade_in, grid_step)
+    points = math.ceil(length / grid_step) + 1 + 2 * _MARGIN
+    x = grid_step * np.arange(-_MARGIN, points - _MARGIN, dtype=np.float64)
+    samples = _samples(config, x, length, seed)
+    if fade_in > 0.0 and not isinstance(config, DefectConfig):
+        samples *= _smooth_step(x / fade_in)[:, None]
+    return TrackRealisation(float(x[0]), grid_step, length, interpolation_coefficients(samples))
+
+
+def _samples(config: IrregularityConfig, x: Array, length: float, seed: int) -> Array:
+    match config:
+        case SpectrumConfig():
+            return random_irregularity(config, len(x), float(x[1] - x[0]), seed)
+        case SineConfig():
+            wave = np.sin(2.0 * np.pi * x / config.wavelength)
+            return _single_channel(config, wave)
+        case DefectConfig():
+            t = np.clip((x - config.position) / config.length, 0.0, 1.0)
+            return _single_channel(config, 0.5 * (1.0 - np.cos(2.0 * np.pi * t)))
+        case FileConfig():
+            return config.scale * _measured(config, x, length)
+        case NoIrregularityConfig():
+            return np.zeros((len(x), len(CHANNELS)))
+
+
+def _single_channel(config: SineConfig | DefectConfig, shape: Array) -> Array:
+    samples = np.zeros((len(shape), len(CHANNELS)))
+    samples[:, CHANNELS.index(config.channel)] = config.scale * config.amplitude * shape
+    return samples
+
+
+def _measured(config: FileConfig, x: Array, length: float) -> Array:
+    measured = read_measured(config.path, config.cross_level_base)
+    first, last = measured.x[0] + config.offset, measured.x[-1] + config.offset
+    values = measured.at(x - config.offset)
+    if config.ramp is not None:
+        window = _smooth_step((x - first) / config.ramp) * _smooth_step((last - x) / config.ramp)
+        return values * window[:, None]
+    if first > 0.0 or last < length:
+        raise DataError(
+            f"{config.path}: covers {first:g} to {last:g} m of a run from 0 to {length:g} m; "
+            f"shorten the run, change 'offset', or give 'ramp' (m) to run on even track outside the file"
+        )
+    return values
+
+
+def _smooth_step(t: Array) -> Array:
+    """0 below t = 0, 1 above 1, between them 6 t^5 - 15 t^4 + 10 t^3 with two continuous derivatives."""
+    t = np.clip(t, 0.0, 1.0)
+    return np.asarray(t**3 * (10.0 + t * (6.0 * t - 15.0)))
+
+
+def _check(config: IrregularityConfig, length: float, seed: int, fade_in: float, grid_step: float) -> None:
+    for name, value in (("length", length), ("grid step", grid_step)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise ConfigError(f"track {name}: found {value}; expected a length above 0 (m)")
+    if length > _MAX_POINTS * grid_step:
+        raise ConfigError(
+            f"track length: found {length:g} m; a grid step of {grid_step:g} m allows "
+            f"{_MAX_POINTS * grid_step:g} m at most"
+        )
+    if not (math.isfinite(fade_in) and fade_in >= 0.0):
+        raise ConfigError(f"track fade-in: found {fade_in}; expected a length of 0 or more (m)")
+    if seed < 0:
+        raise ConfigError(f"track seed: found {seed}; expected a whole number of 0 or more")
+    name, shortest = _shortest_wave(config)
+    if shortest < _POINTS_A_WAVE * grid_step * (1.0 - 1e-9):
+        raise ConfigError(
+            f"irregularity.{name}: found {shortest:g} m; a grid step of {grid_step:g} m allows "
+            f"{_POINTS_A_WAVE * grid_step:g} m and more"
+        )
+
+
+def _shortest_wave(config: IrregularityConfig) -> tuple[str, float]:
+    match config:
+        case SpectrumConfig():
+            return "wavelength_min", config.wavelength_min
+        case SineConfig():
+            return "wavelength", config.wavelength
+        case DefectConfig():
+            return "length", config.length
+        case FileConfig() if config.ramp is not None:
+            return "ramp", config.ramp
+        case _:
+            return "type", math.inf

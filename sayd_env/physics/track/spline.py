@@ -1,0 +1,88 @@
+"""Uniform cubic B-spline over the position along the track: interpolation and evaluation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import spline_filter1d
+
+from sayd_env.physics.kernel import kernel
+
+Array = NDArray[np.float64]
+
+
+def interpolation_coefficients(samples: Array) -> Array:
+    """Coefficients of the cubic B-spline that passes through samples on a uniform grid.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n, channels)
+        Values at x0, x0 + step, ...; at least four rows.
+
+    Returns
+    -------
+    ndarray, shape (n + 2, channels)
+        C-contiguous; rows i to i + 3 carry the interval from sample i to sample i + 1. The spline has zero
+        slope at both ends.
+
+    Notes
+    -----
+    Solves c[i-1] + 4 c[i] + c[i+1] = 6 s[i] with mirrored ends by `scipy.ndimage.spline_filter1d`
+    (Unser 1999, "Splines: a perfect fit for signal and image processing").
+    """
+    inner = spline_filter1d(samples, order=3, axis=0, mode="mirror")
+    return np.ascontiguousarray(np.pad(inner, ((1, 1), (0, 0)), mode="reflect"))
+
+
+@kernel
+def spline_value_slope(
+    coefficients: Array, x0: float, step: float, x: float, out_value: Array, out_slope: Array
+) -> None:
+    """Values and slopes of the four channels at one position.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (n, 4)
+        Of `interpolation_coefficients`.
+    x0, step : float
+        Position of the first sample, distance of the samples (m).
+    x : float
+        Position (m). Outside the table the value at its end holds and the slope is zero.
+    out_value, out_slope : ndarray, shape (4,)
+        Filled with the values (m, m, rad, m) and their derivatives over x.
+    """
+    last = coefficients.shape[0] - 4
+    end = last + 1.0
+    u = (x - x0) / step
+    slope_scale = 1.0 / step
+    # Written so that NaN, too, ends at the table's start: an index out of bounds is never formed.
+    if not 0.0 <= u <= end:
+        slope_scale = 0.0
+        u = end if u > end else 0.0
+    i = min(int(u), last)
+    t = u - i
+    s = 1.0 - t
+    w0 = s * s * s / 6.0
+    w3 = t * t * t / 6.0
+    w1 = 2.0 / 3.0 - 0.5 * t * t * (2.0 - t)
+    w2 = 2.0 / 3.0 - 0.5 * s * s * (2.0 - s)
+    d0 = -0.5 * s * s * slope_scale
+    d3 = 0.5 * t * t * slope_scale
+    d1 = 0.5 * t * (3.0 * t - 4.0) * slope_scale
+    d2 = -0.5 * s * (3.0 * s - 4.0) * slope_scale
+    for j in range(4):
+        c0 = coefficients[i, j]
+        c1 = coefficients[i + 1, j]
+        c2 = coefficients[i + 2, j]
+        c3 = coefficients[i + 3, j]
+        out_value[j] = w0 * c0 + w1 * c1 + w2 * c2 + w3 * c3
+        out_slope[j] = d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3
+
+
+@kernel
+def spline_table(
+    coefficients: Array, x0: float, step: float, x: Array, out_value: Array, out_slope: Array
+) -> None:
+    """`spline_value_slope` at many positions: x of shape (m,), outputs of shape (m, 4)."""
+    for k in range(x.shape[0]):
+        spline_value_slope(coefficients, x0, step, x[k], out_value[k], out_slope[k])
