@@ -192,11 +192,12 @@ def read_track(name_or_path: str, overrides: Iterable[str] = ()) -> TrackConfig:
     """
     data, source = read_config("track", name_or_path)
     if isinstance(data, Mapping):
-        data = apply_overrides(_with_resolved_path(data, Path(source).parent), overrides)
+        data = apply_overrides(with_resolved_path(data, Path(source).parent), overrides)
     return validate(TrackConfig, data, source)
 
 
-def _with_resolved_path(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def with_resolved_path(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a track's raw content, a measured file that it names being taken relative to a folder."""
     irregularity = data.get("irregularity")
     if not isinstance(irregularity, Mapping) or not isinstance(irregularity.get("path"), str):
         return dict(data)
