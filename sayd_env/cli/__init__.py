@@ -74,7 +74,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except TyperException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see '{context.command_path} --help')" if context is not None else ""
-        _complain(f"error: {' '.join(error.format_message().split())}{hint}")
+        message = " ".join(error.format_message().split()).removesuffix(".")
+        _complain(f"error: {message}{hint}")
         return INPUT_ERROR
     except typer.Abort:
         return _interrupted()

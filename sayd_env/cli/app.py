@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from sayd_env import __version__
+from sayd_env.cli import stability
 
 app = typer.Typer(
     name="sayd",
@@ -31,3 +32,6 @@ def sayd(
     ] = False,
 ) -> None:
     """High-speed rail vehicle with semi-active yaw dampers: simulation and EN 14363 assessment."""
+
+
+app.command()(stability.assess)

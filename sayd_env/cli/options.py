@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import StrEnum
 from itertools import pairwise
 from pathlib import Path
@@ -54,16 +55,16 @@ def parse_speeds(text: str) -> Speeds:
 
 def _grid(text: str) -> list[float]:
     parts = text.split(":")
-    if len(parts) != len(("first", "last", "step")):
+    if len(parts) != 3:
         raise _speeds_error(text, "expected first:last:step, for example 320:445:25")
     first, last, step = (_speed(part, text) for part in parts)
     if last < first:
         raise _speeds_error(text, f"the last speed {last:g} is below the first {first:g}")
     # Half a millionth of a step forgives the rounding of decimal steps such as 0.1.
-    steps = math.floor((last - first) / step + 5e-7)
+    steps = (last - first) / step + 5e-7
     if steps >= MAX_SPEEDS:
-        raise _speeds_error(text, f"gives {steps + 1} speeds; at most {MAX_SPEEDS} are allowed")
-    return [first + index * step for index in range(steps + 1)]
+        raise _speeds_error(text, f"gives {steps + 1:.4g} speeds; at most {MAX_SPEEDS} are allowed")
+    return [first + index * step for index in range(math.floor(steps) + 1)]
 
 
 def _speed(part: str, text: str) -> float:
@@ -92,6 +93,21 @@ def parse_friction(text: str) -> float:
     if value == 0.0:
         raise ConfigError("--friction 0: expected a number above 0, at most 1")
     return value
+
+
+def positive(option: str, unit: str) -> Callable[[str], float]:
+    """Make the reader of an option that takes one finite number above 0."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (value > 0.0 and math.isfinite(value)):
+            raise ConfigError(f"{option} {text}: expected a finite number above 0 {unit}")
+        return value
+
+    return read
 
 
 def _bounded(option: str, text: str, low: float, high: float) -> float:

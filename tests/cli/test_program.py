@@ -1,0 +1,236 @@
+"""The program: exit statuses, one message for every error, nothing but JSON on standard output."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+# A program with one more command, which does what it is told.
+PROGRAM = """
+import sys, time, warnings
+from sayd_env.cli import main
+from sayd_env.cli.app import app
+from sayd_env.cli.job import Job
+from sayd_env.cli import options
+from sayd_env.config import ConfigError, StudyError
+
+class Result:
+    def as_dict(self): return {"answer": float("nan")}
+    def tables(self): return {"answers": (("answer",), [(42,)])}
+    def plots(self): return {}
+    def summary(self, console): console.print("the summary")
+
+@app.command()
+def probe(what: str, speeds: options.SpeedList = None, wear: options.Wear = None,
+          out: options.Out = None, as_json: options.Json = False):
+    if what == "config": raise ConfigError("x.yaml: unknown key 'masss', did you mean 'mass'?")
+    if what == "study": raise StudyError("the vehicle derails at 400 km/h")
+    if what == "defect": raise RuntimeError("first line\\nsecond line")
+    if what == "interrupt": raise KeyboardInterrupt
+    if what == "lines":
+        for line in range(100000): print(line)
+        return
+    job = Job("probe", out, as_json)
+    with job.progress() as progress:
+        if what == "sleep":
+            print("ready", flush=True)
+            time.sleep(60)
+        progress(1, 2, "half")
+    job.finish(Result(), config={"speeds": speeds}, seed=3)
+
+sys.exit(main())
+"""
+
+
+def sayd(
+    *arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", PROGRAM, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        timeout=60,
+        env=os.environ | (env or {}),
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["probe", "config"], 2, "sayd: error: x.yaml: unknown key 'masss', did you mean 'mass'?"),
+        (["probe", "study"], 1, "sayd: error: the vehicle derails at 400 km/h"),
+        (["probe", "defect"], 1, "sayd: internal error: RuntimeError: first line second line; please report"),
+        (["probe", "interrupt"], 130, "sayd: interrupted"),
+        (["probe"], 2, "sayd: error: Missing argument 'what' (see 'sayd probe --help')"),
+        (["probe", "x", "--speeds", "0"], 2, "sayd: error: --speeds '0': found 0"),
+        (["probe", "x", "--wear", "2"], 2, "sayd: error: --wear 2: expected a number from 0 to 1"),
+        (["probe", "x", "--sped", "300"], 2, "sayd: error: No such option: --sped"),
+        (["probe", "x", "--out", "/proc/none"], 2, "sayd: error: --out /proc/none: cannot be written"),
+        (["prob"], 2, "sayd: error: No such command 'prob'"),
+    ],
+)
+def test_every_error_is_one_line_with_its_status(
+    arguments: list[str], status: int, message: str, tmp_path: Path
+):
+    done = sayd(*arguments, cwd=tmp_path)
+    assert done.returncode == status
+    assert done.stderr.startswith(message)
+    assert done.stderr.count("\n") == 1
+    assert done.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_defect_shows_its_place_on_demand():
+    assert "Traceback" in sayd("probe", "defect", env={"SAYD_DEBUG": "1"}).stderr
+
+
+def test_json_stands_alone_on_standard_output_and_writes_no_file(tmp_path: Path):
+    done = sayd("probe", "x", "--json", "--speeds", "300:400:50", cwd=tmp_path)
+    assert done.returncode == 0
+    content = json.loads(done.stdout)
+    assert content["answer"] is None
+    assert content["config"] == {"speeds": [300.0, 350.0, 400.0]}
+    assert content["seed"] == 3
+    assert "the summary" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_go_to_a_directory_named_by_the_command(tmp_path: Path):
+    done = sayd("probe", "x", cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.splitlines() == ["the summary", "results/probe: answers.csv, result.json"]
+    assert done.stderr == ""
+    assert sorted(path.name for path in (tmp_path / "results/probe").iterdir()) == [
+        "answers.csv",
+        "result.json",
+    ]
+
+
+def test_json_with_a_directory_writes_the_same_document(tmp_path: Path):
+    done = sayd("probe", "x", "--json", "--out", "here", cwd=tmp_path)
+    assert json.loads(done.stdout) == json.loads((tmp_path / "here/result.json").read_text())
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_says_so_and_leaves_no_result(kind: signal.Signals, tmp_path: Path):
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "probe", "sleep", "--out", "here"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(kind)
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert errors.startswith("sayd: interrupted")
+    assert list((tmp_path / "here").iterdir()) == []
+
+
+def test_a_reader_that_leaves_early_causes_no_complaint():
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "probe", "lines"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
+def test_a_full_standard_output_is_one_message():
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, "probe", "lines"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr == "sayd: error: standard output: No space left on device\n"
+
+
+def test_help_and_version_import_no_numerical_library():
+    for option in ("--help", "--version"):
+        code = (
+            "import sys; from sayd_env.cli import main\n"
+            f"assert main(['{option}']) == 0\n"
+            "print(sorted({'numpy', 'scipy', 'numba', 'matplotlib', 'torch'} & set(sys.modules)))"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.timing
+def test_help_appears_within_half_a_second():
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "sayd_env", "--help"], capture_output=True, check=True)
+        times.append(time.perf_counter() - start)
+    assert min(times) < 0.5
+
+
+@pytest.fixture(scope="module")
+def ride(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 2.5 km: 4 Hz hunting of 2 m/s2 and 60 kN."""
+    path = tmp_path_factory.mktemp("ride") / "ride.csv"
+    time_s = np.arange(0.0, 30.0, 1 / 500)
+    wave = np.sin(2 * np.pi * 4.0 * time_s)
+    table = np.column_stack([time_s, 2.0 * wave, 60.0 * wave])
+    np.savetxt(path, table, delimiter=",", header="time_s,frame_m_s2,ws1_kn", comments="", fmt="%.6f")
+    return path
+
+
+def test_assess_judges_a_recording_by_the_limits_of_en_14363(ride: Path, tmp_path: Path):
+    """Limits 5.44 m/s2 and 30 kN: Wang et al. (2022), eq. 25 and 26, for P = 150 kN and m_b = 5.6 t."""
+    done = sayd("assess", str(ride), "--speed", "300", "--json", "--out", "here", cwd=tmp_path)
+    assert done.returncode == 0
+    content = json.loads(done.stdout)
+    assert content["limits"] == pytest.approx({"acceleration_rms": 5.44, "track_shift_rms_kn": 30.0})
+    assert [channel["stable"] for channel in content["channels"]] == [True, False]
+    for channel in content["channels"]:
+        assert channel["dominant_frequency_hz"] == pytest.approx(4.0, abs=0.01)
+    assert {"result.json", "channels.csv", "signals.png"} <= {
+        path.name for path in (tmp_path / "here").iterdir()
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.csv"], "nowhere.csv: no such"),
+        (["RIDE"], "speed"),
+        (["RIDE", "--speed", "-300"], "--speed -300: expected a finite number above 0 km/h"),
+        (["RIDE", "--speed", "300", "--run-in", "nan"], "run-in"),
+        (["RIDE", "--speed", "300", "--column", "frame_ms2"], "frame_ms2"),
+        (["RIDE", "--speed", "300", "--set", "filter_ordr=2"], "did you mean 'filter_order'"),
+        (["RIDE", "--speed", "300", "--set", "axle_load=-1"], "axle_load"),
+        (["RIDE", "--speed", "300", "--config", "en14364"], "did you mean 'en14363'"),
+    ],
+)
+def test_bad_input_of_assess_is_one_message(arguments: list[str], message: str, ride: Path, tmp_path: Path):
+    done = sayd("assess", *(str(ride) if part == "RIDE" else part for part in arguments), cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("sayd: error: ")
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.rglob("result.json")) == []
