@@ -1,0 +1,48 @@
+"""Limit values of the sliding RMS."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from sayd_env.config import ConfigError
+
+
+class Limits(NamedTuple):
+    """Largest allowed sliding RMS."""
+
+    track_shift_force: float
+    """Sum of the guiding forces of one wheelset (N)."""
+    acceleration: float
+    """Lateral acceleration of the bogie frame above a wheelset (m/s2)."""
+
+
+def limits(axle_load: float, bogie_mass: float) -> Limits:
+    """Limits of track shift force and bogie-frame acceleration.
+
+    Parameters
+    ----------
+    axle_load : float
+        Static load P of one wheelset on the rails (N).
+    bogie_mass : float
+        Mass m_b of the whole bogie, wheelsets included (kg).
+
+    Returns
+    -------
+    Limits
+        Half of Prud'homme's limit, ``(10 + P / 3) / 2`` with P in kN, and ``(12 - m_b / 5) / 2`` m/s2 with
+        m_b in t (EN 14363; Wang et al. 2022, eq. 25 and 26), in SI units.
+
+    Raises
+    ------
+    ConfigError
+        A load or mass that is not positive, or a mass for which eq. 26 leaves no limit (60 t and above).
+    """
+    if not (math.isfinite(axle_load) and axle_load > 0):
+        raise ConfigError(f"axle load: found {axle_load:g} N; it must be positive")
+    if not 0 < bogie_mass < 60e3:
+        raise ConfigError(f"bogie mass: found {bogie_mass:g} kg; it must lie between 0 and 60,000 kg")
+    return Limits(
+        track_shift_force=0.5 * (10e3 + axle_load / 3),
+        acceleration=0.5 * (12 - bogie_mass / 1e3 / 5),
+    )

@@ -1,0 +1,290 @@
+"""Is a recorded ride stable? EN 14363 on the signals of a real train."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sayd_env.config import ConfigError, DataError
+from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.stability import (
+    Assessment,
+    Channel,
+    Limits,
+    Quantity,
+    Recording,
+    assess,
+    assessed_span,
+    band_pass,
+    distance_run,
+    limits,
+    read_recording,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+Array = NDArray[np.float64]
+
+_PLOTS_PER_FIGURE = 4
+# Fourteen points in a period of 14 Hz, the highest edge of the pass band: enough for a smooth line.
+_PLOT_RATE = 200.0
+
+
+@dataclass(frozen=True)
+class ChannelResult:
+    """Verdict on one channel; SI units."""
+
+    channel: Channel
+    dominant_frequency: float
+    """f_0 (Hz); NaN for a constant signal."""
+    rms_max: float
+    """Maximum of the sliding RMS (m/s2 or N)."""
+    position: float
+    """Centre of the window with the maximum, from the first sample (m)."""
+    limit: float
+    """Limit of the sliding RMS (m/s2 or N)."""
+
+    @property
+    def ratio(self) -> float:
+        """Maximum over limit."""
+        return self.rms_max / self.limit
+
+    @property
+    def stable(self) -> bool:
+        """Whether the maximum does not exceed the limit."""
+        return self.rms_max <= self.limit
+
+
+@dataclass(frozen=True)
+class RecordingResult:
+    """Verdict on a recording."""
+
+    file: str
+    settings: AssessmentConfig
+    """Settings in force, options included."""
+    recording: Recording
+    assessment: Assessment
+    limits: Limits
+
+    @property
+    def channels(self) -> list[ChannelResult]:
+        """Verdict on each channel, in the order of the file."""
+        maximum = self.assessment.maximum
+        position = self.assessment.position[self.assessment.rms.argmax(axis=0)]
+        return [
+            ChannelResult(
+                channel,
+                float(self.assessment.dominant_frequency[i]),
+                float(maximum[i]),
+                float(position[i]),
+                self.limit(channel),
+            )
+            for i, channel in enumerate(self.recording.channels)
+        ]
+
+    @property
+    def stable(self) -> bool:
+        """Whether every channel stays within its limit."""
+        return all(channel.stable for channel in self.channels)
+
+    @property
+    def distance(self) -> Array:
+        """Distance of every sample from the first (m)."""
+        recording = self.recording
+        return distance_run(recording.speed, recording.sample_rate, len(recording.signals))
+
+    def limit(self, channel: Channel) -> float:
+        """Limit that applies to a channel (m/s2 or N)."""
+        if channel.quantity is Quantity.ACCELERATION:
+            return self.limits.acceleration
+        return self.limits.track_shift_force
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the keys of ``--json``."""
+        distance = self.distance
+        start, end = assessed_span(distance, self.settings)
+        speed = np.broadcast_to(self.recording.speed, distance.shape)[distance >= start] * 3.6
+        return {
+            "file": self.file,
+            "stable": self.stable,
+            "sample_rate_hz": self.recording.sample_rate,
+            "assessed_distance_m": end - start,
+            "speed_kmh": {"min": speed.min(), "mean": speed.mean(), "max": speed.max()},
+            "limits": {
+                "acceleration_rms": self.limits.acceleration,
+                "track_shift_rms_kn": self.limits.track_shift_force / 1e3,
+            },
+            "channels": [_channel_dict(channel) for channel in self.channels],
+        }
+
+    def tables(self) -> dict[str, tuple[Sequence[str], Iterable[Sequence[Any]]]]:
+        """Return the verdicts, and the sliding RMS over the distance."""
+        rows = [_channel_dict(channel) for channel in self.channels]
+        scale = [_unit(channel)[1] for channel in self.recording.channels]
+        columns = [f"{c.name}_{_unit(c)[2]}" for c in self.recording.channels]
+        return {
+            "channels": (list(rows[0]), [list(row.values()) for row in rows]),
+            "sliding_rms": (
+                ["position_m", *columns],
+                np.column_stack([self.assessment.position, self.assessment.rms * scale]).tolist(),
+            ),
+        }
+
+    def plots(self) -> dict[str, Callable[[Figure], None]]:
+        """Return filtered signals with their sliding RMS and limits (figure 8a of Wang et al. 2022)."""
+        count = len(self.recording.channels)
+        groups = [range(i, min(i + _PLOTS_PER_FIGURE, count)) for i in range(0, count, _PLOTS_PER_FIGURE)]
+        if len(groups) == 1:
+            return {"signals": partial(self._draw, groups[0])}
+        return {f"signals_{k}": partial(self._draw, group) for k, group in enumerate(groups, start=1)}
+
+    def summary(self, console: Console) -> None:
+        """Print one line for each channel and the verdict."""
+        from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
+        from rich.table import Table  # noqa: PLC0415
+
+        table = Table("channel", "f_0 (Hz)", "max. RMS", "limit", "ratio", "at (m)", "verdict")
+        for column in table.columns[1:6]:
+            column.justify = "right"
+        for row in self.channels:
+            unit, scale, _ = _unit(row.channel)
+            table.add_row(
+                escape(row.channel.name),
+                "-" if math.isnan(row.dominant_frequency) else f"{row.dominant_frequency:.2f}",
+                f"{row.rms_max * scale:.2f} {unit}",
+                f"{row.limit * scale:.2f} {unit}",
+                f"{row.ratio:.2f}",
+                f"{row.position:.0f}",
+                "stable" if row.stable else "[bold red]unstable[/]",
+            )
+        console.print(table)
+        distance = self.as_dict()["assessed_distance_m"]
+        verdict = "stable" if self.stable else "unstable"
+        console.print(f"{escape(self.file)}: {verdict} by EN 14363 over {distance:.0f} m")
+
+    def _draw(self, group: range, figure: Figure) -> None:
+        figure.set_size_inches(8.0, 0.8 + 1.9 * len(group))
+        recording, distance = self.recording, self.distance
+        start, _ = assessed_span(distance, self.settings)
+        stride = max(1, int(recording.sample_rate / _PLOT_RATE))
+        part = slice(int(np.searchsorted(distance, start)), None, stride)
+        chosen = list(group)
+        filtered = band_pass(
+            recording.signals[:, chosen],
+            recording.sample_rate,
+            self.assessment.dominant_frequency[chosen],
+            self.settings,
+        )[part]
+        axes = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
+        for axis, k, signal in zip(axes, chosen, filtered.T, strict=True):
+            self._draw_channel(axis, k, distance[part], signal)
+        axes[-1].set_xlabel("distance (m)")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+
+    def _draw_channel(self, axis: Axes, k: int, distance: Array, signal: Array) -> None:
+        channel = self.recording.channels[k]
+        unit, scale, _ = _unit(channel)
+        axis.plot(distance, signal * scale, color="tab:blue", linewidth=0.5, label="band-passed signal")
+        axis.plot(
+            self.assessment.position,
+            self.assessment.rms[:, k] * scale,
+            color="tab:red",
+            marker="x",
+            markersize=3,
+            linewidth=0.8,
+            label="sliding RMS",
+        )
+        axis.axhline(self.limit(channel) * scale, color="black", linestyle="--", label="limit")
+        axis.set_ylabel(unit)
+        axis.set_title(
+            f"{channel.name}, f0 = {self.assessment.dominant_frequency[k]:.2f} Hz", fontsize="small"
+        )
+
+
+def assess_file(
+    path: Path,
+    settings: AssessmentConfig,
+    *,
+    speed: float | None = None,
+    sample_rate: float | None = None,
+    columns: Sequence[str] | None = None,
+    run_in: float = 0.0,
+    axle_load: float | None = None,
+    bogie_mass: float | None = None,
+) -> RecordingResult:
+    """Assess a recording by EN 14363: all of it behind the run-in.
+
+    Parameters
+    ----------
+    path : Path
+        CSV file, see `sayd_env.stability.read_recording`.
+    settings : AssessmentConfig
+        The procedure; its run-in and length are those of simulated runs and do not apply.
+    speed : float, optional
+        Constant speed (m/s) of a file without a speed column.
+    sample_rate : float, optional
+        Sampling rate (Hz) of a file without a time column.
+    columns : sequence of str, optional
+        Channels to assess; all by default.
+    run_in : float
+        Distance at the start that is not assessed (m).
+    axle_load, bogie_mass : float, optional
+        Vehicle of the recording (N, kg), if it is not that of the settings.
+
+    Returns
+    -------
+    RecordingResult
+        Verdict on each channel.
+
+    Raises
+    ------
+    ConfigError
+        An option or the file cannot be used.
+    DataError
+        The content of the file cannot be used.
+    """
+    if not (math.isfinite(run_in) and run_in >= 0):
+        raise ConfigError(f"run-in: found {run_in:g} m; it must be 0 or more")
+    given = {"axle_load": axle_load, "bogie_mass": bogie_mass}
+    settings = settings.model_copy(
+        update={"run_in": run_in, "length": None} | {k: v for k, v in given.items() if v is not None}
+    )
+    limit_values = limits(settings.axle_load, settings.bogie_mass)
+    recording = read_recording(path, settings, speed=speed, sample_rate=sample_rate, columns=columns)
+    try:
+        assessment = assess(recording.signals, recording.sample_rate, recording.speed, settings)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+    return RecordingResult(str(path), settings, recording, assessment, limit_values)
+
+
+def _unit(channel: Channel) -> tuple[str, float, str]:
+    """Unit to show, factor from SI to it, and its form in a column's name."""
+    if channel.quantity is Quantity.ACCELERATION:
+        return "m/s²", 1.0, "m_s2"
+    return "kN", 1e-3, "kn"
+
+
+def _channel_dict(row: ChannelResult) -> dict[str, Any]:
+    _, scale, unit = _unit(row.channel)
+    return {
+        "name": row.channel.name,
+        "quantity": row.channel.quantity.value,
+        "unit": unit,
+        "dominant_frequency_hz": row.dominant_frequency,
+        "rms_max": row.rms_max * scale,
+        "limit": row.limit * scale,
+        "ratio": row.ratio,
+        "position_m": row.position,
+        "stable": row.stable,
+    }
