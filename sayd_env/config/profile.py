@@ -1,0 +1,196 @@
+"""Schema of a wheel or rail profile: zones of formulas, a table of points, or a measured file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from sayd_env.config.base import Model, quantity
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.loader import read_config, validate
+
+JOINT_TOLERANCE_MM = 0.02
+"""Zones may miss each other by this much (mm): published formulas are rounded."""
+
+
+class Line(Model):
+    """Straight zone: z = offset + slope * y."""
+
+    type: Literal["line"]
+    start: float = quantity("mm", "lateral start of the zone")
+    end: float = quantity("mm", "lateral end of the zone")
+    offset: float = quantity("mm", "height of the line at y = 0")
+    slope: float = quantity("-", "slope dz/dy")
+
+
+class Arc(Model):
+    """Circular zone: z = centre_z +- sqrt(radius^2 - (y - centre_y)^2)."""
+
+    type: Literal["arc"]
+    start: float = quantity("mm", "lateral start of the zone")
+    end: float = quantity("mm", "lateral end of the zone")
+    centre_y: float = quantity("mm", "lateral position of the centre")
+    centre_z: float = quantity("mm", "height of the centre")
+    radius: float = quantity("mm", "radius", gt=0)
+    side: Literal["upper", "lower"] = Field(description="which half of the circle: upper (+) or lower (-)")
+
+    @model_validator(mode="after")
+    def _inside(self) -> Arc:
+        reach = max(abs(self.start - self.centre_y), abs(self.end - self.centre_y))
+        if reach > self.radius:
+            raise ValueError(f"the zone reaches {reach:g} mm from the centre, beyond the radius")
+        return self
+
+
+class Polynomial(Model):
+    """Polynomial zone: z = sum_k coefficients[k] * y^k."""
+
+    type: Literal["polynomial"]
+    start: float = quantity("mm", "lateral start of the zone")
+    end: float = quantity("mm", "lateral end of the zone")
+    coefficients: tuple[float, ...] = Field(
+        min_length=1, description="coefficients from the constant upwards (mm, -, 1/mm, ...)"
+    )
+
+
+Zone = Annotated[Line | Arc | Polynomial, Field(discriminator="type")]
+
+
+class Shape(Model):
+    """The curve itself, given in exactly one way; y towards the field side, z upwards.
+
+    Wheel: flange at negative y, z is the growth of the rolling radius. Rail: gauge face at negative y.
+    """
+
+    zones: tuple[Zone, ...] | None = Field(None, min_length=1, description="formulas, in order of y (mm)")
+    points: tuple[tuple[float, float], ...] | None = Field(
+        None, min_length=8, description="table of [y, z] in order of y (mm)"
+    )
+    file: str | None = Field(
+        None, description="measured file with columns y, z (mm); csv, blanks, .prw or .prr (path)"
+    )
+    mirror: bool = Field(False, description="measured data has y towards the track centre: turn it round")
+    invert: bool = Field(False, description="measured data has z downwards: turn it round")
+    smoothing: float = quantity(
+        "m",
+        "length over which tabulated points are smoothed (cubic Savitzky-Golay)",
+        default=0.0,
+        ge=0.0,
+        le=0.02,
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Shape:
+        given = [name for name in ("zones", "points", "file") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"give exactly one of zones, points, file; found {', '.join(given) or 'none'}")
+        for before, after in zip(self.zones or (), (self.zones or ())[1:], strict=False):
+            if abs(before.end - after.start) > 1e-9:
+                raise ValueError(
+                    f"zones must join: one ends at {before.end:g} mm, the next starts at {after.start:g} mm"
+                )
+        for zone in self.zones or ():
+            if zone.end <= zone.start:
+                raise ValueError(f"a zone must end beyond its start, found {zone.start:g} to {zone.end:g} mm")
+        return self
+
+
+class HollowWear(Model):
+    """Hollow tread wear w(s) = depth * cos^2(pi (s - centre) / (2 half_width)) within the half width."""
+
+    type: Literal["hollow"]
+    depth: float = quantity("m", "largest depth of the fully worn tread", ge=0.0, lt=0.01)
+    centre: float = quantity("m", "lateral position of the deepest point, field side positive")
+    half_width: float = quantity("m", "half width of the worn band", gt=0.0, lt=0.06)
+
+
+class MeasuredWear(Model):
+    """The fully worn profile itself; the blend runs between the new shape and this one."""
+
+    type: Literal["measured"]
+    shape: Shape
+
+
+class WheelProfileConfig(Model):
+    """A wheel profile and where it sits on its wheelset."""
+
+    kind: Literal["wheel"]
+    name: str
+    shape: Shape
+    shift: float = quantity(
+        "m",
+        "the whole curve is moved outwards (towards the field side) by this",
+        default=0.0,
+        ge=-0.01,
+        le=0.01,
+    )
+    back_to_back: float = quantity("m", "distance between the backs of the wheels", gt=0.5, lt=2.0)
+    tape_to_back: float = quantity("m", "distance from the tape circle to the wheel's back", gt=0.0, lt=0.2)
+    wear: Annotated[HollowWear | MeasuredWear, Field(discriminator="type")] | None = Field(
+        None, description="what wear = 1 means; without it the profile does not wear"
+    )
+
+
+class RailProfileConfig(Model):
+    """A rail profile, its cant and the depth at which its gauge is measured."""
+
+    kind: Literal["rail"]
+    name: str
+    shape: Shape
+    cant: float = quantity(
+        "-",
+        "inclination towards the track centre that is not yet in the curve (1:40 is 0.025)",
+        ge=0.0,
+        le=0.1,
+    )
+    gauge_depth: float = quantity(
+        "m", "depth below the crown at which the gauge is measured", gt=0.0, lt=0.04
+    )
+
+
+ProfileConfig = WheelProfileConfig | RailProfileConfig
+
+
+def load_wheel(name_or_path: str) -> WheelProfileConfig:
+    """Read a wheel profile: a packaged name or a path to a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        Unknown name, unreadable file, or a key that cannot be used.
+    """
+    data, source = _read(name_or_path, "wheel")
+    return validate(WheelProfileConfig, data, source)
+
+
+def load_rail(name_or_path: str) -> RailProfileConfig:
+    """Read a rail profile: a packaged name or a path to a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        Unknown name, unreadable file, or a key that cannot be used.
+    """
+    data, source = _read(name_or_path, "rail")
+    return validate(RailProfileConfig, data, source)
+
+
+def _read(name_or_path: str, kind: str) -> tuple[object, str]:
+    data, source = read_config("profile", name_or_path)
+    found = data.get("kind") if isinstance(data, dict) else None
+    if found is not None and found != kind:
+        raise ConfigError(f"{source}: kind: found {found!r}, expected '{kind}' here")
+    _anchor_files(data, Path(source).parent)
+    return data, source
+
+
+def _anchor_files(node: object, folder: Path) -> None:
+    """Let relative data files in a user's YAML be found beside that YAML, wherever the program runs."""
+    if not isinstance(node, dict):
+        return
+    if isinstance(node.get("file"), str):
+        node["file"] = str(folder / node["file"])
+    for value in node.values():
+        _anchor_files(value, folder)

@@ -1,0 +1,103 @@
+"""Equivalent conicity by EN 15302, from rigid profiles or from the table that the simulation uses.
+
+A wheelset that rolls without slip on straight track follows y'' = -delta_r(y) / (e r0), with the
+difference delta_r of the rolling radii and the track base e. A conical wheelset of conicity tan(gamma)
+has the wavelength L = 2 pi sqrt(e r0 / (2 tan(gamma))) (Klingel). The equivalent conicity at an amplitude
+is that of the conical wheelset with the wavelength of the real motion. With lengths along the track in
+units of sqrt(e r0) the motion is y'' = -delta_r(y) and tan(gamma_e) = (2 pi / L)^2 / 2, so that neither e
+nor r0 matters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.special import roots_legendre
+
+from sayd_env.config import DataError
+from sayd_env.physics.contact.geometry import ContactTable, RigidContact
+
+Array = NDArray[np.float64]
+
+_QUADRATURE_NODES = 400
+_FLAT = 1e-6  # a conicity below this is that of a cylinder
+
+
+def radius_difference(contact: RigidContact | ContactTable) -> tuple[Array, Array]:
+    """Rolling radius of the left minus that of the right wheel over the wheelset's lateral position.
+
+    Both wheels have the same profile, so the right one is the left one at the opposite position.
+
+    Returns
+    -------
+    y, delta_r : ndarray, shape (n,)
+        Lateral position at rail level (m), difference (m).
+    """
+    y = contact.y if isinstance(contact, RigidContact) else contact.dy
+    return y, contact.delta_r - contact.delta_r[::-1]
+
+
+def equivalent_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike) -> Array:
+    """Equivalent conicity tan(gamma_e) by integration of the wheelset's motion (EN 15302, annex B).
+
+    Parameters
+    ----------
+    y, delta_r : array_like, shape (n,)
+        Difference of the rolling radii over the lateral position (m), an odd function.
+    amplitudes : array_like, shape (m,)
+        Amplitudes of the lateral motion (m).
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Conicity; negative where the wheelset is driven outwards from every position up to the amplitude, NaN
+        where no motion of this amplitude passes through the centre (driven outwards in part).
+
+    Raises
+    ------
+    DataError
+        An amplitude is not positive or beyond the data.
+
+    Notes
+    -----
+    With the potential U' = delta_r / 2, y = a sin(theta) and lengths in units of sqrt(e r0 / 2) the quarter
+    wavelength is the integral of D^(-1/2) over theta from 0 to pi/2, D = 2 (U(a) - U(y)) / (a cos(theta))^2.
+    This form is free of the square root's singularity; Gauss-Legendre.
+    """
+    y, delta_r, amplitudes = _checked(y, delta_r, amplitudes)
+    potential = make_interp_spline(y, 0.5 * delta_r, k=1).antiderivative()
+    nodes, weights = roots_legendre(_QUADRATURE_NODES)
+    theta = 0.25 * np.pi * (nodes + 1.0)
+    reach = amplitudes[:, None]
+    rise = potential(reach) - potential(reach * np.sin(theta))
+    stiffness = 2.0 * rise / (reach * np.cos(theta)) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        quarter = 0.25 * np.pi * np.sum(weights / np.sqrt(np.abs(stiffness)), axis=1)
+        conicity = (0.5 * np.pi / quarter) ** 2
+    outward, inward = np.any(stiffness < -_FLAT, axis=1), np.any(stiffness > _FLAT, axis=1)
+    conicity = np.where(outward, np.where(inward, np.nan, -conicity), conicity)
+    return np.where(outward | inward, conicity, 0.0)
+
+
+def harmonic_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike) -> Array:
+    """Conicity by harmonic linearisation: first harmonic of delta_r / 2 over a sine, over the amplitude.
+
+    Parameters and errors as in `equivalent_conicity`; defined for every profile.
+    """
+    y, delta_r, amplitudes = _checked(y, delta_r, amplitudes)
+    sine = np.sin(2.0 * np.pi * (np.arange(720) + 0.5) / 720)
+    cycle = np.interp(amplitudes[:, None] * sine, y, 0.5 * delta_r)
+    return np.asarray(2.0 * np.mean(cycle * sine, axis=1) / amplitudes)
+
+
+def _checked(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike) -> tuple[Array, Array, Array]:
+    position, difference = np.asarray(y, dtype=float), np.asarray(delta_r, dtype=float)
+    amplitude = np.atleast_1d(np.asarray(amplitudes, dtype=float))
+    largest = min(-position[0], position[-1])
+    if not np.all((amplitude > 0.0) & (amplitude <= largest)):
+        raise DataError(
+            f"conicity amplitude: found {np.min(amplitude) * 1e3:g} to {np.max(amplitude) * 1e3:g} mm, "
+            f"allowed is above 0 up to {largest * 1e3:g} mm"
+        )
+    return position, difference, amplitude

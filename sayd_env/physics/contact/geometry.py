@@ -1,0 +1,416 @@
+"""Contact geometry of one wheel on its rail, tabulated over the relative lateral shift.
+
+The unknowns are those of the left wheel (at +y): a shift `dy` of the wheel against its rail at rail level,
+positive when the flange approaches the rail. A right wheel is the same table read at minus its shift.
+
+The vertical gap between a wheel point at s from the tape circle and the rail below it is
+
+    gap(s) = z + phi (e + s) - p(s) - h(s + dy + t0)
+
+with the wheelset's height z and roll phi, the wheel curve p, the rail curve h and the rail's position t0.
+Rigid bodies touch where the gap is least, and that point jumps. Elastic bodies press a patch, whose mean
+moves continuously: the least gap is replaced by the soft minimum (Arnold and Netter's quasi-elastic contact)
+
+    G = -eps log( (1/L) integral exp(-gap/eps) ds ),   weights w(s) = exp(-gap/eps) / integral,
+
+a potential, so its gradient gives forces that do no net work around a loop:
+
+    dG/dz = 1,   dG/dphi = <e + s> = Y_c,   dG/d(dy) = -<h'> = -tan(gamma).
+
+For a gap B u^2 the weights have the variance eps / (2 B); Hertz's pressure, summed over the rolling
+direction, has b^2 / 5. With b^2 near penetration / (2 B) the two agree if eps is one fifth of the
+penetration.
+The wheelset's roll is the kinematic one, with both wheels just touching.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from sayd_env.config import DataError
+from sayd_env.config.contact import ContactConfig
+from sayd_env.physics.contact.hertz import hertz_coefficients
+from sayd_env.physics.contact.kalker import kalker_coefficients
+from sayd_env.physics.contact.polach import polach_spin_gain
+from sayd_env.physics.kernel import kernel
+from sayd_env.physics.profiles import Profile, gauge_point
+
+Array = NDArray[np.float64]
+
+DELTA_R, G0, Y_C, TAN_GAMMA, C_HERTZ, A_S, B_S, C11, C22, C23, SPIN_GAIN, PHI_K = range(12)
+"""Columns of `ContactTable.packed`, in the order of the table's fields without the cosine and the sine."""
+
+WIDTH = 12
+"""Number of these columns."""
+
+_FAR = 1.0  # m; the gap where there is no rail below the wheel
+_ROLL_TOLERANCE = 1e-12  # m; difference of the two wheels' gaps
+_ROLL_ITERATIONS = 60
+_FLATTEST = 1e-3  # 1/m; keeps the ellipse of a perfectly conformal pair finite
+
+
+@dataclass(frozen=True)
+class ContactTable:
+    """Contact quantities of a left wheel on a uniform grid of lateral shifts, shape (n,) each.
+
+    Attributes
+    ----------
+    dy_min, step : float
+        First shift and distance of the nodes (m).
+    delta_r : ndarray
+        Rolling radius over that of the tape circle (m).
+    g0 : ndarray
+        Vertical gap at z = 0 and phi = 0 (m); at run time gap = z + phi * y_c + g0. g0 is 0 at dy = 0.
+    y_c : ndarray
+        Lateral distance of the contact from the wheelset's centre (m).
+    tan_gamma, cos_gamma, sin_gamma : ndarray
+        Contact angle; the tangent is -d(gap)/d(dy) at fixed z and phi, positive where the rail pushes the
+        wheel back towards the track centre.
+    c_hertz : ndarray
+        Normal force over normal penetration^1.5 (N/m^1.5).
+    a_s, b_s : ndarray
+        Semi-axes in rolling and lateral direction over the root of the normal penetration (sqrt(m)).
+    c11, c22, c23 : ndarray
+        Kalker's coefficients at the patch's axis ratio.
+    spin_gain : ndarray
+        Polach's constant of the spin force.
+    phi_k : ndarray
+        Kinematic roll of the wheelset against the track at which the node was evaluated (rad).
+    """
+
+    dy_min: float
+    step: float
+    delta_r: Array
+    g0: Array
+    y_c: Array
+    tan_gamma: Array
+    cos_gamma: Array
+    sin_gamma: Array
+    c_hertz: Array
+    a_s: Array
+    b_s: Array
+    c11: Array
+    c22: Array
+    c23: Array
+    spin_gain: Array
+    phi_k: Array
+
+    @property
+    def dy(self) -> Array:
+        """Lateral shifts of the nodes (m)."""
+        return np.asarray(self.dy_min + self.step * np.arange(len(self.delta_r)), dtype=np.float64)
+
+    def packed(self) -> Array:
+        """Return the columns for compiled code: (n, `WIDTH`), C-contiguous, `DELTA_R` first."""
+        return np.ascontiguousarray(np.column_stack([getattr(self, name) for name in COLUMNS]))
+
+
+COLUMNS = tuple(
+    field.name
+    for field in fields(ContactTable)
+    if field.name not in ("dy_min", "step", "cos_gamma", "sin_gamma")
+)
+"""Names of the packed columns."""
+
+
+@dataclass(frozen=True)
+class RigidContact:
+    """Touching points of rigid profiles over the wheelset's lateral position, shape (n,) each.
+
+    Attributes
+    ----------
+    y : ndarray
+        Lateral position of the wheelset at rail level (m), positive to the left.
+    roll, height : ndarray
+        Kinematic roll (rad) and height (m) of the wheelset, 0 in the centre.
+    s : ndarray
+        Contact position of the left wheel from its tape circle (m).
+    t : ndarray
+        Contact position on the left rail from its crown (m).
+    delta_r : ndarray
+        Rolling radius of the left wheel over that of the tape circle (m).
+    """
+
+    y: Array
+    roll: Array
+    height: Array
+    s: Array
+    t: Array
+    delta_r: Array
+
+
+def contact_table(
+    wheel: Profile,
+    rail: Profile,
+    gauge: float,
+    config: ContactConfig,
+    r0: float,
+    e: float | None = None,
+) -> ContactTable:
+    """Tabulate the regularised contact of a wheel on its rail.
+
+    Parameters
+    ----------
+    wheel, rail : Profile
+        Sampled profiles.
+    gauge : float
+        Track gauge (m), measured at the rail profile's gauge depth.
+    config : ContactConfig
+        Elastic constants, regularisation, grid.
+    r0 : float
+        Rolling radius at the tape circle (m).
+    e : float, optional
+        Lateral distance of the tape circle from the wheelset's centre (m); by default the wheel profile's.
+
+    Raises
+    ------
+    DataError
+        Wheel and rail do not face each other over the whole table.
+    """
+    e = wheel.half_distance if e is None else e
+    pair = _pair(wheel, rail, gauge, e, config.table_step, config.half_nodes)
+    eps = config.regularisation
+    roll = _kinematic_roll(pair, eps, wheel, rail)
+    least, moments = _moments(pair.p, pair.h, pair.slope, pair.arm, pair.shifts, roll, eps)
+    y_c, variance, tan_gamma, delta_r, log_sum = moments.T
+    potential = least - eps * log_sum
+    g0 = potential - roll * y_c
+    g0 = g0 - g0[len(g0) // 2]
+    cosine = 1.0 / np.sqrt(1.0 + tan_gamma**2)
+    # The gap is vertical and its argument horizontal; along the inclined patch both shrink by the cosine.
+    lateral = np.maximum(0.5 * eps / variance * cosine**3, _FLATTEST)
+    rolling = 0.5 * cosine / (r0 + delta_r)
+    c_hertz, a_s, b_s = hertz_coefficients(rolling, lateral, config.youngs_modulus, config.poisson_ratio)
+    c11, c22, c23 = kalker_coefficients(a_s / b_s, config.poisson_ratio)
+    return ContactTable(
+        dy_min=-config.half_nodes * config.table_step,
+        step=config.table_step,
+        delta_r=delta_r,
+        g0=g0,
+        y_c=y_c,
+        tan_gamma=tan_gamma,
+        cos_gamma=cosine,
+        sin_gamma=tan_gamma * cosine,
+        c_hertz=c_hertz,
+        a_s=a_s,
+        b_s=b_s,
+        c11=c11,
+        c22=c22,
+        c23=c23,
+        spin_gain=polach_spin_gain(a_s / b_s),
+        phi_k=roll,
+    )
+
+
+def rigid_contact(
+    wheel: Profile, rail: Profile, gauge: float, half_width: float, step: float = 1e-5, e: float | None = None
+) -> RigidContact:
+    """Return the touching points of rigid profiles, both wheels in contact.
+
+    Parameters
+    ----------
+    wheel, rail : Profile
+        Sampled profiles.
+    gauge : float
+        Track gauge (m).
+    half_width, step : float
+        Largest lateral position and distance of the positions (m).
+    e : float, optional
+        Lateral distance of the tape circle from the wheelset's centre (m); by default the wheel profile's.
+
+    Raises
+    ------
+    DataError
+        Wheel and rail do not face each other over the whole range.
+    """
+    e = wheel.half_distance if e is None else e
+    pair = _pair(wheel, rail, gauge, e, step, round(half_width / step))
+    roll = _kinematic_roll(pair, 0.0, wheel, rail)
+    least, position = _lowest(pair.p, pair.h, pair.arm, pair.shifts, roll)
+    index = np.rint(position).astype(np.int64)
+    s = pair.arm[0] - e + position * step
+    delta_r = np.interp(s, pair.arm - e, pair.p)
+    y = pair.shifts * step - pair.shifts[len(pair.shifts) // 2] * step
+    height = -least
+    if np.any((index <= 0) | (index >= len(pair.p) - 1)):
+        raise DataError(_off_profile(wheel, rail))
+    return RigidContact(y, roll, height - height[len(height) // 2], s, s + y + pair.offset, delta_r)
+
+
+def linearised(table: ContactTable, amplitude: float) -> ContactTable:
+    """Harmonic linearisation of a table at an amplitude of lateral motion.
+
+    Parameters
+    ----------
+    table : ContactTable
+        The table.
+    amplitude : float
+        Amplitude of dy = amplitude sin(theta) (m).
+
+    Returns
+    -------
+    ContactTable
+        Same grid. Rolling radius, contact angle and roll are straight lines: the mean over the cycle and the
+        first harmonic's slope. The gap is the angle's integral; contact position and patch are means.
+
+    Raises
+    ------
+    DataError
+        The amplitude is not positive or leaves the table.
+    """
+    if not 0.0 < amplitude <= -table.dy_min:
+        raise DataError(
+            f"linearisation amplitude: found {amplitude * 1e3:g} mm, "
+            f"allowed is up to {-table.dy_min * 1e3:g} mm"
+        )
+    sine = np.sin(2.0 * np.pi * (np.arange(720) + 0.5) / 720)
+    dy = table.dy
+
+    def mean(values: Array) -> float:
+        return float(np.mean(np.interp(amplitude * sine, dy, values)))
+
+    def slope(values: Array) -> float:
+        return 2.0 * float(np.mean(np.interp(amplitude * sine, dy, values) * sine)) / amplitude
+
+    tan_mean, tan_slope = mean(table.tan_gamma), slope(table.tan_gamma)
+    tan_gamma = tan_mean + tan_slope * dy
+    cosine = 1.0 / np.sqrt(1.0 + tan_gamma**2)
+    constant = {
+        name: np.full_like(dy, mean(getattr(table, name)))
+        for name in ("y_c", "c_hertz", "a_s", "b_s", "c11", "c22", "c23", "spin_gain")
+    }
+    return ContactTable(
+        dy_min=table.dy_min,
+        step=table.step,
+        delta_r=mean(table.delta_r) + slope(table.delta_r) * dy,
+        g0=-(tan_mean * dy + 0.5 * tan_slope * dy**2),
+        tan_gamma=tan_gamma,
+        cos_gamma=cosine,
+        sin_gamma=tan_gamma * cosine,
+        phi_k=slope(table.phi_k) * dy,
+        **constant,
+    )
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Wheel and rail on one common grid, so that a shift of the wheel is a shift of indices."""
+
+    p: Array  # wheel curve (m)
+    h: Array  # rail curve (m), -_FAR beyond the rail
+    slope: Array  # rail slope dh/dt
+    arm: Array  # e + s of the wheel samples (m)
+    shifts: NDArray[np.int64]  # index into h below the wheel's first sample, per node
+    offset: float  # t - s in the centred position (m)
+
+
+def _pair(wheel: Profile, rail: Profile, gauge: float, e: float, step: float, half_nodes: int) -> _Pair:
+    first, last = np.ceil(wheel.y[0] / step - 1e-6), np.floor(wheel.y[-1] / step + 1e-6)
+    s = np.arange(first, last + 1) * step
+    offset = e - (0.5 * gauge - gauge_point(rail))
+    # Rail samples below every wheel sample at every shift; beyond the rail's ends there is nothing to touch.
+    t = s[0] + offset + (np.arange(len(s) + 2 * half_nodes) - half_nodes) * step
+    inside = (t >= rail.y[0]) & (t <= rail.y[-1])
+    curve, on_rail = CubicSpline(rail.y, rail.z), np.clip(t, rail.y[0], rail.y[-1])
+    return _Pair(
+        p=np.asarray(CubicSpline(wheel.y, wheel.z)(s)),
+        h=np.where(inside, curve(on_rail), -_FAR),
+        slope=np.asarray(curve(on_rail, 1)),
+        arm=e + s,
+        shifts=np.arange(2 * half_nodes + 1),
+        offset=offset,
+    )
+
+
+def _kinematic_roll(pair: _Pair, eps: float, wheel: Profile, rail: Profile) -> Array:
+    """Roll at each shift at which both wheels have the same gap; antisymmetric over the shifts."""
+    roll = np.zeros(len(pair.shifts))
+    for _ in range(_ROLL_ITERATIONS):
+        if eps > 0.0:
+            least, moments = _moments(pair.p, pair.h, pair.slope, pair.arm, pair.shifts, roll, eps)
+            gap, arm = least - eps * moments[:, 4], moments[:, 0]
+        else:
+            gap, position = _lowest(pair.p, pair.h, pair.arm, pair.shifts, roll)
+            arm = pair.arm[0] + position * (pair.arm[1] - pair.arm[0])
+        # The right wheel of a wheelset at y with roll phi is a left wheel at -y with roll -phi.
+        difference = gap - gap[::-1]
+        if np.max(np.abs(difference)) > 0.5 * _FAR:
+            raise DataError(_off_profile(wheel, rail))
+        if np.max(np.abs(difference)) < _ROLL_TOLERANCE:
+            break
+        roll -= difference / (arm + arm[::-1])
+    return 0.5 * (roll - roll[::-1])
+
+
+def _off_profile(wheel: Profile, rail: Profile) -> str:
+    return (
+        f"wheel '{wheel.name}' runs off rail '{rail.name}' within the contact table: check gauge and "
+        "back-to-back distance, or reduce table_half_width"
+    )
+
+
+@kernel
+def _lowest(
+    p: Array, h: Array, arm: Array, shifts: NDArray[np.int64], roll: Array
+) -> tuple[Array, Array]:  # pragma: no cover
+    """Least gap of each node (z = 0) and its position in samples, refined by a parabola."""
+    nodes, count = len(shifts), len(p)
+    least, position = np.empty(nodes), np.empty(nodes)
+    for node in range(nodes):
+        shift, phi = shifts[node], roll[node]
+        best, at = 1e9, 0
+        for j in range(count):
+            gap = phi * arm[j] - p[j] - h[shift + j]
+            if gap < best:
+                best, at = gap, j
+        least[node], position[node] = best, at
+        if 0 < at < count - 1:
+            left = phi * arm[at - 1] - p[at - 1] - h[shift + at - 1] - best
+            right = phi * arm[at + 1] - p[at + 1] - h[shift + at + 1] - best
+            # At the rail's edge the neighbour is the void, not a parabola.
+            if left + right > 0.0 and left < 1e-3 and right < 1e-3:
+                position[node] = at + 0.5 * (left - right) / (left + right)
+                least[node] = best - 0.125 * (left - right) ** 2 / (left + right)
+    return least, position
+
+
+@kernel
+def _moments(
+    p: Array, h: Array, slope: Array, arm: Array, shifts: NDArray[np.int64], roll: Array, eps: float
+) -> tuple[Array, Array]:  # pragma: no cover
+    """Least gap (z = 0) and weighted means of each node.
+
+    The columns of the second array: mean arm, variance of the arm, mean rail slope, mean wheel curve, and the
+    log of the integral of exp(-(gap - least)/eps) over the lateral position (in m).
+    """
+    nodes, count = len(shifts), len(p)
+    step = arm[1] - arm[0]
+    least, out = np.empty(nodes), np.empty((nodes, 5))
+    for node in range(nodes):
+        shift, phi = shifts[node], roll[node]
+        best = 1e9
+        for j in range(count):
+            best = min(best, phi * arm[j] - p[j] - h[shift + j])
+        total, first, second, rise, radius = 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(count):
+            depth = (phi * arm[j] - p[j] - h[shift + j] - best) / eps
+            if depth < 40.0:
+                weight = np.exp(-depth)
+                x = arm[j] - arm[0]
+                total += weight
+                first += weight * x
+                second += weight * x * x
+                rise += weight * slope[shift + j]
+                radius += weight * p[j]
+        mean = first / total
+        least[node] = best
+        out[node, 0] = arm[0] + mean
+        out[node, 1] = second / total - mean * mean
+        out[node, 2] = rise / total
+        out[node, 3] = radius / total
+        out[node, 4] = np.log(total * step)
+    return least, out
