@@ -53,7 +53,7 @@ def kernel(function: F | None = None, *, parallel: bool = False) -> Any:
         previous = numba_config.CACHE_DIR
         numba_config.CACHE_DIR = str(CACHE_DIRECTORY)
         try:
-            return numba.njit(cache=True, error_model="numpy", parallel=parallel)(f)
+            return numba.njit(cache=True, error_model="numpy", nogil=True, parallel=parallel)(f)
         finally:
             numba_config.CACHE_DIR = previous
 

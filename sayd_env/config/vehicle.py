@@ -1,0 +1,204 @@
+"""Schema of a vehicle: bodies and force elements, repeated over index sets (bogies, axles, sides)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from sayd_env.config.base import Model, quantity
+from sayd_env.config.loader import nearest
+
+Vector = tuple[float, float, float]
+Dof = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+Axis = Literal["x", "y", "z"]
+DOFS: tuple[Dof, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
+GROUND = "ground"
+
+
+class Member(Model):
+    """One member of an index set: where its local frame stands and how it is mirrored."""
+
+    origin: Vector = Field((0.0, 0.0, 0.0), description="Origin, added to the origins of the outer sets (m)")
+    sign: tuple[Literal[-1, 1], Literal[-1, 1], Literal[-1, 1]] = Field(
+        (1, 1, 1), description="Mirroring of the local x, y, z (-)"
+    )
+
+
+class Body(Model):
+    """A rigid body at its centre of gravity, or a part hinged to a carrier about the lateral axis."""
+
+    name: str
+    role: Literal["carbody", "frame", "wheelset", "hinged", "body"] = "body"
+    per: tuple[str, ...] = Field((), description="Index sets over which the body is repeated")
+    mass: float = quantity("kg", "Mass; 0 for a hinged part, whose mass the carrier holds", default=0.0, ge=0.0)
+    inertia: tuple[
+        Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]
+    ] = Field(description="Principal moments of inertia about x, y, z (kg m2)")
+    position: Vector = Field(description="Centre of gravity in the local frame, z above the rail (m)")
+    dofs: tuple[Dof, ...] = Field(DOFS, description="Degrees of freedom")
+    carrier: str | None = Field(None, description="Body that a hinged part is mounted on")
+
+    @model_validator(mode="after")
+    def _hinge(self) -> Body:
+        if (self.role == "hinged") != (self.carrier is not None):
+            raise ValueError("a hinged body, and no other, names its carrier")
+        if self.role == "hinged":
+            if self.dofs != ("pitch",):
+                raise ValueError("a hinged body has the one degree of freedom 'pitch'")
+            if self.mass != 0.0 or self.inertia[1] <= 0.0:
+                raise ValueError("a hinged body has no mass of its own and a positive pitch inertia")
+        elif self.mass <= 0.0 or min(self.inertia) <= 0.0:
+            raise ValueError("mass and moments of inertia must be positive")
+        return self
+
+
+class Attachment(Model):
+    """A point of a body, in the local frame of the element that uses it."""
+
+    body: str = Field(description="Name of a body, or 'ground'")
+    at: Vector = Field(description="Position in the element's local frame, z above the rail (m)")
+
+
+class _Element(Model):
+    name: str
+    per: tuple[str, ...] = ()
+    a: Attachment
+    b: Attachment
+
+
+class Bush(_Element):
+    """Linear springs and dampers along x, y, z between two points: springs, bushes, links."""
+
+    type: Literal["bush"]
+    stiffness: tuple[
+        Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]
+    ] = Field(description="Stiffness along x, y, z (N/m)")
+    damping: tuple[
+        Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]
+    ] = Field((0.0, 0.0, 0.0), description="Damping along x, y, z (N s/m)")
+    carries_weight: bool = Field(False, description="Carries static weight (gives its gravity stiffness)")
+
+
+class Torsion(_Element):
+    """A torsion spring and damper between two bodies, such as an anti-roll bar."""
+
+    type: Literal["torsion"]
+    axis: Literal["roll", "pitch", "yaw"]
+    stiffness: float = quantity("N m/rad", "Torsional stiffness", ge=0.0)
+    damping: float = quantity("N m s/rad", "Torsional damping", default=0.0, ge=0.0)
+
+
+Curve = tuple[tuple[float, float], ...]
+
+
+def checked_curve(points: Curve, abscissa: str) -> Curve:
+    """Return an odd piecewise-linear characteristic's right half, which starts at (0, 0) and never falls.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two points, a first point other than (0, 0), unsorted abscissae or falling forces.
+    """
+    if len(points) < 2 or points[0] != (0.0, 0.0):
+        raise ValueError("needs at least two points, the first of which is [0, 0]")
+    for (x0, f0), (x1, f1) in zip(points, points[1:], strict=False):
+        if x1 <= x0:
+            raise ValueError(f"{abscissa} must increase: {x1:g} follows {x0:g}")
+        if f1 < f0:
+            raise ValueError(f"the force must not fall: {f1:g} N follows {f0:g} N")
+    return points
+
+
+class MaxwellLaw(Model):
+    """A damper with an odd piecewise-linear force-velocity curve in series with a spring (paper, 2.1)."""
+
+    curve: Curve = Field(description="Points (velocity (m/s), force (N)) for v >= 0; the last slope goes on")
+    series_stiffness: float = quantity("N/m", "Series stiffness", gt=0.0)
+
+    @field_validator("curve")
+    @classmethod
+    def _curve(cls, points: Curve) -> Curve:
+        return checked_curve(points, "velocity (m/s)")
+
+
+class Damper(_Element, MaxwellLaw):
+    """A damper of the vehicle other than the yaw dampers."""
+
+    type: Literal["damper"]
+    axis: Axis
+
+
+class Stop(_Element):
+    """An elastic stop with clearance: force over relative displacement, odd."""
+
+    type: Literal["stop"]
+    axis: Axis
+    curve: Curve = Field(description="Points (displacement (m), force (N)); the last slope goes on")
+
+    @field_validator("curve")
+    @classmethod
+    def _curve(cls, points: Curve) -> Curve:
+        return checked_curve(points, "displacement (m)")
+
+
+class YawDamper(_Element):
+    """A place for a longitudinal yaw damper: a is its end on the bogie, b its end on the carbody."""
+
+    type: Literal["yaw_damper"]
+
+
+Element = Annotated[Bush | Torsion | Damper | Stop | YawDamper, Field(discriminator="type")]
+
+
+class VehicleConfig(Model):
+    """A vehicle as data; `sayd_env.physics.multibody.assemble` turns it into matrices."""
+
+    name: str
+    description: str = ""
+    sets: dict[str, dict[str, Member]] = Field({}, description="Index sets: name -> member -> local frame")
+    bodies: tuple[Body, ...]
+    elements: tuple[Element, ...]
+    wheel_radius: float = quantity("m", "Nominal rolling radius at the tape circle", gt=0.1, lt=1.0)
+    measuring_height: float = quantity(
+        "m", "Height above the rail of the bogie-frame accelerometers over the wheelsets", gt=0.0
+    )
+    speed_range: tuple[float, float] = Field(
+        description="Lowest and highest speed for which the model stands (m/s)"
+    )
+
+    @field_validator("speed_range")
+    @classmethod
+    def _speeds(cls, limits: tuple[float, float]) -> tuple[float, float]:
+        if not 0.0 < limits[0] < limits[1]:
+            raise ValueError("needs 0 < lowest < highest")
+        return limits
+
+    @model_validator(mode="after")
+    def _references(self) -> VehicleConfig:
+        bodies = {body.name: body for body in self.bodies}
+        if len(bodies) != len(self.bodies):
+            raise ValueError("two bodies have the same name")
+        for item in (*self.bodies, *self.elements):
+            for name in item.per:
+                if name not in self.sets:
+                    raise ValueError(f"{item.name}: unknown set '{name}'{nearest(name, self.sets)}")
+        for body in self.bodies:
+            if body.carrier is not None:
+                _check_body(body.name, body.carrier, body.per, bodies)
+        for element in self.elements:
+            for end in (element.a, element.b):
+                _check_body(element.name, end.body, element.per, bodies)
+        if not any(body.role == "wheelset" for body in self.bodies):
+            raise ValueError("a vehicle needs at least one body with the role 'wheelset'")
+        return self
+
+
+def _check_body(user: str, name: str, per: tuple[str, ...], bodies: dict[str, Body]) -> None:
+    if name == GROUND:
+        return
+    if name not in bodies:
+        raise ValueError(f"{user}: unknown body '{name}'{nearest(name, [*bodies, GROUND])}")
+    outer = bodies[name].per
+    if per[: len(outer)] != outer:
+        raise ValueError(f"{user}: is repeated per {list(per)}, so it cannot reach '{name}', one per {list(outer)}")

@@ -1,0 +1,123 @@
+"""What the compiled step works on: a vehicle's constants and its state, as arrays of one type.
+
+A `Plant` holds the constants of one vehicle on one track at one speed, a `State` what changes. Both are
+named tuples of arrays, so that a compiled function reads `plant.stiffness` as its uncompiled caller does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+LANES = 8
+"""Wheels of a vehicle, and the width of the loops over them: four wheelsets, left and right in turn."""
+CURVE_POINTS = 12
+"""Points that the characteristic of a 1-D force element may have."""
+
+
+class Plant(NamedTuple):
+    """Constants of one vehicle (n unknowns, w wheelsets, m Maxwell dampers, s stops)."""
+
+    mass: Array
+    """(n,) diagonal mass matrix, kg and kg m2."""
+    stiffness: Array
+    """(n, n) K transposed: row j holds what unknown j does to all."""
+    damping: Array
+    """(n, n) C + (V / r0) G, transposed, without its diagonal."""
+    damping_diagonal: Array
+    """(n,) diagonal of C: treated implicitly."""
+    first_row: Index
+    """(n,) first row that column j of K and C reaches."""
+    last_row: Index
+    """(n,) one past the last such row."""
+    wheelset_dofs: Index
+    """(w, 6) columns of x, y, z, roll, pitch, yaw."""
+    section_dofs: Index
+    """(w, 3) columns of the track sections' y, z, roll."""
+    wheelset_x: Array
+    """(w,) position along the vehicle, m."""
+    wheel_load: Array
+    """(w,) static load of a wheel, N."""
+    table: Array
+    """(nodes * columns,) contact table of all wheels, packed node by node."""
+    table_start: float
+    """Lateral shift of the first node, m."""
+    table_step: float
+    """Distance of nodes, m."""
+    approach: Array
+    """(w,) vertical approach of a wheel under its static load at zero shift, m."""
+    contact_damping: Array
+    """(w,) Hunt-Crossley factor of the normal force, s/m."""
+    shear_modulus: float
+    """G of wheel and rail, N/m2."""
+    friction: float
+    """Coefficient of friction (-)."""
+    radius: float
+    """Nominal rolling radius, m."""
+    speed: float
+    """V, m/s."""
+    damper_g: Array
+    """(n, m) connection vectors of the Maxwell dampers, as columns."""
+    damper_velocity: Array
+    """(CURVE_POINTS, m) abscissae of the force-velocity curves, m/s."""
+    damper_force: Array
+    """(CURVE_POINTS, m) ordinates, N."""
+    damper_stiffness: Array
+    """(m,) series stiffness, N/m."""
+    stop_g: Array
+    """(s, n) connection vectors of the stops."""
+    stop_shift: Array
+    """(CURVE_POINTS, s) abscissae of their curves, m."""
+    stop_force: Array
+    """(CURVE_POINTS, s) ordinates, N."""
+    measure: Array
+    """(w, n) rows that give the lateral motion of the bogie frame above each wheelset."""
+    irregularity: Array
+    """(nodes, 4) spline coefficients of alignment, vertical, cross-level angle, gauge."""
+    irregularity_start: float
+    """Position of the first coefficient's knot, m."""
+    irregularity_step: float
+    """Knot distance, m."""
+
+
+class State(NamedTuple):
+    """State of one vehicle; the compiled functions change it in place."""
+
+    q: Array
+    """(n,) displacements, m and rad."""
+    v: Array
+    """(n,) velocities."""
+    a: Array
+    """(n,) accelerations."""
+    elongation: Array
+    """(m,) elongation of each Maxwell damper, m."""
+    piston: Array
+    """(m,) velocity of each Maxwell damper's viscous part, m/s."""
+    force: Array
+    """(m,) damper forces on the elements' b ends, pulling when positive, N."""
+    clock: Array
+    """(2,) time (s) and position of the vehicle's centre along the track (m)."""
+
+
+class Work(NamedTuple):
+    """Scratch memory and outputs of one vehicle; no state survives in it."""
+
+    f: Array
+    """(n,) generalised forces."""
+    velocity: Array
+    """(n,) predicted velocities."""
+    damped: Array
+    """(n,) velocities that the implicit diagonal damping sees."""
+    shift: Array
+    """(m,) elongations at the end of the step."""
+    rail: Array
+    """(w, 8) irregularity under each wheelset: four values and their four slopes."""
+    lane_in: Array
+    """(rows * LANES,) kinematics of each wheel."""
+    lane_out: Array
+    """(rows * LANES,) contact forces of each wheel."""

@@ -1,0 +1,462 @@
+"""One compiled time step of one vehicle: track and contact, suspension, dampers, integration, in this order.
+
+Scheme: explicit Newmark (beta = 0, gamma = 1/2) with one evaluation of the forces for each step,
+
+    q_1 = q_0 + h v_0 + h^2/2 a_0
+    M a_1 = f(q_1, v_0 + h a_0) - D (v_0 + h/2 (a_0 + a_1))
+    v_1 = v_0 + h/2 (a_0 + a_1)
+
+The velocity in the forces is predicted; the diagonal D of the damping matrix (the strongly damped track
+sections) is treated implicitly, which costs a division. Maxwell dampers use the trapezoidal rule, solved
+exactly on their piecewise-linear curves. All of it is second order in h.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sayd_env.physics.contact import geometry
+from sayd_env.physics.contact.polach import polach
+from sayd_env.physics.kernel import kernel
+from sayd_env.physics.plant import CURVE_POINTS, LANES, Array, Plant, State, Work
+from sayd_env.physics.track.spline import spline_value_slope
+
+# Rows of `Work.rail`: values and slopes of the irregularities.
+ALIGNMENT, VERTICAL, CROSS_LEVEL, GAUGE = 0, 1, 2, 3
+SLOPE = 4
+
+# Rows of `Work.lane_in`: the kinematics of a wheel against its rail.
+(
+    SIDE,  # +1 left, -1 right
+    SHIFT,  # lateral shift of the wheel towards flange contact, m
+    OFFSET,  # lateral offset of the wheelset from the track's centre at rail level, m
+    LIFT,  # height of the unloaded wheelset over the track plane at the centre, m
+    TILT,  # roll of the wheelset against the track plane, times side
+    YAW,
+    SLIP_X,  # longitudinal slip velocity of the axle's centre, m/s
+    YAW_RATE,
+    SPIN_RATE,  # pitch rate over the nominal one, rad/s
+    SLIP_Y,  # lateral slip velocity at rail level, m/s
+    SHIFT_RATE,  # d SHIFT / dt, m/s
+    LIFT_RATE,  # d LIFT / dt, m/s
+    TILT_RATE,
+    SLIP_Z,  # vertical velocity of the axle's centre over the rail's, m/s
+    ROLL_RATE,  # wheelset, times side, rad/s
+    PLANE_RATE,  # turning of the track plane with the train, rad/s
+    PLANE,  # angle of the track plane, rad
+    LOAD_FACTOR,  # Hunt-Crossley factor, s/m
+    ROWS_IN,
+) = range(19)
+
+# Rows of `Work.lane_out`: what the contact does to wheelset and track.
+(
+    FORCE_X,
+    FORCE_Y,
+    FORCE_Z,
+    MOMENT_ROLL,
+    MOMENT_PITCH,
+    MOMENT_YAW,
+    MOMENT_TRACK,  # roll moment on the track section
+    NORMAL,  # normal force, N
+    PENETRATION,  # normal approach, m
+    POWER_SLIP,  # dissipated by slip, W
+    POWER_DAMPING,  # dissipated by the contact damping, W
+    STORED,  # elastic energy of the contact, J
+    ROWS_OUT,
+) = range(13)
+
+
+@kernel
+def read_track(plant: Plant, position: float, work: Work) -> None:
+    """Irregularities under each wheelset and their slopes along the track."""
+    for j in range(plant.wheelset_x.shape[0]):
+        x = position + plant.wheelset_x[j]
+        spline_value_slope(
+            plant.irregularity,
+            plant.irregularity_start,
+            plant.irregularity_step,
+            x,
+            work.rail[j, :SLOPE],
+            work.rail[j, SLOPE:],
+        )
+
+
+@kernel
+def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
+    """Position and velocity of each wheel against its rail, into `work.lane_in`."""
+    lane = work.lane_in
+    speed, radius = plant.speed, plant.radius
+    for j in range(plant.wheelset_x.shape[0]):
+        w, s, rail = plant.wheelset_dofs[j], plant.section_dofs[j], work.rail[j]
+        plane = rail[CROSS_LEVEL] + q[s[2]]
+        plane_rate = speed * rail[SLOPE + CROSS_LEVEL] + v[s[2]]
+        bottom = v[w[1]] + radius * v[w[3]] - v[s[0]]
+        offset = q[w[1]] + radius * q[w[3]] - rail[ALIGNMENT] - q[s[0]]
+        offset_rate = bottom - speed * rail[SLOPE + ALIGNMENT]
+        rise = v[w[2]] - v[s[1]] - speed * rail[SLOPE + VERTICAL]
+        for k in range(2):
+            i, side = 2 * j + k, 1.0 - 2.0 * k
+            lane[SIDE * LANES + i] = side
+            lane[SHIFT * LANES + i] = side * offset - 0.5 * rail[GAUGE]
+            lane[OFFSET * LANES + i] = offset
+            lane[LIFT * LANES + i] = q[w[2]] - q[s[1]] - rail[VERTICAL] - plane * offset - plant.approach[j]
+            lane[TILT * LANES + i] = side * (q[w[3]] - plane)
+            lane[YAW * LANES + i] = q[w[5]]
+            lane[SLIP_X * LANES + i] = v[w[0]]
+            lane[YAW_RATE * LANES + i] = v[w[5]]
+            lane[SPIN_RATE * LANES + i] = v[w[4]]
+            lane[SLIP_Y * LANES + i] = bottom - speed * q[w[5]]
+            lane[SHIFT_RATE * LANES + i] = side * offset_rate - 0.5 * speed * rail[SLOPE + GAUGE]
+            lane[LIFT_RATE * LANES + i] = rise - plane_rate * offset - plane * offset_rate
+            lane[TILT_RATE * LANES + i] = side * (v[w[3]] - plane_rate)
+            lane[SLIP_Z * LANES + i] = rise
+            lane[ROLL_RATE * LANES + i] = side * v[w[3]]
+            lane[PLANE_RATE * LANES + i] = plane_rate
+            lane[PLANE * LANES + i] = plane
+            lane[LOAD_FACTOR * LANES + i] = plant.contact_damping[j]
+
+
+@kernel
+def wheel_forces(plant: Plant, work: Work) -> None:
+    """Normal and creep forces of all wheels, from `work.lane_in` into `work.lane_out`.
+
+    One branch-free loop over eight wheels, which compiles to vector instructions. Normal force: Hertz on the
+    approach along the contact normal, with Hunt-Crossley damping, zero when the wheel lifts off. Creepages:
+    slip over V (Kalker), spin from yaw rate and contact angle. Creep forces: Polach.
+    """
+    x, out, table = work.lane_in, work.lane_out, plant.table
+    nodes = table.shape[0] // geometry.WIDTH
+    per_step, last = 1.0 / plant.table_step, float(nodes - 2)
+    speed, radius = plant.speed, plant.radius
+    per_speed, per_radius = 1.0 / speed, 1.0 / radius
+    start = plant.table_start
+    friction, shear = plant.friction, plant.shear_modulus
+    for i in range(LANES):
+        side = x[SIDE * LANES + i]
+        # Contact geometry at this shift, linear between the nodes of a fine table.
+        place = (x[SHIFT * LANES + i] - start) * per_step
+        place = place if place > 0.0 else 0.0
+        place = place if place < last else last
+        node = int(place)
+        right = place - node
+        left = 1.0 - right
+        p = node * geometry.WIDTH
+        n = p + geometry.WIDTH
+        delta_r = left * table[p + geometry.DELTA_R] + right * table[n + geometry.DELTA_R]
+        gap_0 = left * table[p + geometry.G0] + right * table[n + geometry.G0]
+        arm = left * table[p + geometry.Y_C] + right * table[n + geometry.Y_C]
+        arm_slope = (table[n + geometry.Y_C] - table[p + geometry.Y_C]) * per_step
+        tilt_0 = left * table[p + geometry.PHI_K] + right * table[n + geometry.PHI_K]
+        tangent = left * table[p + geometry.TAN_GAMMA] + right * table[n + geometry.TAN_GAMMA]
+        hertz = left * table[p + geometry.C_HERTZ] + right * table[n + geometry.C_HERTZ]
+        a_s = left * table[p + geometry.A_S] + right * table[n + geometry.A_S]
+        b_s = left * table[p + geometry.B_S] + right * table[n + geometry.B_S]
+        c11 = left * table[p + geometry.C11] + right * table[n + geometry.C11]
+        c22 = left * table[p + geometry.C22] + right * table[n + geometry.C22]
+        c23 = left * table[p + geometry.C23] + right * table[n + geometry.C23]
+        gain = left * table[p + geometry.SPIN_GAIN] + right * table[n + geometry.SPIN_GAIN]
+
+        # The table is made at the kinematic roll; another roll moves the contact and so the slope.
+        tilt, yaw, plane = x[TILT * LANES + i], x[YAW * LANES + i], x[PLANE * LANES + i]
+        tangent += (tilt_0 - tilt) * arm_slope
+        cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+        sine = tangent * cosine
+
+        # Normal force. A yawed wheel touches ahead of or behind its axle, by `lead`.
+        lever = arm - radius * tangent
+        lead = -side * yaw * lever
+        gap = x[LIFT * LANES + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * tangent * lever
+        gap_rate = (
+            x[LIFT_RATE * LANES + i]
+            + x[TILT_RATE * LANES + i] * arm
+            + yaw * x[YAW_RATE * LANES + i] * tangent * lever
+            - tangent * x[SHIFT_RATE * LANES + i]
+        )
+        pressed = -gap * cosine
+        pressed = pressed if pressed > 0.0 else 0.0
+        root = math.sqrt(pressed)
+        elastic = hertz * pressed * root
+        factor = 1.0 - x[LOAD_FACTOR * LANES + i] * gap_rate * cosine
+        normal = elastic * (factor if factor > 0.0 else 0.0)
+
+        # Slip of the wheel over the rail, and creepages.
+        slip_x = (
+            x[SLIP_X * LANES + i]
+            - side * x[YAW_RATE * LANES + i] * arm
+            - x[SPIN_RATE * LANES + i] * (radius + delta_r)
+            - speed * delta_r * per_radius
+        )
+        rail_arm = side * arm + x[OFFSET * LANES + i]
+        slip_y = x[SLIP_Y * LANES + i] + lead * x[YAW_RATE * LANES + i]
+        slip_z = x[SLIP_Z * LANES + i] + x[ROLL_RATE * LANES + i] * arm - x[PLANE_RATE * LANES + i] * rail_arm
+        slip_t = slip_y * cosine + side * sine * slip_z
+        spin = x[YAW_RATE * LANES + i] * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
+        force_x, force_t = polach(
+            slip_x * per_speed,
+            slip_t * per_speed,
+            spin,
+            normal,
+            a_s * root,
+            b_s * root,
+            c11,
+            c22,
+            c23,
+            gain,
+            friction,
+            shear,
+        )
+
+        # Resultants on the wheelset (about its centre) and on the track section.
+        up = normal * cosine
+        creep_y = force_t * cosine
+        force_y = creep_y - up * (side * tangent + plane)
+        force_z = up + side * sine * force_t
+        out[FORCE_X * LANES + i] = force_x
+        out[FORCE_Y * LANES + i] = force_y
+        out[FORCE_Z * LANES + i] = force_z
+        out[MOMENT_ROLL * LANES + i] = radius * force_y + side * arm * force_z
+        out[MOMENT_PITCH * LANES + i] = -(radius + delta_r) * force_x
+        out[MOMENT_YAW * LANES + i] = -side * arm * force_x + lead * creep_y + up * yaw * tangent * lever
+        out[MOMENT_TRACK * LANES + i] = -rail_arm * force_z
+        out[NORMAL * LANES + i] = normal
+        out[PENETRATION * LANES + i] = pressed
+        out[POWER_SLIP * LANES + i] = -(force_x * slip_x + force_t * slip_t)
+        out[POWER_DAMPING * LANES + i] = (elastic - normal) * gap_rate * cosine
+        out[STORED * LANES + i] = 0.4 * elastic * pressed
+
+
+@kernel
+def add_contact(plant: Plant, work: Work) -> None:
+    """Add the wheels' resultants, less the static loads, to the generalised forces."""
+    out, f = work.lane_out, work.f
+    for j in range(plant.wheelset_x.shape[0]):
+        w, s, load = plant.wheelset_dofs[j], plant.section_dofs[j], 2.0 * plant.wheel_load[j]
+        left, right = 2 * j, 2 * j + 1
+        lateral = out[FORCE_Y * LANES + left] + out[FORCE_Y * LANES + right]
+        vertical = out[FORCE_Z * LANES + left] + out[FORCE_Z * LANES + right] - load
+        f[w[0]] += out[FORCE_X * LANES + left] + out[FORCE_X * LANES + right]
+        f[w[1]] += lateral
+        f[w[2]] += vertical
+        f[w[3]] += out[MOMENT_ROLL * LANES + left] + out[MOMENT_ROLL * LANES + right]
+        f[w[4]] += out[MOMENT_PITCH * LANES + left] + out[MOMENT_PITCH * LANES + right]
+        f[w[5]] += out[MOMENT_YAW * LANES + left] + out[MOMENT_YAW * LANES + right]
+        f[s[0]] -= lateral
+        f[s[1]] -= vertical
+        f[s[2]] += out[MOMENT_TRACK * LANES + left] + out[MOMENT_TRACK * LANES + right]
+
+
+@kernel
+def add_suspension(plant: Plant, q: Array, v: Array, f: Array) -> None:
+    """Add -K q - C v (C without its diagonal), column by column over the rows that each reaches."""
+    for j in range(q.shape[0]):
+        k, c, qj, vj = plant.stiffness[j], plant.damping[j], q[j], v[j]
+        for i in range(plant.first_row[j], plant.last_row[j]):
+            f[i] -= k[i] * qj + c[i] * vj
+
+
+@kernel
+def add_stops(plant: Plant, q: Array, f: Array) -> None:
+    """Add the lateral stops' forces."""
+    for s in range(plant.stop_g.shape[0]):
+        g = plant.stop_g[s]
+        stretch = 0.0
+        for j in range(q.shape[0]):
+            stretch += g[j] * q[j]
+        size = abs(stretch)
+        if size <= plant.stop_shift[1, s] and plant.stop_force[1, s] == 0.0:
+            continue
+        force = math.copysign(_curve(plant.stop_shift[:, s], plant.stop_force[:, s], size), stretch)
+        for j in range(q.shape[0]):
+            f[j] -= g[j] * force
+
+
+@kernel
+def _curve(x: Array, y: Array, at: float) -> float:
+    """Piecewise-linear interpolation for at >= 0, the last segment going on."""
+    p = 0
+    while p < x.shape[0] - 2 and at > x[p + 1]:
+        p += 1
+    return y[p] + (at - x[p]) * (y[p + 1] - y[p]) / (x[p + 1] - x[p])
+
+
+@kernel
+def damper_elongations(plant: Plant, q: Array, shift: Array) -> None:
+    """Elongation of each Maxwell damper, g.q."""
+    for k in range(shift.shape[0]):
+        shift[k] = 0.0
+    for j in range(q.shape[0]):
+        g, qj = plant.damper_g[j], q[j]
+        for k in range(shift.shape[0]):
+            shift[k] += g[k] * qj
+
+
+@kernel
+def step_dampers(plant: Plant, state: State, work: Work, h: float) -> None:
+    """Advance the Maxwell dampers by the trapezoidal rule, exactly on their piecewise-linear curves.
+
+    The force F in spring and viscous part obeys F' = k (x' - w), F = curve(w). With kappa = k h / 2:
+    curve(w_1) + kappa w_1 = F_0 - kappa w_0 + k (x_1 - x_0), whose left side rises strictly.
+    """
+    elongation, piston, force, shift = state.elongation, state.piston, state.force, work.shift
+    for k in range(shift.shape[0]):
+        kappa = 0.5 * h * plant.damper_stiffness[k]
+        right = force[k] - kappa * piston[k] + plant.damper_stiffness[k] * (shift[k] - elongation[k])
+        size = abs(right)
+        speed = 0.0
+        for p in range(CURVE_POINTS - 1):
+            v0, v1 = plant.damper_velocity[p, k], plant.damper_velocity[p + 1, k]
+            r0 = plant.damper_force[p, k] + kappa * v0
+            r1 = plant.damper_force[p + 1, k] + kappa * v1
+            speed = v0 + (size - r0) * (v1 - v0) / (r1 - r0) if size >= r0 else speed
+        speed = speed if right >= 0.0 else -speed
+        piston[k] = speed
+        force[k] = right - kappa * speed
+        elongation[k] = shift[k]
+
+
+@kernel
+def add_dampers(plant: Plant, force: Array, f: Array) -> None:
+    """Add -g F of the Maxwell dampers to the generalised forces."""
+    for i in range(f.shape[0]):
+        g = plant.damper_g[i]
+        total = 0.0
+        for k in range(force.shape[0]):
+            total += g[k] * force[k]
+        f[i] -= total
+
+
+@kernel
+def contact(plant: Plant, q: Array, v: Array, position: float, work: Work) -> None:
+    """Track and contact: from the vehicle's motion to the wheels' forces in `work`."""
+    read_track(plant, position, work)
+    wheel_kinematics(plant, q, v, work)
+    wheel_forces(plant, work)
+
+
+@kernel
+def step(plant: Plant, state: State, work: Work, h: float) -> None:
+    """Advance one vehicle by h seconds."""
+    q, v, a, f = state.q, state.v, state.a, work.f
+    n = q.shape[0]
+    for i in range(n):
+        q[i] += h * v[i] + 0.5 * h * h * a[i]
+        work.velocity[i] = v[i] + h * a[i]
+        work.damped[i] = v[i] + 0.5 * h * a[i]
+        f[i] = 0.0
+    state.clock[0] += h
+    state.clock[1] += h * plant.speed
+
+    contact(plant, q, work.velocity, state.clock[1], work)
+    add_contact(plant, work)
+    add_suspension(plant, q, work.velocity, f)
+    add_stops(plant, q, f)
+    damper_elongations(plant, q, work.shift)
+    step_dampers(plant, state, work, h)
+    add_dampers(plant, state.force, f)
+
+    for i in range(n):
+        d = plant.damping_diagonal[i]
+        new = (f[i] - d * work.damped[i]) / (plant.mass[i] + 0.5 * h * d)
+        v[i] += 0.5 * h * (a[i] + new)
+        a[i] = new
+
+
+@kernel
+def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work: Work, out: Array) -> None:
+    """Time derivative of (q, v, F) for a general integrator: the same forces as `step`.
+
+    Parameters
+    ----------
+    plant : Plant
+    position : float
+        Position of the vehicle's centre along the track, m.
+    q, v, force : ndarray
+        Displacements (n,), velocities (n,), damper forces (m,).
+    work : Work
+        Scratch; holds the contact's outputs afterwards.
+    out : ndarray, shape (2 n + m,)
+        The derivative.
+    """
+    n, f = q.shape[0], work.f
+    for i in range(n):
+        f[i] = 0.0
+    contact(plant, q, v, position, work)
+    add_contact(plant, work)
+    add_suspension(plant, q, v, f)
+    add_stops(plant, q, f)
+    add_dampers(plant, force, f)
+    damper_elongations(plant, v, work.shift)
+    for i in range(n):
+        out[i] = v[i]
+        out[n + i] = (f[i] - plant.damping_diagonal[i] * v[i]) / plant.mass[i]
+    for k in range(force.shape[0]):
+        size = _curve(plant.damper_force[:, k], plant.damper_velocity[:, k], abs(force[k]))
+        piston = math.copysign(size, force[k])
+        out[2 * n + k] = plant.damper_stiffness[k] * (work.shift[k] - piston)
+
+
+@kernel
+def record(plant: Plant, state: State, work: Work, row: Array) -> None:
+    """Write the assessed signals of this instant.
+
+    Order: bogie-frame lateral acceleration above each wheelset (w), track shift force of each wheelset (w),
+    force of each yaw damper (the rest of the row).
+    """
+    w = plant.wheelset_x.shape[0]
+    for j in range(w):
+        g = plant.measure[j]
+        total = 0.0
+        for i in range(g.shape[0]):
+            total += g[i] * state.a[i]
+        row[j] = total
+        out = work.lane_out
+        row[w + j] = -(out[FORCE_Y * LANES + 2 * j] + out[FORCE_Y * LANES + 2 * j + 1])
+    for k in range(row.shape[0] - 2 * w):
+        row[2 * w + k] = state.force[k]
+
+
+@kernel
+def record_wheels(work: Work, row: Array) -> None:
+    """Write lateral and vertical force of each wheel on the rail (two rows of LANES)."""
+    for i in range(LANES):
+        row[i] = -work.lane_out[FORCE_Y * LANES + i]
+        row[LANES + i] = work.lane_out[FORCE_Z * LANES + i]
+
+
+@kernel
+def advance(
+    plant: Plant, state: State, work: Work, h: float, substeps: int, signals: Array, wheels: Array, motion: Array
+) -> int:
+    """Advance by as many samples as `signals` has rows, `substeps` steps of h seconds each.
+
+    Parameters
+    ----------
+    plant, state, work
+        One vehicle.
+    h : float
+        Step, s.
+    substeps : int
+        Steps between two samples.
+    signals : ndarray, shape (samples, 2 w + d)
+        Receives the signals of `record`.
+    wheels : ndarray, shape (samples or 0, 2 LANES)
+        Receives the wheel forces of `record_wheels`, unless it is empty.
+    motion : ndarray, shape (samples or 0, n)
+        Receives the displacements q, unless it is empty.
+
+    Returns
+    -------
+    int
+        Number of samples taken: fewer than asked for if the state is no longer finite.
+    """
+    for t in range(signals.shape[0]):
+        for _ in range(substeps):
+            step(plant, state, work, h)
+        record(plant, state, work, signals[t])
+        if wheels.shape[0] > 0:
+            record_wheels(work, wheels[t])
+        if motion.shape[0] > 0:
+            motion[t, :] = state.q
+        if not math.isfinite(signals[t, 0] + state.v[0]):
+            return t
+    return int(signals.shape[0])

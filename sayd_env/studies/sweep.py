@@ -1,0 +1,135 @@
+"""Many assessed runs: a vehicle over speeds and track seeds, in parallel, with progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.physics.simulator import RUN_OUT, Simulator, Telemetry, VehicleModel, threads
+from sayd_env.stability import assess
+from sayd_env.studies.output import Progress, silent
+
+Array = npt.NDArray[np.float64]
+T = TypeVar("T")
+U = TypeVar("U")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One assessed run: maxima over the 5 km, one value for each of the w wheelsets."""
+
+    speed: float
+    """m/s."""
+    seed: int
+    frequency: Array
+    """(w,) dominant frequency of the bogie-frame acceleration, Hz."""
+    frequency_force: Array
+    """(w,) dominant frequency of the track shift force, Hz."""
+    acceleration: Array
+    """(w,) maximum sliding RMS of the bogie-frame acceleration, m/s2."""
+    track_shift: Array
+    """(w,) maximum sliding RMS of the track shift force, N."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Assessed runs on a grid: arrays of shape (speeds, seeds, w)."""
+
+    speeds: Array
+    """m/s, rising."""
+    seeds: tuple[int, ...]
+    frequency: Array
+    frequency_force: Array
+    acceleration: Array
+    track_shift: Array
+
+
+def simulate(model: VehicleModel, speed: float, seed: int) -> Telemetry:
+    """Signals of one run over run-in and assessed length, and a little beyond."""
+    assessment = model.scenario.assessment
+    assert assessment.length is not None  # VehicleModel.realisation has refused it
+    return Simulator(model, speed, seed).run(assessment.run_in + assessment.length + RUN_OUT)
+
+
+def assessed_run(model: VehicleModel, speed: float, seed: int) -> Run:
+    """Simulate and assess one run."""
+    signals = simulate(model, speed, seed)
+    settings = model.scenario.assessment
+    both = np.hstack([signals.acceleration, signals.track_shift])
+    result = assess(both, settings.sample_rate, speed, settings)
+    w = signals.acceleration.shape[1]
+    f, peak = result.dominant_frequency, result.maximum
+    return Run(speed, seed, f[:w], f[w:], peak[:w], peak[w:])
+
+
+def sweep(
+    model: VehicleModel,
+    speeds: Sequence[float],
+    seeds: Sequence[int],
+    *,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> Sweep:
+    """Assess a vehicle at every speed on every track realisation.
+
+    Parameters
+    ----------
+    model : VehicleModel
+        The vehicle.
+    speeds : sequence of float
+        Speeds, m/s.
+    seeds : sequence of int
+        Track seeds.
+    workers : int, optional
+        Threads; all cores by default. The result does not depend on it.
+    progress : Progress
+        Told after each run.
+    """
+    for speed in speeds:
+        model.step(speed)  # a speed out of range is refused before any work
+    model.table  # noqa: B018 - made once, before the threads ask for it
+    cases = [(speed, seed) for seed in seeds for speed in speeds]
+    runs = parallel(lambda case: assessed_run(model, *case), cases, workers, progress)
+    shape = (len(seeds), len(speeds), -1)
+
+    def grid(name: str) -> Array:
+        return np.array([getattr(run, name) for run in runs]).reshape(shape).swapaxes(0, 1)
+
+    return Sweep(
+        speeds=np.array(speeds, dtype=float),
+        seeds=tuple(seeds),
+        frequency=grid("frequency"),
+        frequency_force=grid("frequency_force"),
+        acceleration=grid("acceleration"),
+        track_shift=grid("track_shift"),
+    )
+
+
+def parallel(
+    work: Callable[[U], T], cases: Iterable[U], workers: int | None = None, progress: Progress = silent
+) -> list[T]:
+    """Results of `work` for all cases, in their order, computed in threads; the first error ends it all."""
+    todo = list(cases)
+    results: dict[int, T] = {}
+    with threads(workers) as pool:
+        futures = {pool.submit(work, case): i for i, case in enumerate(todo)}
+        try:
+            for done in _completed(set(futures)):
+                results[futures[done]] = done.result()
+                progress(len(results), len(todo))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [results[i] for i in range(len(todo))]
+
+
+def _completed(futures: set[Future[T]]) -> Iterator[Future[T]]:
+    # A short timeout lets Ctrl-C through while all threads are in compiled code.
+    while futures:
+        done, futures = wait(futures, timeout=0.2, return_when=FIRST_COMPLETED)
+        yield from done
