@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sayd_env import __version__
-from sayd_env.cli import stability
+from sayd_env.cli import components, stability
 
 app = typer.Typer(
     name="sayd",
@@ -35,3 +35,4 @@ def sayd(
 
 
 app.command()(stability.assess)
+app.command()(components.conicity)

@@ -31,7 +31,7 @@ def scenario_from(
         ``--set``: key=value.
     profile : str, optional
         ``--profile``: ``new`` and ``worn`` are the scenario's own wheels at wear 0 and 1, anything else is
-        the name or path of a wheel profile.
+        the name or path of a wheel profile, unworn unless `wear` says otherwise.
     wear, friction : float, optional
         ``--wear`` (stronger than new and worn) and ``--friction``.
     track : str, optional
@@ -45,7 +45,7 @@ def scenario_from(
     from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
 
     if wear is None and profile is not None:
-        wear = WEAR_OF.get(profile)
+        wear = WEAR_OF.get(profile, 0.0)
     wheel = None if profile in WEAR_OF else profile
     flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": track}
     # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.

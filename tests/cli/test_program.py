@@ -8,10 +8,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from sayd_env.cli import main
 
 # A program with one more command, which does what it is told.
 PROGRAM = """
@@ -188,6 +191,30 @@ def test_help_appears_within_half_a_second():
     assert min(times) < 0.5
 
 
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Refused]:
+    """Run a command that must refuse its input; return the message."""
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> str:
+        assert main(arguments) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.startswith("sayd: error: ")
+        assert "Traceback" not in err
+        assert list(tmp_path.rglob("result.json")) == []
+        return err
+
+    yield run
+    signal.signal(signal.SIGTERM, before)
+
+
 @pytest.fixture(scope="module")
 def ride(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of 2.5 km: 4 Hz hunting of 2 m/s2 and 60 kN."""
@@ -226,11 +253,32 @@ def test_assess_judges_a_recording_by_the_limits_of_en_14363(ride: Path, tmp_pat
         (["RIDE", "--speed", "300", "--config", "en14364"], "did you mean 'en14363'"),
     ],
 )
-def test_bad_input_of_assess_is_one_message(arguments: list[str], message: str, ride: Path, tmp_path: Path):
-    done = sayd("assess", *(str(ride) if part == "RIDE" else part for part in arguments), cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith("sayd: error: ")
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
-    assert list(tmp_path.rglob("result.json")) == []
+def test_bad_input_of_assess_is_one_message(arguments: list[str], message: str, ride: Path, refused: Refused):
+    assert message in refused("assess", *(str(ride) if part == "RIDE" else part for part in arguments))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--profile", "s1002cm"], "did you mean 's1002cn'"),
+        (["--wear", "nan"], "--wear nan: expected a number from 0 to 1"),
+        (["--config", "nowhere.yaml"], "nowhere.yaml: no such file"),
+        (["--set", "wear"], "expected key=value"),
+        (["--set", "weer=1"], "did you mean 'wear'"),
+        (["--set", "track.gauge=-1"], "track.gauge: found -1"),
+    ],
+)
+def test_bad_input_of_conicity_is_one_message(arguments: list[str], message: str, refused: Refused):
+    assert message in refused("conicity", *arguments)
+
+
+def test_conicity_of_lmb10_on_cn60_is_its_design_value(tmp_path: Path):
+    """The LMB10 tread was designed for an equivalent conicity of 0.10 on CN60 rails."""
+    done = sayd("conicity", "--profile", "lmb10", "--json", "--out", "here", cwd=tmp_path)
+    assert done.returncode == 0
+    content = json.loads(done.stdout)
+    at = np.isclose(content["amplitude_mm"], 3.0)
+    assert np.array(content["tan_gamma_e"])[at] == pytest.approx(0.10, abs=0.005)
+    assert content["config"]["wheel"]["name"] == "lmb10"
+    files = {path.name for path in (tmp_path / "here").iterdir()}
+    assert files == {"result.json", "conicity.csv", "delta_r.csv", "conicity.png"}

@@ -25,6 +25,10 @@ def test_new_and_worn_are_the_scenarios_own_wheels(profile: str, wear: float):
     assert scenario.wheel == load_scenario().wheel
 
 
+def test_a_named_profile_is_unworn():
+    assert scenario_from(profile="lmb10").wear == 0.0
+
+
 def test_explicit_wear_is_stronger_than_new_and_worn_and_set_is_stronger_than_flags():
     assert scenario_from(profile="new", wear=0.5).wear == 0.5
     assert scenario_from(None, ["friction=0.2"], friction=0.4).friction == 0.2
