@@ -6,12 +6,10 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
 from numba.core import config as numba_config
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 def source_hash(folder: Path) -> str:
@@ -38,7 +36,7 @@ def cache_directory() -> Path:
 CACHE_DIRECTORY = cache_directory()
 
 
-def kernel(function: F | None = None, *, parallel: bool = False) -> Any:
+def kernel(function: Callable[..., Any] | None = None, *, parallel: bool = False, inline: bool = False) -> Any:
     """Compile a function: cached on disk, IEEE arithmetic (no fast-math), NumPy's division by zero.
 
     Parameters
@@ -47,13 +45,17 @@ def kernel(function: F | None = None, *, parallel: bool = False) -> Any:
         The function; omit it to pass options.
     parallel : bool
         Allow `numba.prange` loops.
+    inline : bool
+        Merge the function into its callers, so that a loop that calls it can become vector instructions.
     """
 
-    def compile_(f: F) -> Any:
+    def compile_(f: Callable[..., Any]) -> Any:
         previous = numba_config.CACHE_DIR
         numba_config.CACHE_DIR = str(CACHE_DIRECTORY)
         try:
-            return numba.njit(cache=True, error_model="numpy", nogil=True, parallel=parallel)(f)
+            return numba.njit(
+                cache=True, error_model="numpy", nogil=True, parallel=parallel, forceinline=inline
+            )(f)
         finally:
             numba_config.CACHE_DIR = previous
 

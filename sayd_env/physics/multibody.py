@@ -81,15 +81,16 @@ class Multibody:
     yaw_dampers: tuple[tuple[str, Array, Array], ...]
     """Name, connection vector of the bogie end and of the carbody end (elongation = bogie - carbody)."""
     wheelset_dofs: Index
-    """Columns of x, y, z, roll, pitch, yaw of each wheelset, shape (w, 6)."""
+    """Columns of x, y, z, roll, pitch, yaw of each wheelset, shape (w, 6); -1: not free."""
     section_dofs: Index
-    """Columns of y, z, roll of the track section under each wheelset, shape (w, 3)."""
+    """Columns of y, z, roll of the track section under each wheelset, shape (w or 0, 3)."""
     wheelset_x: Array
     """Longitudinal position of each wheelset, shape (w,), m."""
     wheel_load: Array
-    """Static vertical load of one wheel of each wheelset, shape (w,), N."""
+    """Static vertical load of one wheel of each wheelset, shape (w,), N; 0 if it cannot move vertically."""
     measuring_points: tuple[tuple[str, Array], ...]
-    """Lateral displacement of the bogie frame above each wheelset: name and connection vector."""
+    """Lateral displacement of the bogie frame (of the wheelset, if no frame is there) above each wheelset:
+    name and connection vector."""
     bogie_mass: float
     """Frame and its wheelsets (kg), the m_b of EN 14363."""
     total_mass: float
@@ -105,15 +106,16 @@ class Multibody:
         return _displacement(self.instances[name], position, self.n).T @ direction
 
 
-def assemble(vehicle: VehicleConfig, section: SectionConfig) -> Multibody:
+def assemble(vehicle: VehicleConfig, section: SectionConfig | None) -> Multibody:
     """Assemble a vehicle on co-moving track sections.
 
     Parameters
     ----------
     vehicle : VehicleConfig
         Bodies and force elements.
-    section : SectionConfig
-        The track section under each wheelset: lateral, vertical and roll (paper reference 13).
+    section : SectionConfig or None
+        The track section under each wheelset: lateral, vertical and roll (paper reference 13); None for a
+        rigid track.
 
     Raises
     ------
@@ -123,22 +125,26 @@ def assemble(vehicle: VehicleConfig, section: SectionConfig) -> Multibody:
     instances = _instantiate(vehicle)
     wheelsets = [i for i in instances.values() if i.body.role == "wheelset"]
     n = 1 + max(max(i.columns.values()) for i in instances.values() if i.columns)
-    sections = {f"track.{w.name}": n + 3 * k for k, w in enumerate(wheelsets)}
-    n += 3 * len(wheelsets)
+    sections = {}
+    if section is not None:
+        sections = {f"track.{w.name}": n + 3 * k for k, w in enumerate(wheelsets)}
+        n += 3 * len(wheelsets)
 
     builder = _Builder(vehicle, instances, n)
     for element in vehicle.elements:
         builder.add(element)
-    for first in sections.values():
-        builder.add_section(first, section)
-    mass = _mass(instances, sections, section, n)
+    mass = _mass(instances, n)
+    if section is not None:
+        for first in sections.values():
+            builder.add_section(first, section)
+            mass[first : first + 3] = section.mass, section.mass, section.roll_inertia
     loads = builder.add_gravity(wheelsets)
     names = _dof_names(instances, sections, n)
 
     order = _compact_order(builder.stiffness, builder.damping)
     rank = np.argsort(order)
     instances = {k: _renumbered(i, rank) for k, i in instances.items()}
-    dofs = np.array([[_column(instances[w.name], d) for d in DOFS] for w in wheelsets])
+    dofs = np.array([[instances[w.name].columns.get(d, -1) for d in DOFS] for w in wheelsets])
     frames = [i for i in instances.values() if i.body.role == "frame"]
     shuffle = np.ix_(order, order)
     return Multibody(
@@ -151,7 +157,7 @@ def assemble(vehicle: VehicleConfig, section: SectionConfig) -> Multibody:
         stops=tuple(_permuted(e, order) for e in builder.stops),
         yaw_dampers=tuple((name, a[order], b[order]) for name, a, b in builder.yaw_dampers),
         wheelset_dofs=dofs,
-        section_dofs=np.array([rank[first : first + 3] for first in sections.values()]),
+        section_dofs=np.array([rank[first : first + 3] for first in sections.values()]).reshape(-1, 3),
         wheelset_x=np.array([w.position[0] for w in wheelsets]),
         wheel_load=loads,
         measuring_points=_measuring_points(vehicle, instances, frames, n),
@@ -182,12 +188,6 @@ def _instantiate(vehicle: VehicleConfig) -> dict[str, Instance]:
             columns = {dof: next(column) for dof in body.dofs}
             instances[name] = Instance(name, body, origin + sign * np.array(body.position), columns, carrier)
     return instances
-
-
-def _column(instance: Instance, dof: str) -> int:
-    if dof not in instance.columns:
-        raise ConfigError(f"{instance.name}: a wheelset needs all six degrees of freedom, '{dof}' is missing")
-    return instance.columns[dof]
 
 
 def _displacement(instance: Instance, position: Array, n: int) -> Array:
@@ -288,12 +288,13 @@ class _Builder:
                 weight[i.columns["z"]] = -GRAVITY * i.body.mass
         for g, k, *_ in self.carriers:
             vertical += k * np.outer(g, g)
-        support = [_column(w, "z") for w in wheelsets]
+        support = [w.columns["z"] for w in wheelsets if "z" in w.columns]
         stiff = 1e3 * max(float(np.max(np.diag(vertical))), 1.0)
         vertical[support, support] += stiff
         rows = np.flatnonzero(np.any(vertical != 0.0, axis=1) | (weight != 0.0))
         settled = np.zeros(self.n)
-        settled[rows] = np.linalg.lstsq(vertical[np.ix_(rows, rows)], weight[rows], rcond=1e-12)[0]
+        if len(rows):
+            settled[rows] = np.linalg.lstsq(vertical[np.ix_(rows, rows)], weight[rows], rcond=1e-12)[0]
         if not np.allclose(vertical @ settled, weight, atol=1e-6 * np.max(np.abs(weight))):
             raise ConfigError(
                 f"{self.vehicle.name}: the static weight is not carried; "
@@ -303,7 +304,8 @@ class _Builder:
             force = -k * float(g @ settled)  # on b, upwards; the opposite on a
             self._add_geometric(b, bt, force)
             self._add_geometric(a, at, -force)
-        return np.array([-0.5 * stiff * settled[_column(w, "z")] for w in wheelsets])
+        sinking = [settled[w.columns["z"]] if "z" in w.columns else 0.0 for w in wheelsets]
+        return -0.5 * stiff * np.array(sinking)
 
     def _add_geometric(self, instance: Instance | None, position: Array, force: float) -> None:
         if instance is None or instance.carrier is not None:
@@ -338,14 +340,12 @@ class _Builder:
         self.damping += damping * outer
 
 
-def _mass(instances: dict[str, Instance], sections: dict[str, int], section: SectionConfig, n: int) -> Array:
+def _mass(instances: dict[str, Instance], n: int) -> Array:
     mass = np.zeros(n)
     for i in instances.values():
         values = dict(zip(DOFS, (*(3 * [i.body.mass]), *i.body.inertia), strict=True))
         for dof, column in i.columns.items():
             mass[column] = values[dof]
-    for first in sections.values():
-        mass[first : first + 3] = section.mass, section.mass, section.roll_inertia
     return mass
 
 
@@ -395,10 +395,8 @@ def _measuring_points(
 ) -> tuple[tuple[str, Array], ...]:
     points = []
     for w in (i for i in instances.values() if i.body.role == "wheelset"):
-        frame = _frame_of(w, frames)
-        if frame is not None:
-            position = np.array([w.position[0], 0.0, vehicle.measuring_height])
-            points.append((w.name, _displacement(frame, position, n)[1]))
+        position = np.array([w.position[0], 0.0, vehicle.measuring_height])
+        points.append((w.name, _displacement(_frame_of(w, frames) or w, position, n)[1]))
     return tuple(points)
 
 

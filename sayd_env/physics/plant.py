@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
+Column = npt.NDArray[np.uint32]
+"""Indices that compiled code need not check for being negative."""
 
 LANES = 8
 """Wheels of a vehicle, and the width of the loops over them: four wheelsets, left and right in turn."""
-CURVE_POINTS = 12
-"""Points that the characteristic of a 1-D force element may have."""
 
 
 class Plant(NamedTuple):
@@ -25,16 +25,16 @@ class Plant(NamedTuple):
 
     mass: Array
     """(n,) diagonal mass matrix, kg and kg m2."""
-    stiffness: Array
-    """(n, n) K transposed: row j holds what unknown j does to all."""
-    damping: Array
-    """(n, n) C + (V / r0) G, transposed, without its diagonal."""
+    linear_start: Column
+    """(n + 1,) where the entries of each row of K and C begin (compressed sparse rows)."""
+    linear_column: Column
+    """(entries,) their columns."""
+    linear_value: Array
+    """(entries, 2) K and C + (V / r0) G there, C without its diagonal."""
     damping_diagonal: Array
-    """(n,) diagonal of C: treated implicitly."""
-    first_row: Index
-    """(n,) first row that column j of K and C reaches."""
-    last_row: Index
-    """(n,) one past the last such row."""
+    """(n,) diagonal D of C: treated implicitly."""
+    mobility: Array
+    """(n,) 1 / (M + h/2 D)."""
     wheelset_dofs: Index
     """(w, 6) columns of x, y, z, roll, pitch, yaw."""
     section_dofs: Index
@@ -61,20 +61,30 @@ class Plant(NamedTuple):
     """Nominal rolling radius, m."""
     speed: float
     """V, m/s."""
-    damper_g: Array
-    """(n, m) connection vectors of the Maxwell dampers, as columns."""
+    step: float
+    """Time step h, s."""
+    damper_start: Column
+    """(m + 1,) where the entries of each Maxwell damper's connection vector begin."""
+    damper_column: Column
+    """(entries,) the degrees of freedom that it connects."""
+    damper_value: Array
+    """(entries,) the connection vectors' entries."""
     damper_velocity: Array
-    """(CURVE_POINTS, m) abscissae of the force-velocity curves, m/s."""
+    """(p, m) abscissae of the force-velocity curves, m/s."""
     damper_force: Array
-    """(CURVE_POINTS, m) ordinates, N."""
+    """(p, m) ordinates, N."""
+    damper_knot: Array
+    """(p, m) F + k h / 2 v at these points, N."""
+    damper_slope: Array
+    """(p, m) dv / d(F + k h / 2 v) behind each point, m/(N s)."""
     damper_stiffness: Array
     """(m,) series stiffness, N/m."""
     stop_g: Array
     """(s, n) connection vectors of the stops."""
     stop_shift: Array
-    """(CURVE_POINTS, s) abscissae of their curves, m."""
+    """(p, s) abscissae of their curves, m."""
     stop_force: Array
-    """(CURVE_POINTS, s) ordinates, N."""
+    """(p, s) ordinates, N."""
     measure: Array
     """(w, n) rows that give the lateral motion of the bogie frame above each wheelset."""
     irregularity: Array
@@ -111,8 +121,8 @@ class Work(NamedTuple):
     """(n,) generalised forces."""
     velocity: Array
     """(n,) predicted velocities."""
-    damped: Array
-    """(n,) velocities that the implicit diagonal damping sees."""
+    motion: Array
+    """(n, 2) displacements and velocities side by side, as the product with K and C reads them."""
     shift: Array
     """(m,) elongations at the end of the step."""
     rail: Array

@@ -6,15 +6,17 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_matrix
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.contact.geometry import ContactTable, contact_table
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
-from sayd_env.physics.plant import CURVE_POINTS, LANES, Plant, State, Work
+from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.profiles import rail_profile, wheel_profile
 from sayd_env.physics.step import ROWS_IN, ROWS_OUT, advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
@@ -65,6 +67,10 @@ class VehicleModel:
         if len(self.multibody.wheelset_x) > LANES // 2:
             raise ConfigError(
                 f"{scenario.vehicle.name}: {len(self.multibody.wheelset_x)} wheelsets; at most {LANES // 2}"
+            )
+        if np.any(self.multibody.wheelset_dofs < 0):
+            raise ConfigError(
+                f"{scenario.vehicle.name}: wheel-rail contact needs all six degrees of freedom of a wheelset"
             )
 
     @cached_property
@@ -131,24 +137,26 @@ class VehicleModel:
         length = assessment.run_in + assessment.length + RUN_OUT
         return realise(self.scenario.track.irregularity, length, seed)
 
-    def plant(self, speed: float, track: TrackRealisation) -> Plant:
-        """Constants of the compiled step at a speed (m/s) on a track."""
-        self.step(speed)
-        s, b, table = self.scenario, self.multibody, self.table
+    def plant(self, speed: float, track: TrackRealisation, table: ContactTable | None = None) -> Plant:
+        """Constants of the compiled step at a speed (m/s) on a track, with another contact table if given."""
+        h, _ = self.step(speed)
+        s, b, table = self.scenario, self.multibody, table or self.table
         radius = s.vehicle.wheel_radius
         damping = b.damping + (speed / radius) * b.gyroscopic
         diagonal = np.diag(damping).copy()
-        first, last = _row_ranges(b.stiffness, damping)
-        velocity, force = _curves(self.dampers)
+        np.fill_diagonal(damping, 0.0)
+        linear = _sparse_rows(b.stiffness, damping)
+        connection = _sparse_rows(np.array([e.connection for e in self.dampers]).reshape(-1, b.n))
+        maxwell = damper_curves(self.dampers, h)
         shift, stop = _curves(b.stops)
-        approach, hunt_crossley = self._static_contact()
+        approach, hunt_crossley = self._static_contact(table)
         return Plant(
             mass=b.mass,
-            stiffness=np.ascontiguousarray(b.stiffness.T),
-            damping=np.ascontiguousarray((damping - np.diag(diagonal)).T),
+            linear_start=linear.start,
+            linear_column=linear.column,
+            linear_value=np.stack(linear.values, axis=1),
             damping_diagonal=diagonal,
-            first_row=first,
-            last_row=last,
+            mobility=1.0 / (b.mass + 0.5 * h * diagonal),
             wheelset_dofs=b.wheelset_dofs,
             section_dofs=b.section_dofs,
             wheelset_x=b.wheelset_x,
@@ -162,22 +170,27 @@ class VehicleModel:
             friction=s.friction,
             radius=radius,
             speed=speed,
-            damper_g=_columns([e.connection for e in self.dampers], b.n),
-            damper_velocity=velocity,
-            damper_force=force,
-            damper_stiffness=np.array([e.series_stiffness for e in self.dampers]),
-            stop_g=np.ascontiguousarray(_columns([e.connection for e in b.stops], b.n).T),
+            step=h,
+            damper_start=connection.start,
+            damper_column=connection.column,
+            damper_value=connection.values[0],
+            damper_velocity=maxwell.velocity,
+            damper_force=maxwell.force,
+            damper_knot=maxwell.knot,
+            damper_slope=maxwell.slope,
+            damper_stiffness=maxwell.stiffness,
+            stop_g=np.array([e.connection for e in b.stops]).reshape(-1, b.n),
             stop_shift=shift,
             stop_force=stop,
-            measure=_columns([g for _, g in b.measuring_points], b.n).T.copy(),
+            measure=np.array([g for _, g in b.measuring_points]).reshape(-1, b.n),
             irregularity=track.coefficients,
             irregularity_start=track.x0,
             irregularity_step=track.step,
         )
 
-    def _static_contact(self) -> tuple[Array, Array]:
+    def _static_contact(self, table: ContactTable) -> tuple[Array, Array]:
         """Vertical approach under the static load and the Hunt-Crossley factor, for each wheelset."""
-        table, load = self.table, self.multibody.wheel_load
+        load = self.multibody.wheel_load
         node = int(np.argmin(np.abs(table.dy)))
         cosine = 1.0 / math.hypot(1.0, table.tan_gamma[node])
         normal = load / cosine
@@ -196,7 +209,7 @@ class VehicleModel:
         lanes = np.zeros(ROWS_IN * LANES)
         lanes[3 * LANES : 4 * LANES] = 1.0  # wheels that the vehicle does not have stay in the air
         return Work(
-            np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(m), np.zeros((w, 8)), lanes, np.zeros(ROWS_OUT * LANES)
+            np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros(m), np.zeros((w, 8)), lanes, np.zeros(ROWS_OUT * LANES)
         )
 
 
@@ -213,6 +226,8 @@ class Simulator:
         Seed of the track's irregularities.
     track : TrackRealisation, optional
         A track in place of the seed's.
+    table : ContactTable, optional
+        A contact table in place of the model's, such as its harmonic linearisation.
 
     Examples
     --------
@@ -224,12 +239,18 @@ class Simulator:
     """
 
     def __init__(
-        self, model: VehicleModel, speed: float, seed: int = 0, *, track: TrackRealisation | None = None
+        self,
+        model: VehicleModel,
+        speed: float,
+        seed: int = 0,
+        *,
+        track: TrackRealisation | None = None,
+        table: ContactTable | None = None,
     ) -> None:
         self.model = model
         self.speed = speed
         self.track = model.realisation(seed) if track is None else track
-        self.plant = model.plant(speed, self.track)
+        self.plant = model.plant(speed, self.track, table)
         self.state = model.state()
         self.work = model.work()
 
@@ -254,7 +275,7 @@ class Simulator:
         signals = np.empty((samples, 2 * w + yaw))
         forces = np.empty((samples if wheels else 0, 2 * LANES))
         motions = np.empty((samples if motion else 0, self.model.multibody.n))
-        done = advance(self.plant, self.state, self.work, h, substeps, signals, forces, motions)
+        done = advance(self.plant, self.state, self.work, substeps, signals, forces, motions)
         if done < samples:
             raise StudyError(
                 f"the simulation at {self.speed * 3.6:g} km/h diverged after {self.state.clock[0]:.2f} s; "
@@ -281,36 +302,56 @@ def threads(workers: int | None) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=workers, thread_name_prefix="sayd")
 
 
-def _row_ranges(*matrices: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """First non-zero row of each column, and one past the last."""
-    filled = np.any([m != 0.0 for m in matrices], axis=0)
-    n = filled.shape[0]
-    first = np.argmax(filled, axis=0)
-    last = n - np.argmax(filled[::-1], axis=0)
-    empty = ~filled.any(axis=0)
-    first[empty] = last[empty] = 0
-    return first.astype(np.int64), last.astype(np.int64)
+class _Rows(NamedTuple):
+    """Several matrices of one pattern as compressed sparse rows."""
+
+    start: npt.NDArray[np.uint32]
+    column: npt.NDArray[np.uint32]
+    values: tuple[Array, ...]
 
 
-def _columns(rows: list[Array], n: int) -> Array:
-    return np.ascontiguousarray(np.array(rows).reshape(len(rows), n).T)
+def _sparse_rows(*matrices: Array) -> _Rows:
+    pattern = csr_matrix(np.any([m != 0.0 for m in matrices], axis=0))
+    start, column = pattern.indptr.astype(np.uint32), pattern.indices.astype(np.uint32)
+    row = np.repeat(np.arange(pattern.shape[0]), np.diff(start))
+    return _Rows(start, column, tuple(m[row, column] for m in matrices))
+
+
+class DamperCurves(NamedTuple):
+    """Laws of m Maxwell dampers as the compiled step reads them, p points each."""
+
+    velocity: Array
+    """(p, m) abscissae of the force-velocity curves, m/s."""
+    force: Array
+    """(p, m) ordinates F, N."""
+    knot: Array
+    """(p, m) F + k h / 2 v at these points, N."""
+    slope: Array
+    """(p, m) dv / d(F + k h / 2 v) behind each point, m/(N s)."""
+    stiffness: Array
+    """(m,) series stiffness k, N/m."""
+
+
+def damper_curves(elements: tuple[ForceElement, ...], h: float) -> DamperCurves:
+    """Prepare Maxwell dampers for `sayd_env.physics.step.step_dampers` at a time step h (s)."""
+    stiffness = np.array([e.series_stiffness for e in elements])
+    velocity, force = _curves(elements)
+    knot = force + 0.5 * h * stiffness * velocity
+    return DamperCurves(velocity, force, knot, _slopes(velocity, knot), stiffness)
+
+
+def _slopes(x: Array, y: Array) -> Array:
+    """Slope dx/dy behind each point of a curve; the last goes on."""
+    slope = np.diff(x, axis=0) / np.diff(y, axis=0)
+    return np.vstack([slope, slope[-1:]])
 
 
 def _curves(elements: tuple[ForceElement, ...]) -> tuple[Array, Array]:
-    """Piecewise-linear curves on a common number of points: the last segment goes on.
-
-    Raises
-    ------
-    ConfigError
-        A curve with too many points.
-    """
-    x, y = np.zeros((CURVE_POINTS, len(elements))), np.zeros((CURVE_POINTS, len(elements)))
+    """Piecewise-linear curves on a common number of points: the last segment goes on."""
+    count = max((len(e.curve) for e in elements), default=2)
+    x, y = np.zeros((count, len(elements))), np.zeros((count, len(elements)))
     for k, element in enumerate(elements):
         points = element.curve
-        if len(points) > CURVE_POINTS - 1:
-            raise ConfigError(f"{element.name}: {len(points)} points; a curve has at most {CURVE_POINTS - 1}")
-        step = points[-1] - points[-2]
-        more = np.arange(1, CURVE_POINTS - len(points) + 1)[:, None]
-        full = np.vstack([points, points[-1] + more * step])
-        x[:, k], y[:, k] = full.T
+        more = np.arange(1, count - len(points) + 1)[:, None] * (points[-1] - points[-2])
+        x[:, k], y[:, k] = np.vstack([points, points[-1] + more]).T
     return x, y

@@ -18,8 +18,8 @@ import math
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.polach import polach
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import CURVE_POINTS, LANES, Array, Plant, State, Work
-from sayd_env.physics.track.spline import spline_value_slope
+from sayd_env.physics.plant import LANES, Array, Plant, State, Work
+from sayd_env.physics.track.spline import spline_weights
 
 # Rows of `Work.rail`: values and slopes of the irregularities.
 ALIGNMENT, VERTICAL, CROSS_LEVEL, GAUGE = 0, 1, 2, 3
@@ -69,16 +69,15 @@ SLOPE = 4
 @kernel
 def read_track(plant: Plant, position: float, work: Work) -> None:
     """Irregularities under each wheelset and their slopes along the track."""
+    c, rail = plant.irregularity, work.rail
     for j in range(plant.wheelset_x.shape[0]):
         x = position + plant.wheelset_x[j]
-        spline_value_slope(
-            plant.irregularity,
-            plant.irregularity_start,
-            plant.irregularity_step,
-            x,
-            work.rail[j, :SLOPE],
-            work.rail[j, SLOPE:],
+        i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(
+            c.shape[0], plant.irregularity_start, plant.irregularity_step, x
         )
+        for k in range(SLOPE):
+            rail[j, k] = w0 * c[i, k] + w1 * c[i + 1, k] + w2 * c[i + 2, k] + w3 * c[i + 3, k]
+            rail[j, SLOPE + k] = d0 * c[i, k] + d1 * c[i + 1, k] + d2 * c[i + 2, k] + d3 * c[i + 3, k]
 
 
 @kernel
@@ -131,7 +130,7 @@ def wheel_forces(plant: Plant, work: Work) -> None:
     per_speed, per_radius = 1.0 / speed, 1.0 / radius
     start = plant.table_start
     friction, shear = plant.friction, plant.shear_modulus
-    for i in range(LANES):
+    for i in range(x.shape[0] // ROWS_IN):
         side = x[SIDE * LANES + i]
         # Contact geometry at this shift, linear between the nodes of a fine table.
         place = (x[SHIFT * LANES + i] - start) * per_step
@@ -246,12 +245,19 @@ def add_contact(plant: Plant, work: Work) -> None:
 
 
 @kernel
-def add_suspension(plant: Plant, q: Array, v: Array, f: Array) -> None:
-    """Add -K q - C v (C without its diagonal), column by column over the rows that each reaches."""
-    for j in range(q.shape[0]):
-        k, c, qj, vj = plant.stiffness[j], plant.damping[j], q[j], v[j]
-        for i in range(plant.first_row[j], plant.last_row[j]):
-            f[i] -= k[i] * qj + c[i] * vj
+def add_suspension(plant: Plant, q: Array, v: Array, work: Work) -> None:
+    """Add -K q - C v (C without its diagonal), row by row over the entries that are not zero."""
+    start, column, value, motion = plant.linear_start, plant.linear_column, plant.linear_value, work.motion
+    for i in range(q.shape[0]):
+        motion[i, 0] = q[i]
+        motion[i, 1] = v[i]
+    for i in range(q.shape[0]):
+        elastic, viscous = 0.0, 0.0
+        for e in range(start[i], start[i + 1]):
+            j = column[e]
+            elastic += value[e, 0] * motion[j, 0]
+            viscous += value[e, 1] * motion[j, 1]
+        work.f[i] -= elastic + viscous
 
 
 @kernel
@@ -282,32 +288,32 @@ def _curve(x: Array, y: Array, at: float) -> float:
 @kernel
 def damper_elongations(plant: Plant, q: Array, shift: Array) -> None:
     """Elongation of each Maxwell damper, g.q."""
+    start, column, value = plant.damper_start, plant.damper_column, plant.damper_value
     for k in range(shift.shape[0]):
-        shift[k] = 0.0
-    for j in range(q.shape[0]):
-        g, qj = plant.damper_g[j], q[j]
-        for k in range(shift.shape[0]):
-            shift[k] += g[k] * qj
+        total = 0.0
+        for e in range(start[k], start[k + 1]):
+            total += value[e] * q[column[e]]
+        shift[k] = total
 
 
 @kernel
-def step_dampers(plant: Plant, state: State, work: Work, h: float) -> None:
+def step_dampers(plant: Plant, state: State, work: Work) -> None:
     """Advance the Maxwell dampers by the trapezoidal rule, exactly on their piecewise-linear curves.
 
     The force F in spring and viscous part obeys F' = k (x' - w), F = curve(w). With kappa = k h / 2:
     curve(w_1) + kappa w_1 = F_0 - kappa w_0 + k (x_1 - x_0), whose left side rises strictly.
     """
     elongation, piston, force, shift = state.elongation, state.piston, state.force, work.shift
+    velocity, knot, slope = plant.damper_velocity, plant.damper_knot, plant.damper_slope
     for k in range(shift.shape[0]):
-        kappa = 0.5 * h * plant.damper_stiffness[k]
-        right = force[k] - kappa * piston[k] + plant.damper_stiffness[k] * (shift[k] - elongation[k])
+        stiffness = plant.damper_stiffness[k]
+        kappa = 0.5 * plant.step * stiffness
+        right = force[k] - kappa * piston[k] + stiffness * (shift[k] - elongation[k])
         size = abs(right)
-        speed = 0.0
-        for p in range(CURVE_POINTS - 1):
-            v0, v1 = plant.damper_velocity[p, k], plant.damper_velocity[p + 1, k]
-            r0 = plant.damper_force[p, k] + kappa * v0
-            r1 = plant.damper_force[p + 1, k] + kappa * v1
-            speed = v0 + (size - r0) * (v1 - v0) / (r1 - r0) if size >= r0 else speed
+        speed = size * slope[0, k]
+        for p in range(1, knot.shape[0]):
+            beyond = velocity[p, k] + (size - knot[p, k]) * slope[p, k]
+            speed = beyond if size > knot[p, k] else speed
         speed = speed if right >= 0.0 else -speed
         piston[k] = speed
         force[k] = right - kappa * speed
@@ -317,12 +323,10 @@ def step_dampers(plant: Plant, state: State, work: Work, h: float) -> None:
 @kernel
 def add_dampers(plant: Plant, force: Array, f: Array) -> None:
     """Add -g F of the Maxwell dampers to the generalised forces."""
-    for i in range(f.shape[0]):
-        g = plant.damper_g[i]
-        total = 0.0
-        for k in range(force.shape[0]):
-            total += g[k] * force[k]
-        f[i] -= total
+    start, column, value = plant.damper_start, plant.damper_column, plant.damper_value
+    for k in range(force.shape[0]):
+        for e in range(start[k], start[k + 1]):
+            f[column[e]] -= value[e] * force[k]
 
 
 @kernel
@@ -334,31 +338,35 @@ def contact(plant: Plant, q: Array, v: Array, position: float, work: Work) -> No
 
 
 @kernel
-def step(plant: Plant, state: State, work: Work, h: float) -> None:
-    """Advance one vehicle by h seconds."""
+def step(plant: Plant, state: State, work: Work) -> None:
+    """Advance one vehicle by the plant's time step."""
+    h = plant.step
     q, v, a, f = state.q, state.v, state.a, work.f
     n = q.shape[0]
+    # Short loops over few arrays: the compiler can rule out overlap and make them vector instructions.
     for i in range(n):
-        q[i] += h * v[i] + 0.5 * h * h * a[i]
+        q[i] += h * (v[i] + 0.5 * h * a[i])
+    for i in range(n):
         work.velocity[i] = v[i] + h * a[i]
-        work.damped[i] = v[i] + 0.5 * h * a[i]
-        f[i] = 0.0
+    for i in range(n):
+        f[i] = -plant.damping_diagonal[i] * (v[i] + 0.5 * h * a[i])
     state.clock[0] += h
     state.clock[1] += h * plant.speed
 
     contact(plant, q, work.velocity, state.clock[1], work)
     add_contact(plant, work)
-    add_suspension(plant, q, work.velocity, f)
+    add_suspension(plant, q, work.velocity, work)
     add_stops(plant, q, f)
     damper_elongations(plant, q, work.shift)
-    step_dampers(plant, state, work, h)
+    step_dampers(plant, state, work)
     add_dampers(plant, state.force, f)
 
     for i in range(n):
-        d = plant.damping_diagonal[i]
-        new = (f[i] - d * work.damped[i]) / (plant.mass[i] + 0.5 * h * d)
-        v[i] += 0.5 * h * (a[i] + new)
-        a[i] = new
+        f[i] *= plant.mobility[i]
+    for i in range(n):
+        v[i] += 0.5 * h * (a[i] + f[i])
+    for i in range(n):
+        a[i] = f[i]
 
 
 @kernel
@@ -382,7 +390,7 @@ def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work:
         f[i] = 0.0
     contact(plant, q, v, position, work)
     add_contact(plant, work)
-    add_suspension(plant, q, v, f)
+    add_suspension(plant, q, v, work)
     add_stops(plant, q, f)
     add_dampers(plant, force, f)
     damper_elongations(plant, v, work.shift)
@@ -425,16 +433,14 @@ def record_wheels(work: Work, row: Array) -> None:
 
 @kernel
 def advance(
-    plant: Plant, state: State, work: Work, h: float, substeps: int, signals: Array, wheels: Array, motion: Array
+    plant: Plant, state: State, work: Work, substeps: int, signals: Array, wheels: Array, motion: Array
 ) -> int:
-    """Advance by as many samples as `signals` has rows, `substeps` steps of h seconds each.
+    """Advance by as many samples as `signals` has rows, `substeps` steps each.
 
     Parameters
     ----------
     plant, state, work
         One vehicle.
-    h : float
-        Step, s.
     substeps : int
         Steps between two samples.
     signals : ndarray, shape (samples, 2 w + d)
@@ -451,7 +457,7 @@ def advance(
     """
     for t in range(signals.shape[0]):
         for _ in range(substeps):
-            step(plant, state, work, h)
+            step(plant, state, work)
         record(plant, state, work, signals[t])
         if wheels.shape[0] > 0:
             record_wheels(work, wheels[t])

@@ -34,7 +34,7 @@ _NO_CREEP = 1e-60
 _NO_FORCE = 1e-9
 
 
-@kernel
+@kernel(inline=True)
 def arctangent(x: float) -> float:
     """Arc tangent of x >= 0, maximum error 5e-10 at 0.9999 pi/2: a rational function, which vectorises.
 
@@ -52,7 +52,7 @@ def polach_spin_gain(a_over_b: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(1.0 - 6.3 * np.expm1(-np.asarray(a_over_b, dtype=float)))
 
 
-@kernel
+@kernel(inline=True)
 def polach(
     xi_x: float,
     xi_y: float,
@@ -132,10 +132,6 @@ def polach(
     decay = 1.0 + e * e
     spin_force = 0.375 * a * spin_gain * bound * e / (decay * decay) * per_creep
     return -force * xi_x, -(force * xi_y + spin_force * spin)
-
-
-# Beyond LLVM's own size limit for inlining; as a call, the law would keep every loop over it scalar.
-polach.targetoptions["forceinline"] = True
 
 
 @kernel

@@ -34,6 +34,50 @@ def interpolation_coefficients(samples: Array) -> Array:
     return np.ascontiguousarray(np.pad(inner, ((1, 1), (0, 0)), mode="reflect"))
 
 
+@kernel(inline=True)
+def spline_weights(
+    count: int, x0: float, step: float, x: float
+) -> tuple[int, float, float, float, float, float, float, float, float]:
+    """Weights of the four coefficients that matter at one position.
+
+    Parameters
+    ----------
+    count : int
+        Number of coefficients.
+    x0, step : float
+        Position of the first sample, distance of the samples (m).
+    x : float
+        Position (m). Outside the table the value at its end holds and the slope is zero.
+
+    Returns
+    -------
+    tuple
+        Index of the first coefficient, four weights of the value, four of the slope d/dx (1/m).
+    """
+    last = count - 4
+    end = last + 1.0
+    u = (x - x0) / step
+    slope_scale = 1.0 / step
+    # Written so that NaN, too, ends at the table's start: an index out of bounds is never formed.
+    if not 0.0 <= u <= end:
+        slope_scale = 0.0
+        u = end if u > end else 0.0
+    i = min(int(u), last)
+    t = u - i
+    s = 1.0 - t
+    return (
+        i,
+        s * s * s / 6.0,
+        2.0 / 3.0 - 0.5 * t * t * (2.0 - t),
+        2.0 / 3.0 - 0.5 * s * s * (2.0 - s),
+        t * t * t / 6.0,
+        -0.5 * s * s * slope_scale,
+        0.5 * t * (3.0 * t - 4.0) * slope_scale,
+        -0.5 * s * (3.0 * s - 4.0) * slope_scale,
+        0.5 * t * t * slope_scale,
+    )
+
+
 @kernel
 def spline_value_slope(
     coefficients: Array, x0: float, step: float, x: float, out_value: Array, out_slope: Array
@@ -51,25 +95,7 @@ def spline_value_slope(
     out_value, out_slope : ndarray, shape (4,)
         Filled with the values (m, m, rad, m) and their derivatives over x.
     """
-    last = coefficients.shape[0] - 4
-    end = last + 1.0
-    u = (x - x0) / step
-    slope_scale = 1.0 / step
-    # Written so that NaN, too, ends at the table's start: an index out of bounds is never formed.
-    if not 0.0 <= u <= end:
-        slope_scale = 0.0
-        u = end if u > end else 0.0
-    i = min(int(u), last)
-    t = u - i
-    s = 1.0 - t
-    w0 = s * s * s / 6.0
-    w3 = t * t * t / 6.0
-    w1 = 2.0 / 3.0 - 0.5 * t * t * (2.0 - t)
-    w2 = 2.0 / 3.0 - 0.5 * s * s * (2.0 - s)
-    d0 = -0.5 * s * s * slope_scale
-    d3 = 0.5 * t * t * slope_scale
-    d1 = 0.5 * t * (3.0 * t - 4.0) * slope_scale
-    d2 = -0.5 * s * (3.0 * s - 4.0) * slope_scale
+    i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(coefficients.shape[0], x0, step, x)
     for j in range(4):
         c0 = coefficients[i, j]
         c1 = coefficients[i + 1, j]
