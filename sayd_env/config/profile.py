@@ -182,15 +182,16 @@ def _read(name_or_path: str, kind: str) -> tuple[object, str]:
     found = data.get("kind") if isinstance(data, dict) else None
     if found is not None and found != kind:
         raise ConfigError(f"{source}: kind: found {found!r}, expected '{kind}' here")
-    _anchor_files(data, Path(source).parent)
-    return data, source
+    return with_resolved_files(data, Path(source).parent), source
 
 
-def _anchor_files(node: object, folder: Path) -> None:
-    """Let relative data files in a user's YAML be found beside that YAML, wherever the program runs."""
-    if not isinstance(node, dict):
-        return
-    if isinstance(node.get("file"), str):
-        node["file"] = str(folder / node["file"])
-    for value in node.values():
-        _anchor_files(value, folder)
+def with_resolved_files(data: object, folder: Path) -> object:
+    """Copy of a profile's raw content whose relative `file` entries point beside the YAML they stand in."""
+    if not isinstance(data, dict):
+        return data
+    return {
+        key: str(folder / value)
+        if key == "file" and isinstance(value, str)
+        else with_resolved_files(value, folder)
+        for key, value in data.items()
+    }

@@ -48,6 +48,7 @@ WIDTH = 12
 """Number of these columns."""
 
 _FAR = 1.0  # m; the gap where there is no rail below the wheel
+_MARGIN = 1e-3  # m; contact nearer to the end of a wheel's curve is contact on its end
 _ROLL_TOLERANCE = 1e-12  # m; difference of the two wheels' gaps
 _ROLL_ITERATIONS = 60
 _FLATTEST = 1e-3  # 1/m; keeps the ellipse of a perfectly conformal pair finite
@@ -177,6 +178,7 @@ def contact_table(
     roll = _kinematic_roll(pair, eps, wheel, rail)
     least, moments = _moments(pair.p, pair.h, pair.slope, pair.arm, pair.shifts, roll, eps)
     y_c, variance, tan_gamma, delta_r, log_sum = moments.T
+    _check_faces(pair, wheel, rail, least, y_c - e)
     potential = least - eps * log_sum
     g0 = potential - roll * y_c
     g0 = g0 - g0[len(g0) // 2]
@@ -231,13 +233,11 @@ def rigid_contact(
     pair = _pair(wheel, rail, gauge, e, step, round(half_width / step))
     roll = _kinematic_roll(pair, 0.0, wheel, rail)
     least, position = _lowest(pair.p, pair.h, pair.arm, pair.shifts, roll)
-    index = np.rint(position).astype(np.int64)
     s = pair.arm[0] - e + position * step
+    _check_faces(pair, wheel, rail, least, s)
     delta_r = np.interp(s, pair.arm - e, pair.p)
     y = pair.shifts * step - pair.shifts[len(pair.shifts) // 2] * step
     height = -least
-    if np.any((index <= 0) | (index >= len(pair.p) - 1)):
-        raise DataError(_off_profile(wheel, rail))
     return RigidContact(y, roll, height - height[len(height) // 2], s, s + y + pair.offset, delta_r)
 
 
@@ -344,6 +344,15 @@ def _kinematic_roll(pair: _Pair, eps: float, wheel: Profile, rail: Profile) -> A
             break
         roll -= difference / (arm + arm[::-1])
     return 0.5 * (roll - roll[::-1])
+
+
+def _check_faces(pair: _Pair, wheel: Profile, rail: Profile, least: Array, s: Array) -> None:
+    """Refuse contact on the ends of a curve: it would be the end of the data, not of the body."""
+    t = s + pair.offset + (pair.shifts - pair.shifts[len(pair.shifts) // 2]) * (pair.arm[1] - pair.arm[0])
+    on_wheel = (s > wheel.y[0] + _MARGIN) & (s < wheel.y[-1] - _MARGIN)
+    on_rail = (t > rail.y[0] + 0.1 * _MARGIN) & (t < rail.y[-1] - 0.1 * _MARGIN)
+    if not np.all(on_wheel & on_rail & (least < 0.5 * _FAR)):
+        raise DataError(_off_profile(wheel, rail))
 
 
 def _off_profile(wheel: Profile, rail: Profile) -> str:

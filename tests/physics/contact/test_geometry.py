@@ -1,0 +1,188 @@
+"""Contact tables: consistency of the potential, symmetry, limits and closed forms."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from sayd_env.config import DataError
+from sayd_env.config.contact import ContactConfig
+from sayd_env.config.profile import load_rail, load_wheel
+from sayd_env.physics.contact import geometry
+from sayd_env.physics.contact.conicity import harmonic_conicity, radius_difference
+from sayd_env.physics.contact.geometry import contact_table, linearised, rigid_contact
+from sayd_env.physics.contact.hertz import hertz_coefficients
+from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
+
+RADIUS, GAUGE = 0.46, 1.435
+CONFIG = ContactConfig(
+    youngs_modulus=2.1e11, poisson_ratio=0.28, regularisation=2e-5, table_step=5e-5, table_half_width=12e-3
+)
+
+
+def with_depth(eps: float) -> ContactConfig:
+    return CONFIG.model_copy(update={"regularisation": eps})
+
+
+@pytest.fixture(scope="module")
+def rail() -> Profile:
+    return rail_profile(load_rail("cn60"))
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.5, 1.0])
+def wheel(request: pytest.FixtureRequest) -> Profile:
+    return wheel_profile(load_wheel("s1002cn"), request.param)
+
+
+def arc_wheel(radius: float, slope: float) -> Profile:
+    """Conical tread, hollow with the profile radius (infinite: straight), 0.75 m from the centre."""
+    s = np.arange(-1000, 1001) * 5e-5
+    hollow = 0.0 if np.isinf(radius) else 0.5 / radius
+    return Profile("arc wheel", "wheel", s, hollow * s**2 - slope * s, half_distance=0.75)
+
+
+def arc_rail(radius: float) -> tuple[Profile, float]:
+    """Rail of one arc, and the gauge that puts its crown below a tape circle at 0.75 m."""
+    t = np.arange(-2100, 2101) * 5e-5
+    depth = 0.014
+    rail = Profile("arc rail", "rail", t, np.sqrt(radius**2 - t**2) - radius, gauge_depth=depth)
+    return rail, 2.0 * (0.75 - np.sqrt(2.0 * radius * depth - depth**2))
+
+
+def test_slope_is_the_gradient_of_the_gap(wheel: Profile, rail: Profile) -> None:
+    """-d(gap)/d(dy) at fixed height and roll equals the slope; central differences, of second order."""
+    worst, typical = [], []
+    for step in (2e-5, 1e-5):
+        table = contact_table(wheel, rail, GAUGE, CONFIG.model_copy(update={"table_step": step}), RADIUS)
+        gradient = np.gradient(table.g0, step) + table.phi_k * np.gradient(table.y_c, step)
+        error = np.abs(gradient + table.tan_gamma)[np.abs(table.dy) < 8e-3]
+        worst.append(np.max(error))
+        typical.append(np.median(error))
+    assert typical[1] < 1e-6
+    # The worst place is the jump onto the flange, where the slope goes from 0.1 to 2.5 within 0.2 mm.
+    assert worst[1] < 1e-2
+    assert worst[0] / worst[1] == pytest.approx(4.0, rel=0.2)
+
+
+def test_both_wheels_touch_at_the_kinematic_roll(wheel: Profile, rail: Profile) -> None:
+    table = contact_table(wheel, rail, GAUGE, CONFIG, RADIUS)
+    height = table.g0 + table.phi_k * table.y_c
+    # The right wheel is the left one at the opposite shift, seen in a mirror.
+    np.testing.assert_allclose(height, height[::-1], atol=1e-10)
+    np.testing.assert_allclose(table.phi_k, -table.phi_k[::-1], atol=1e-15)
+
+
+def test_flange_pushes_the_wheel_back(wheel: Profile, rail: Profile) -> None:
+    table = contact_table(wheel, rail, GAUGE, CONFIG, RADIUS)
+    flange = table.dy > 8.5e-3
+    assert np.all(table.tan_gamma[flange] > 1.0)
+    # S1002's flank has 70 degrees (EN 13715); the steepest contact comes close to it.
+    assert np.degrees(np.arctan(table.tan_gamma.max())) == pytest.approx(70.0, abs=1.0)
+    assert np.all(table.delta_r[flange] > 5e-3)
+    np.testing.assert_allclose(table.sin_gamma, table.tan_gamma * table.cos_gamma, rtol=1e-14)
+
+
+def test_vanishing_regularisation_is_rigid_contact(wheel: Profile, rail: Profile) -> None:
+    rigid = rigid_contact(wheel, rail, GAUGE, 12e-3, step=5e-5)
+    errors = []
+    for eps in (4e-6, 1e-6, 2.5e-7):
+        table = contact_table(wheel, rail, GAUGE, with_depth(eps), RADIUS)
+        tread = np.abs(table.dy) < 6e-3
+        errors.append(np.mean(np.abs(table.delta_r - rigid.delta_r)[tread]))
+        height = table.g0 + table.phi_k * table.y_c + rigid.height
+        assert np.max(np.abs(height)[tread]) < 5.0 * eps
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 5e-6
+
+
+@pytest.mark.parametrize("hollow", [np.inf, 0.5])
+def test_curvature_of_one_arc_on_another(hollow: float) -> None:
+    """Relative curvatures of a cone or hollow arc on an arc are known: Hertz's coefficients follow."""
+    rail, gauge = arc_rail(0.3)
+    table = contact_table(arc_wheel(hollow, 0.02), rail, gauge, with_depth(1e-5), RADIUS, 0.75)
+    centre = np.abs(table.dy) < 5e-3
+    cosine = table.cos_gamma[centre]
+    # The parabola of the hollow tread has the curvature 1/R * cos^3 at a slope; the rail is a true circle.
+    relative = 1.0 / 0.3 - (0.0 if np.isinf(hollow) else cosine**3 / hollow)
+    rolling = 0.5 * cosine / (RADIUS + table.delta_r[centre])
+    expected = hertz_coefficients(rolling, 0.5 * relative, CONFIG.youngs_modulus, CONFIG.poisson_ratio)
+    for measured, exact in zip((table.c_hertz, table.a_s, table.b_s), expected, strict=True):
+        np.testing.assert_allclose(measured[centre], exact, rtol=1e-3)
+
+
+def test_cone_on_an_arc() -> None:
+    """Conical wheels on circular rails: the rail's slope below the contact is the cone's plus the roll."""
+    slope, radius = 0.02, 0.3
+    rail, gauge = arc_rail(radius)
+    table = contact_table(arc_wheel(np.inf, slope), rail, gauge, with_depth(2e-6), RADIUS, 0.75)
+    near = np.abs(table.dy) < 3e-3
+    conicity = harmonic_conicity(*radius_difference(table), [2e-3])[0]
+    # Wickens, Fundamentals of Rail Vehicle Dynamics, eq. (2.5): circular rail under a cone.
+    assert conicity == pytest.approx(slope * 0.75 / (0.75 - radius * slope), rel=5e-3)
+    np.testing.assert_allclose(table.tan_gamma[near], slope + table.phi_k[near], atol=1e-5)
+
+
+def test_regularisation_matches_the_pressed_patch(rail: Profile) -> None:
+    """At 75 kN the penetration is about five times the regularisation depth (see the module's derivation)."""
+    for wear in (0.0, 1.0):
+        table = contact_table(wheel_profile(load_wheel("s1002cn"), wear), rail, GAUGE, CONFIG, RADIUS)
+        tread = np.abs(table.dy) < 5e-3
+        penetration = (75e3 / table.cos_gamma / table.c_hertz)[tread] ** (2.0 / 3.0)
+        assert np.median(penetration) / 5.0 == pytest.approx(CONFIG.regularisation, rel=0.25)
+
+
+def test_linearised_table(wheel: Profile, rail: Profile) -> None:
+    table = contact_table(wheel, rail, GAUGE, CONFIG, RADIUS)
+    amplitude = 3e-3
+    linear = linearised(table, amplitude)
+    y, delta_r = radius_difference(linear)
+    expected = harmonic_conicity(*radius_difference(table), [amplitude])[0]
+    np.testing.assert_allclose(delta_r, 2.0 * expected * y, atol=1e-15)
+    np.testing.assert_allclose(np.diff(linear.tan_gamma, 2), 0.0, atol=1e-15)
+    np.testing.assert_allclose(-np.gradient(linear.g0, linear.step)[1:-1], linear.tan_gamma[1:-1], atol=1e-12)
+    assert np.ptp(linear.y_c) == 0.0
+    with pytest.raises(DataError, match="allowed is up to 12 mm"):
+        linearised(table, 20e-3)
+
+
+def test_linearising_a_linear_table_changes_nothing() -> None:
+    rail, gauge = arc_rail(0.3)
+    table = contact_table(arc_wheel(np.inf, 0.02), rail, gauge, with_depth(1e-5), RADIUS, 0.75)
+    near = np.abs(table.dy) < 4e-3
+    linear = linearised(table, 2e-3)
+    np.testing.assert_allclose(linear.delta_r[near], table.delta_r[near], atol=1e-6)
+    np.testing.assert_allclose(linear.tan_gamma[near], table.tan_gamma[near], atol=1e-5)
+
+
+def test_packed_columns(rail: Profile) -> None:
+    table = contact_table(wheel_profile(load_wheel("lmb10")), rail, GAUGE, CONFIG, RADIUS)
+    packed = table.packed()
+    assert packed.shape == (481, geometry.WIDTH)
+    assert packed.flags.c_contiguous
+    for name in geometry.COLUMNS:
+        np.testing.assert_array_equal(packed[:, getattr(geometry, name.upper())], getattr(table, name))
+    assert table.g0[240] == 0.0
+    assert table.dy[240] == pytest.approx(0.0, abs=1e-15)
+    assert np.all(np.isfinite(packed))
+
+
+def test_a_table_takes_less_than_a_tenth_of_a_second(rail: Profile) -> None:
+    wheel = wheel_profile(load_wheel("s1002cn"))
+    contact_table(wheel, rail, GAUGE, CONFIG, RADIUS)
+    elapsed = []
+    for _ in range(3):
+        start = time.process_time()
+        contact_table(wheel, rail, GAUGE, CONFIG, RADIUS)
+        elapsed.append(time.process_time() - start)
+    assert min(elapsed) < 0.1
+
+
+def test_wheel_beside_its_rail(rail: Profile) -> None:
+    wheel = wheel_profile(load_wheel("s1002cn"))
+    for gauge in (1.0, 1.2, 1.6, 2.0):
+        with pytest.raises(DataError, match="runs off rail 'cn60'"):
+            contact_table(wheel, rail, gauge, CONFIG, RADIUS)
+        with pytest.raises(DataError, match="runs off rail 'cn60'"):
+            rigid_contact(wheel, rail, gauge, 12e-3, step=5e-5)
