@@ -91,7 +91,7 @@ def test_position_on_the_rail(
 
 def test_kinematic_roll(table: ContactTable, cases: dict[str, np.ndarray]) -> None:
     # The right wheel, whose flange approaches, decides the roll. Two terms of second order that the table
-    # leaves out are added, together 1 to 3 % of the climb: a yawed wheel touches r tan(gamma) psi ahead of its
+    # leaves out are added, 1 to 3 % of the climb: a yawed wheel touches r tan(gamma) psi ahead of its
     # axle, which moves it by psi^2 / 2 (e - r tan(gamma)) away from its rail, and roll tilts the flange by
     # phi * delta_r.
     right = -cases["shift"]
