@@ -36,3 +36,5 @@ def sayd(
 
 app.command()(stability.assess)
 app.command()(components.conicity)
+app.command()(components.hysteresis)
+app.command()(stability.modes)

@@ -24,6 +24,12 @@ class Speeds(tuple[float, ...]):
     __slots__ = ()
 
 
+class Numbers(tuple[float, ...]):
+    """Finite numbers above 0, at least one."""
+
+    __slots__ = ()
+
+
 class Damper(StrEnum):
     """The yaw damper's kind."""
 
@@ -108,6 +114,12 @@ def positive(option: str, unit: str) -> Callable[[str], float]:
         return value
 
     return read
+
+
+def positive_list(option: str, unit: str) -> Callable[[str], Numbers]:
+    """Make the reader of an option that takes finite numbers above 0, separated by commas."""
+    one = positive(option, unit)
+    return lambda text: Numbers(one(part) for part in text.split(","))
 
 
 def _bounded(option: str, text: str, low: float, high: float) -> float:

@@ -9,6 +9,7 @@ import typer
 
 from sayd_env.cli import options
 from sayd_env.cli.job import Job
+from sayd_env.cli.scenario import scenario_from
 
 
 def assess(
@@ -55,3 +56,39 @@ def assess(
         run_in=run_in,
     )
     job.finish(result, config=result.settings)
+
+
+def modes(
+    *,
+    speeds: options.SpeedList = None,
+    amplitude: Annotated[
+        float,
+        typer.Option(
+            "--amplitude",
+            parser=options.positive("--amplitude", "mm"),
+            metavar="MM",
+            help="Lateral amplitude at which wheel-rail contact is linearised.",
+        ),
+    ] = "3",  # type: ignore[assignment] # the parser turns the text into a number
+    profile: options.Profile = None,
+    wear: options.Wear = None,
+    friction: options.Friction = None,
+    track: options.Track = None,
+    config: options.Config = None,
+    assignments: options.Set = None,
+    out: options.Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Compute the vehicle's modes over speed and the linear critical speed, at which it starts to hunt."""
+    from sayd_env.studies.modes import modes as study  # noqa: PLC0415
+
+    scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)
+    job = Job("modes", out, as_json)
+    with job.progress() as progress:
+        result = study(
+            scenario,
+            None if speeds is None else [speed / 3.6 for speed in speeds],
+            amplitude * 1e-3,
+            progress=progress,
+        )
+    job.finish(result, config=scenario)
