@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sayd_env import __version__
-from sayd_env.cli import components, stability
+from sayd_env.cli import components, stability, vehicle
 
 app = typer.Typer(
     name="sayd",
@@ -34,6 +34,8 @@ def sayd(
     """High-speed rail vehicle with semi-active yaw dampers: simulation and EN 14363 assessment."""
 
 
+app.command()(vehicle.critical_speed)
+app.command()(vehicle.evaluate)
 app.command()(stability.assess)
 app.command()(components.conicity)
 app.command()(components.hysteresis)

@@ -87,7 +87,9 @@ def load_scenario(config: str | None = None, overrides: Iterable[str] = ()) -> S
         if not isinstance(own, dict):
             raise ConfigError(f"{source}: expected keys and values")
         data = _merged(data, _resolved(own, source))
-    return validate(Scenario, _resolved(apply_overrides(data, overrides), source), source)
+    for item in overrides:  # one by one, so that a name can be followed by a key of its content
+        data = _resolved(apply_overrides(data, [item]), source)
+    return validate(Scenario, data, source)
 
 
 def _resolved(data: Any, source: str) -> dict[str, Any]:

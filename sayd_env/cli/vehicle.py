@@ -1,0 +1,74 @@
+"""Commands that run the vehicle."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sayd_env.cli import options
+from sayd_env.cli.job import Job
+from sayd_env.cli.scenario import scenario_from
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+KMH = 3.6
+
+
+def critical_speed(
+    *,
+    speeds: options.SpeedList = None,
+    profile: options.Profile = None,
+    wear: options.Wear = None,
+    friction: options.Friction = None,
+    track: options.Track = None,
+    seed: options.Seed = 0,
+    seeds: options.Seeds = 10,
+    config: options.Config = None,
+    assignments: options.Set = None,
+    workers: options.Workers = None,
+    out: options.Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Find the critical speed by EN 14363: quantities over speed, and where they cross their limits.
+
+    Default speeds: the paper's grid, 280 to 400 km/h on new and 320 to 445 km/h on worn wheels.
+    """
+    from sayd_env.studies.critical_speed import find_critical_speed  # noqa: PLC0415 - keeps --help fast
+
+    scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)
+    job = Job("critical-speed", out, as_json)
+    with job.progress() as progress:
+        result = find_critical_speed(
+            scenario, _metres_per_second(speeds), range(seed, seed + seeds), workers=workers, progress=progress
+        )
+    job.finish(result, config=scenario, seed=seed)
+
+
+def evaluate(
+    *,
+    speeds: options.SpeedList = None,
+    profile: options.Profile = None,
+    wear: options.Wear = None,
+    friction: options.Friction = None,
+    track: options.Track = None,
+    seed: options.Seed = 0,
+    seeds: options.Seeds = 10,
+    config: options.Config = None,
+    assignments: options.Set = None,
+    workers: options.Workers = None,
+    out: options.Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Run one configuration at given speeds (default 300, 350 and 400 km/h): cost, ratios to the limits, forces."""
+    from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
+
+    scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)
+    job = Job("evaluate", out, as_json)
+    chosen = _metres_per_second(speeds) or [v / KMH for v in (300.0, 350.0, 400.0)]
+    with job.progress() as progress:
+        result = study(scenario, chosen, range(seed, seed + seeds), workers=workers, progress=progress)
+    job.finish(result, config=scenario, seed=seed)
+
+
+def _metres_per_second(speeds: Sequence[float] | None) -> list[float] | None:
+    return None if speeds is None else [v / KMH for v in speeds]

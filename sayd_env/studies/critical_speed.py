@@ -1,0 +1,287 @@
+"""From which speed does the vehicle hunt? The critical speed by EN 14363 (paper, section 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config.scenario import Scenario
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.stability import (
+    CriticalSpeed,
+    Crossing,
+    GridSensitivity,
+    Limits,
+    assess,
+    band_pass,
+    critical_speed,
+    grid_sensitivity,
+    limits,
+    thinned_grids,
+)
+from sayd_env.studies.claims import NEW_SPEEDS, WORN_SPEEDS
+from sayd_env.studies.output import Progress, silent
+from sayd_env.studies.sweep import Sweep, simulate, sweep
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+Array = npt.NDArray[np.float64]
+KMH = 3.6
+HALF_WORN = 0.5
+
+
+@dataclass(frozen=True)
+class History:
+    """Filtered signal of one run, as in figure 8 (a)."""
+
+    speed: float
+    wheelset: str
+    time: Array
+    filtered: Array
+    position: Array
+    rms: Array
+
+
+@dataclass(frozen=True)
+class CriticalSpeedResult:
+    """Assessed quantities over speed, and where they cross their limits."""
+
+    scenario: Scenario
+    sweep: Sweep
+    limits: Limits
+    wheelsets: tuple[str, ...]
+    history: History
+
+    @cached_property
+    def medians(self) -> dict[str, Array]:
+        """Median over the seeds of each assessed quantity, shape (speeds, w)."""
+        names = ("frequency", "acceleration", "track_shift")
+        return {name: np.median(getattr(self.sweep, name), axis=1) for name in names}
+
+    def crossing(self, seeds: npt.NDArray[np.int64] | None = None) -> dict[str, CriticalSpeed]:
+        """Critical speed (m/s) by each criterion, from the medians over a selection of the seeds."""
+        chosen = np.arange(len(self.sweep.seeds)) if seeds is None else seeds
+        return {
+            name: critical_speed(self.sweep.speeds, self._peak(values, chosen), limit)
+            for name, values, limit in self._criteria()
+        }
+
+    @cached_property
+    def critical(self) -> tuple[float | None, str | None]:
+        """The lower of both critical speeds (m/s) and its criterion; None if no limit is exceeded."""
+        found = {k: c for k, c in self.crossing().items() if c.crossing is not Crossing.NOT_REACHED}
+        if not found:
+            return None, None
+        name = min(found, key=lambda k: -1.0 if found[k].speed is None else float(found[k].speed or 0.0))
+        return found[name].speed, name
+
+    @cached_property
+    def sensitivity(self) -> dict[str, GridSensitivity]:
+        """Whether the critical speeds hold on a thinner grid."""
+        tolerance = self.scenario.assessment.grid_tolerance
+        chosen = np.arange(len(self.sweep.seeds))
+        return {
+            name: grid_sensitivity(
+                critical_speed(self.sweep.speeds, self._peak(values, chosen), limit),
+                thinned_grids(self.sweep.speeds, self._peak(values, chosen), limit),
+                tolerance,
+            )
+            for name, values, limit in self._criteria()
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of ``sayd critical-speed --json``."""
+        speed, criterion = self.critical
+        crossing = self.crossing()
+        return {
+            "critical_speed_kmh": None if speed is None else speed * KMH,
+            "criterion": criterion,
+            "limits": {
+                "acceleration_rms": self.limits.acceleration,
+                "track_shift_rms_kn": self.limits.track_shift_force / 1e3,
+            },
+            "speeds": [
+                {
+                    "speed_kmh": v * KMH,
+                    "dominant_frequency_hz": self.medians["frequency"][i],
+                    "acceleration_rms": self.medians["acceleration"][i],
+                    "track_shift_rms_kn": self.medians["track_shift"][i] / 1e3,
+                }
+                for i, v in enumerate(self.sweep.speeds)
+            ],
+            "seeds": list(self.sweep.seeds),
+            "by_criterion": {
+                name: {
+                    "critical_speed_kmh": None if c.speed is None else c.speed * KMH,
+                    "status": c.crossing.name.lower(),
+                    "over_seeds_kmh": self._over_seeds(name),
+                    "sensitive_to_grid": self.sensitivity[name].sensitive,
+                }
+                for name, c in crossing.items()
+            },
+        }
+
+    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+        """Every run, one line for each wheelset."""
+        header = ("speed_kmh", "seed", "wheelset", "dominant_frequency_hz", "acceleration_rms", "track_shift_rms_kn")
+        s = self.sweep
+        rows = [
+            [v * KMH, seed, name, s.frequency[i, j, k], s.acceleration[i, j, k], s.track_shift[i, j, k] / 1e3]
+            for i, v in enumerate(s.speeds)
+            for j, seed in enumerate(s.seeds)
+            for k, name in enumerate(self.wheelsets)
+        ]
+        return {"runs": (header, rows)}
+
+    def plots(self) -> dict[str, Callable[[Figure], None]]:
+        """Counterparts of figure 10 (trends over speed) and figure 8 (a) (time history)."""
+        return {"critical_speed": self._draw_trends, "time_history": self._draw_history}
+
+    def summary(self, console: Console) -> None:
+        """Print the trends over speed and the critical speed."""
+        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+
+        table = Table(title=f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}: medians of {len(self.sweep.seeds)} seeds")
+        for name in ("km/h", "f_0 (Hz)", "acceleration (m/s2)", "ratio", "track shift (kN)", "ratio"):
+            table.add_column(name, justify="right")
+        for i, v in enumerate(self.sweep.speeds):
+            f, a, y = (self.medians[k][i] for k in ("frequency", "acceleration", "track_shift"))
+            ratios = a.max() / self.limits.acceleration, y.max() / self.limits.track_shift_force
+            styled = [f"[bold red]{r:.2f}[/]" if r > 1.0 else f"{r:.2f}" for r in ratios]
+            table.add_row(
+                f"{v * KMH:.0f}", f"{f.min():.2f} to {f.max():.2f}", f"{a.max():.2f}", styled[0], f"{y.max() / 1e3:.1f}", styled[1]
+            )
+        console.print(table)
+        for name, c in self.crossing().items():
+            console.print(f"critical speed by {name.replace('_', ' ')}: {self._verdict(name, c)}")
+
+    def _verdict(self, name: str, c: CriticalSpeed) -> str:
+        if c.crossing is Crossing.NOT_REACHED:
+            return f"above {self.sweep.speeds[-1] * KMH:.0f} km/h (limit not reached)"
+        if c.speed is None:
+            return f"below {self.sweep.speeds[0] * KMH:.0f} km/h (limit exceeded at the lowest speed)"
+        low, high = self._over_seeds(name)
+        spread = f" (80 % of the seeds: {low:.0f} to {high:.0f})" if np.isfinite([low, high]).all() else ""
+        grid = ", sensitive to the speed grid" if self.sensitivity[name].sensitive else ""
+        return f"[bold]{c.speed * KMH:.0f} km/h[/]{spread}{grid}"
+
+    def _over_seeds(self, name: str) -> tuple[float, float]:
+        """10 % and 90 % quantile over single seeds (km/h); NaN if some seed has no crossing."""
+        single = [self.crossing(np.array([j]))[name].speed for j in range(len(self.sweep.seeds))]
+        if any(v is None for v in single):
+            return float("nan"), float("nan")
+        low, high = np.quantile(np.array(single, dtype=float) * KMH, (0.1, 0.9))
+        return float(low), float(high)
+
+    def _criteria(self) -> tuple[tuple[str, Array, float], ...]:
+        return (
+            ("acceleration", self.sweep.acceleration, self.limits.acceleration),
+            ("track_shift_force", self.sweep.track_shift, self.limits.track_shift_force),
+        )
+
+    @staticmethod
+    def _peak(values: Array, seeds: npt.NDArray[np.int64]) -> Array:
+        return np.asarray(np.median(values[:, seeds].max(axis=-1), axis=1))
+
+    def _draw_trends(self, figure: Figure) -> None:
+        figure.set_size_inches(8.0, 9.0)
+        axes = figure.subplots(3, 1, sharex=True)
+        draw_trends(axes, self.sweep, self.limits, self.wheelsets)
+        axes[0].set_title(f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}: medians and range of the seeds")
+
+    def _draw_history(self, figure: Figure) -> None:
+        h = self.history
+        axis = figure.subplots()
+        axis.plot(h.time, h.filtered, linewidth=0.6, label="band-passed")
+        axis.plot(h.position / h.speed, h.rms, "rx-", markersize=3, label="sliding RMS")
+        for sign in (-1, 1):
+            axis.axhline(sign * self.limits.acceleration, color="k", linestyle="--", linewidth=0.8)
+        axis.set(xlabel="time (s)", ylabel="lateral acceleration (m/s²)", title=f"{h.wheelset} at {h.speed * KMH:.0f} km/h")
+        axis.legend(loc="upper right")
+
+
+def draw_trends(axes: Sequence[Axes], sweep: Sweep, bounds: Limits, wheelsets: Sequence[str]) -> None:
+    """Draw dominant frequency, track shift force and acceleration over speed, as in figure 10."""
+    panels = (
+        (sweep.frequency, 1.0, "dominant frequency (Hz)", None),
+        (sweep.track_shift, 1e-3, "track shift force, RMS (kN)", bounds.track_shift_force * 1e-3),
+        (sweep.acceleration, 1.0, "acceleration, RMS (m/s²)", bounds.acceleration),
+    )
+    for axis, (values, scale, label, limit) in zip(axes, panels, strict=True):
+        for k, name in enumerate(wheelsets):
+            series = values[..., k] * scale
+            (line,) = axis.plot(sweep.speeds * KMH, np.median(series, axis=1), "o-", label=f"WS{k + 1} {name}")
+            axis.fill_between(sweep.speeds * KMH, series.min(axis=1), series.max(axis=1), color=line.get_color(), alpha=0.12)
+        if limit is not None:
+            axis.axhline(limit, color="k", linestyle="--", label="limit")
+        axis.set_ylabel(label)
+        axis.grid(alpha=0.3)
+    axes[-1].set_xlabel("speed (km/h)")
+    axes[-1].legend(fontsize="small")
+
+
+def default_speeds(wear: float) -> tuple[float, ...]:
+    """Speed grid of the paper (m/s): figure 8 for new wheels, figure 10 for worn ones."""
+    return NEW_SPEEDS if wear < HALF_WORN else WORN_SPEEDS
+
+
+def model_limits(model: VehicleModel) -> Limits:
+    """Limits of EN 14363 for a vehicle, from its axle load and the mass of its bogie."""
+    return limits(2.0 * float(np.max(model.multibody.wheel_load)), model.multibody.bogie_mass)
+
+
+def find_critical_speed(
+    scenario: Scenario,
+    speeds: Sequence[float] | None = None,
+    seeds: Sequence[int] = range(10),
+    *,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> CriticalSpeedResult:
+    """Assess a vehicle over speed and find where it exceeds a limit of EN 14363.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The configuration.
+    speeds : sequence of float, optional
+        Speeds, m/s, rising; the paper's grid for the wear by default.
+    seeds : sequence of int
+        Track seeds.
+    workers : int, optional
+        Threads.
+    progress : Progress
+        Told after each run.
+
+    Raises
+    ------
+    ConfigError
+        A speed outside the vehicle's range, a profile that cannot be used.
+    StudyError
+        A run that diverged.
+    """
+    model = VehicleModel(scenario)
+    chosen = default_speeds(scenario.wear) if speeds is None else tuple(speeds)
+    result = sweep(model, chosen, seeds, workers=workers, progress=progress)
+    names = tuple(name.removeprefix("wheelset.") for name, _ in model.multibody.measuring_points)
+    return CriticalSpeedResult(
+        scenario, result, model_limits(model), names, _history(model, chosen[0], seeds[0], names)
+    )
+
+
+def _history(model: VehicleModel, speed: float, seed: int, names: Sequence[str]) -> History:
+    settings = model.scenario.assessment
+    signals = simulate(model, speed, seed)
+    assessed = assess(signals.acceleration, settings.sample_rate, speed, settings)
+    worst = int(np.argmax(assessed.maximum))
+    column = signals.acceleration[:, [worst]]
+    filtered = band_pass(column, settings.sample_rate, assessed.dominant_frequency[[worst]], settings)[:, 0]
+    return History(speed, names[worst], signals.time, filtered, assessed.position, assessed.rms[:, worst])
