@@ -72,3 +72,28 @@ def evaluate(
 
 def _metres_per_second(speeds: Sequence[float] | None) -> list[float] | None:
     return None if speeds is None else [v / KMH for v in speeds]
+
+
+def calibrate(
+    *,
+    config: options.Config = None,
+    assignments: options.Set = None,
+    seed: options.Seed = 0,
+    workers: options.Workers = None,
+    out: options.Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Find what the paper leaves open from its statements on the passive vehicle, within sourced ranges.
+
+    Takes about an hour. Evaluations are kept in evaluations.jsonl in the output directory: an interrupted
+    calibration goes on where it stopped.
+    """
+    from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.calibrate import calibrate as study  # noqa: PLC0415
+
+    settings = load_calibration(config or "calibration", tuple(assignments or ()))
+    job = Job("calibrate", out, as_json)
+    log = None if job.directory is None else job.directory.path / "evaluations.jsonl"
+    with job.progress() as progress:
+        result = study(settings, seed=seed, workers=workers, progress=progress, log=log)
+    job.finish(result, config=settings, seed=seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,8 @@ from sayd_env.config.base import Model, quantity
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.loader import apply_overrides, read_config, validate
-from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
+from sayd_env.config.loader import apply_overrides, packaged_names, read_config, validate
+from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig, with_resolved_files
 from sayd_env.config.track import TrackConfig, with_resolved_path
 from sayd_env.config.vehicle import VehicleConfig
 
@@ -62,6 +63,7 @@ class Scenario(Model):
     cost: CostConfig
     assessment: AssessmentConfig
     description: str = Field("", description="What this scenario is")
+    provenance: dict[str, Any] = Field({}, description="Where calibrated numbers come from")
 
 
 def load_scenario(config: str | None = None, overrides: Iterable[str] = ()) -> Scenario:
@@ -71,7 +73,8 @@ def load_scenario(config: str | None = None, overrides: Iterable[str] = ()) -> S
     ----------
     config : str, optional
         A packaged study (``nominal``) or a path to a YAML file. A file needs only the keys in which it
-        differs from ``nominal``; a section may be given by name, by path or by content.
+        differs from its ``base`` (``nominal`` unless it names another); a section may be given by name, by
+        path or by content, and single numbers under ``set``, as key: value with dotted keys.
     overrides : iterable of str
         ``key=value`` assignments, applied last, for example ``damper.series_stiffness=4e6``.
 
@@ -80,16 +83,27 @@ def load_scenario(config: str | None = None, overrides: Iterable[str] = ()) -> S
     ConfigError
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
-    base, source = read_config("study", "nominal")
-    data = _resolved(base, source)
-    if config is not None and config != "nominal":
-        own, source = read_config("study", config)
-        if not isinstance(own, dict):
-            raise ConfigError(f"{source}: expected keys and values")
-        data = _merged(data, _resolved(own, source))
+    name = "nominal" if config is None else config
+    data = _study(name, ())
     for item in overrides:  # one by one, so that a name can be followed by a key of its content
-        data = _resolved(apply_overrides(data, [item]), source)
-    return validate(Scenario, data, source)
+        data = _resolved(apply_overrides(data, [item]), item)
+    return validate(Scenario, data, f"configs/study/{name}.yaml" if name in packaged_names("study") else name)
+
+
+def _study(name: str, users: tuple[str, ...]) -> dict[str, Any]:
+    """Content of a study on top of the study that its `base` names, its own `set` assignments last."""
+    own, source = read_config("study", name)
+    if not isinstance(own, dict):
+        raise ConfigError(f"{source}: expected keys and values")
+    own = dict(own)
+    base, assignments = own.pop("base", "nominal"), own.pop("set", {})
+    if base in users or base == name:
+        raise ConfigError(f"{source}: base: '{base}' stands on this file itself")
+    if not isinstance(assignments, dict):
+        raise ConfigError(f"{source}: set: expected keys and values, for example damper.series_stiffness: 4.0e6")
+    below = {} if base is None else _study(str(base), (*users, name))
+    data = _merged(below, _resolved(own, source))
+    return _resolved(apply_overrides(data, [f"{k}={json.dumps(v)}" for k, v in assignments.items()]), source)
 
 
 def _resolved(data: Any, source: str) -> dict[str, Any]:
@@ -100,8 +114,15 @@ def _resolved(data: Any, source: str) -> dict[str, Any]:
             content, found = read_config(kind, result[key])
             if not isinstance(content, dict):
                 raise ConfigError(f"{found}: expected keys and values")
-            result[key] = with_resolved_path(content, Path(found).parent) if key == "track" else content
+            result[key] = _beside(key, content, Path(found).parent)
     return result
+
+
+def _beside(key: str, content: dict[str, Any], folder: Path) -> Any:
+    """Content whose data files are looked for beside the YAML file that names them."""
+    if key == "track":
+        return with_resolved_path(content, folder)
+    return with_resolved_files(content, folder) if key in ("wheel", "rail") else content
 
 
 def _stands_alone(own: dict[str, Any], below: dict[str, Any]) -> bool:

@@ -1,0 +1,72 @@
+"""Schema of a calibration study: what may vary, within which sourced range, and how hard to search."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from sayd_env.config.base import Model, quantity
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.loader import apply_overrides, read_config, validate
+
+
+class Parameter(Model):
+    """One free parameter: its value times a factor goes to each of its keys."""
+
+    name: str
+    unit: str
+    low: float = Field(description="Lower end of the range, in the unit above", allow_inf_nan=False)
+    high: float = Field(description="Upper end of the range", allow_inf_nan=False)
+    scale: Literal["linear", "log"] = "linear"
+    keys: dict[str, float] = Field(description="Scenario key -> factor", min_length=1)
+    source: str = Field(description="Where the range comes from")
+
+    @model_validator(mode="after")
+    def _range(self) -> Parameter:
+        if not self.low < self.high or (self.scale == "log" and self.low <= 0.0):
+            raise ValueError("needs low < high, and low > 0 on a log scale")
+        return self
+
+    def value(self, unit: float) -> float:
+        """Value at a place of the unit interval."""
+        if self.scale == "log":
+            return float(self.low * (self.high / self.low) ** unit)
+        return self.low + (self.high - self.low) * unit
+
+    def place(self, value: float) -> float:
+        """Place of a value in the unit interval."""
+        if self.scale == "log":
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+class CalibrationConfig(Model):
+    """A calibration: parameters, seeds and the budget of its two stages."""
+
+    base: str = Field(description="Study whose free numbers are calibrated")
+    parameters: tuple[Parameter, ...] = Field(min_length=1)
+    first_seed: int = quantity("-", "First track seed; apart from those of the reproduction", ge=0)
+    screening_samples: int = quantity("-", "Points of the Latin hypercube", ge=1)
+    screening_seeds: int = quantity("-", "Track seeds of each of them", ge=1)
+    polishing_starts: int = quantity("-", "Best points from which the search goes on", ge=1)
+    polishing_seeds: int = quantity("-", "Track seeds of each evaluation there", ge=1)
+    polishing_evaluations: int = quantity("-", "Evaluations from each start", ge=0)
+    new_speeds: tuple[float, ...] = Field(description="Speeds on new wheels (m/s)")
+    worn_speeds: tuple[float, ...] = Field(description="Speeds on worn wheels (m/s)")
+
+
+def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ()) -> CalibrationConfig:
+    """Read a calibration study by packaged name or path.
+
+    Raises
+    ------
+    ConfigError
+        A file, key or value that cannot be used.
+    """
+    data, source = read_config("study", name)
+    if not isinstance(data, dict):
+        raise ConfigError(f"{source}: expected keys and values")
+    filled: dict[str, Any] = apply_overrides(data, overrides)
+    return validate(CalibrationConfig, filled, source)
