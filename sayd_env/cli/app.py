@@ -36,6 +36,7 @@ def sayd(
 
 app.command()(vehicle.critical_speed)
 app.command()(vehicle.evaluate)
+app.command()(vehicle.reproduce)
 app.command()(vehicle.calibrate)
 app.command()(stability.assess)
 app.command()(components.conicity)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from sayd_env.cli import options
 from sayd_env.cli.job import Job
@@ -97,3 +99,31 @@ def calibrate(
     with job.progress() as progress:
         result = study(settings, seed=seed, workers=workers, progress=progress, log=log)
     job.finish(result, config=settings, seed=seed)
+
+
+def reproduce(
+    *,
+    friction: options.Friction = None,
+    track: options.Track = None,
+    seed: options.Seed = 0,
+    seeds: options.Seeds = 10,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with status 1 if a row does not hold.")
+    ] = False,
+    config: options.Config = None,
+    assignments: options.Set = None,
+    workers: options.Workers = None,
+    out: options.Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Measure what the paper shows about the passive vehicle, row by row, on new and on worn wheels."""
+    from sayd_env.config import StudyError  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.reproduce import reproduce as study  # noqa: PLC0415
+
+    scenario = scenario_from(config, assignments, friction=friction, track=track)
+    job = Job("reproduce", out, as_json)
+    with job.progress() as progress:
+        result = study(scenario, range(seed, seed + seeds), workers=workers, progress=progress)
+    job.finish(result, config=scenario, seed=seed)
+    if strict and result.failed:
+        raise StudyError(f"rows that do not hold: {', '.join(result.failed)}")

@@ -1,0 +1,156 @@
+"""Does the model show what the paper shows? Every statement on the passive vehicle, measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from sayd_env.config.scenario import Scenario
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.stability import Limits
+from sayd_env.studies.claims import NEW_SPEEDS, WORN_SPEEDS, Claim, passive_claims
+from sayd_env.studies.conicity import conicity, plot_conicity
+from sayd_env.studies.critical_speed import draw_trends, model_limits
+from sayd_env.studies.hysteresis import HysteresisResult, curve_force, hysteresis
+from sayd_env.studies.output import Progress, silent
+from sayd_env.studies.sweep import Sweep, sweep
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+KMH = 3.6
+DEGREES_OF_FREEDOM = 62
+YAW_DAMPERS = 8
+
+
+@dataclass(frozen=True)
+class ReproduceResult:
+    """The table of claims and what it rests on."""
+
+    scenario: Scenario
+    claims: list[Claim]
+    new: Sweep
+    worn: Sweep
+    limits: Limits
+    wheelsets: tuple[str, ...]
+    loops: HysteresisResult
+
+    @property
+    def failed(self) -> list[str]:
+        """Rows that do not hold."""
+        return [c.id for c in self.claims if not c.holds]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of ``sayd reproduce --json``."""
+        return {"claims": [c.as_dict() for c in self.claims], "seeds": list(self.new.seeds)}
+
+    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+        """Claims, and every run on new and worn wheels."""
+        header = ("id", "by", "expected", "measured", "fraction", "holds")
+        claims = [[c.id, c.by, c.expected, c.measured, c.fraction, c.holds] for c in self.claims]
+        return {"claims": (header, claims), "runs_new": self._runs(self.new), "runs_worn": self._runs(self.worn)}
+
+    def plots(self) -> dict[str, Callable[[Figure], None]]:
+        """Counterparts of the paper's figures 1, 2, 3, 8 and 10."""
+        loops = self.loops.plots()
+        return {
+            "figure_01_conicity": self._draw_conicity,
+            **{f"figure_{'02' if name == 'curve' else '03'}_{name}": draw for name, draw in loops.items()},
+            "figure_08_new_wheels": lambda f: self._draw_sweep(f, self.new, "new wheels"),
+            "figure_10_worn_wheels": lambda f: self._draw_sweep(f, self.worn, "worn wheels"),
+        }
+
+    def summary(self, console: Console) -> None:
+        """Print the table of claims."""
+        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+
+        table = Table(title=f"what the paper shows, on {len(self.new.seeds)} track seeds")
+        for name in ("row", "expected", "measured", "share", "holds"):
+            table.add_column(name, justify="right" if name == "share" else "left")
+        for c in self.claims:
+            verdict = "yes" if c.holds else "[bold red]no[/]"
+            table.add_row(c.id, c.expected, c.measured, f"{100 * c.fraction:.0f} %", verdict)
+        console.print(table)
+        held = len(self.claims) - len(self.failed)
+        console.print(f"{held} of {len(self.claims)} rows hold" + (f"; not: {', '.join(self.failed)}" if self.failed else ""))
+
+    def _runs(self, s: Sweep) -> tuple[Sequence[str], list[list[Any]]]:
+        header = ("speed_kmh", "seed", "wheelset", "frequency_hz", "frequency_force_hz", "acceleration_rms", "track_shift_rms_kn")
+        rows = [
+            [v * KMH, seed, name, s.frequency[i, j, k], s.frequency_force[i, j, k], s.acceleration[i, j, k], s.track_shift[i, j, k] / 1e3]
+            for i, v in enumerate(s.speeds)
+            for j, seed in enumerate(s.seeds)
+            for k, name in enumerate(self.wheelsets)
+        ]
+        return header, rows
+
+    def _draw_sweep(self, figure: Figure, grid: Sweep, title: str) -> None:
+        figure.set_size_inches(8.0, 9.0)
+        axes = figure.subplots(3, 1, sharex=True)
+        draw_trends(axes, grid, self.limits, self.wheelsets)
+        axes[0].set_title(f"passive yaw dampers, {title}: medians and range of the seeds")
+
+    def _draw_conicity(self, figure: Figure) -> None:
+        ends = [self.scenario.model_copy(update={"wear": wear}) for wear in (0.0, 1.0)]
+        plot_conicity(figure, [conicity(s) for s in ends])
+
+
+def reproduce(
+    scenario: Scenario,
+    seeds: Sequence[int] = range(10),
+    *,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> ReproduceResult:
+    """Measure rows P1 to P11 and C2 of the paper's statements.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The configuration; its wear is set to 0 and 1 in turn.
+    seeds : sequence of int
+        Track seeds.
+    workers : int, optional
+        Threads.
+    progress : Progress
+        Told after each run.
+    """
+    models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
+    total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS))
+    done_before = 0
+    sweeps = []
+    for model, speeds in zip(models, (NEW_SPEEDS, WORN_SPEEDS), strict=True):
+
+        def report(done: float, _: float, what: str = "", before: int = done_before) -> None:
+            progress(before + done, total, what)
+
+        sweeps.append(sweep(model, speeds, seeds, workers=workers, progress=report))
+        done_before += len(seeds) * len(speeds)
+    new, worn = sweeps
+    limits = model_limits(models[0])
+    loops = hysteresis(scenario)
+    claims = [*passive_claims(new, worn, limits), damper_claim(loops), model_claim(models[0])]
+    names = tuple(name.removeprefix("wheelset.") for name, _ in models[0].multibody.measuring_points)
+    return ReproduceResult(scenario, claims, new, worn, limits, names, loops)
+
+
+def damper_claim(result: HysteresisResult) -> Claim:
+    """Row P11: loops that dissipate, with a force below the curve at the peak velocity."""
+    damper = result.damper
+    excess = [
+        loop.force_peak / curve_force(damper, 6.283185307179586 * loop.frequency * loop.amplitude)
+        for loop in result.loops
+    ]
+    least = min(loop.energy for loop in result.loops)
+    holds = least > 0.0 and max(excess) <= 1.0
+    measured = f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.0f} % of the curve"
+    return Claim("P11", "once", "hysteresis: loops dissipate, peak force <= curve at peak velocity", measured, float(holds), holds)
+
+
+def model_claim(model: VehicleModel) -> Claim:
+    """Row C2: counted from the assembled model."""
+    n, d = model.multibody.n, len(model.multibody.yaw_dampers)
+    holds = n == DEGREES_OF_FREEDOM and d == YAW_DAMPERS
+    return Claim("C2", "once", "62 degrees of freedom, 8 yaw dampers", f"{n} and {d}", float(holds), holds)
