@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import config as numba_config
+from numba.core import config, event
+
+numba_config: Any = config  # its settings are made at run time
+_ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
 
 
 def source_hash(folder: Path) -> str:
@@ -36,7 +41,13 @@ def cache_directory() -> Path:
 CACHE_DIRECTORY = cache_directory()
 
 
-def kernel(function: Callable[..., Any] | None = None, *, parallel: bool = False, inline: bool = False) -> Any:
+def kernel(
+    function: Callable[..., Any] | None = None,
+    *,
+    parallel: bool = False,
+    inline: bool = False,
+    announce: str | None = None,
+) -> Any:
     """Compile a function: cached on disk, IEEE arithmetic (no fast-math), NumPy's division by zero.
 
     Parameters
@@ -47,16 +58,59 @@ def kernel(function: Callable[..., Any] | None = None, *, parallel: bool = False
         Allow `numba.prange` loops.
     inline : bool
         Merge the function into its callers, so that a loop that calls it can become vector instructions.
+    announce : str, optional
+        What is compiled and how long it takes, for `announced_compilation`: worth saying of kernels that take
+        seconds.
     """
 
     def compile_(f: Callable[..., Any]) -> Any:
         previous = numba_config.CACHE_DIR
         numba_config.CACHE_DIR = str(CACHE_DIRECTORY)
         try:
-            return numba.njit(
+            dispatcher = numba.njit(
                 cache=True, error_model="numpy", nogil=True, parallel=parallel, forceinline=inline
             )(f)
         finally:
             numba_config.CACHE_DIR = previous
+        if announce is not None:
+            _ANNOUNCEMENTS[f.__module__, f.__qualname__] = announce
+        return dispatcher
 
     return compile_ if function is None else compile_(function)
+
+
+@contextmanager
+def announced_compilation(say: Callable[[str], None]) -> Iterator[None]:
+    """Say, while this context is open, what is being compiled and how long it took.
+
+    Kernels that come from the cache are not mentioned: Numba tells of compilations alone.
+
+    Parameters
+    ----------
+    say : callable
+        Receives one line of text, from whichever thread compiles.
+    """
+    with event.install_listener("numba:compile", _Announcer(say)):
+        yield
+
+
+class _Announcer(event.Listener):
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self.say = say
+        self.begin: dict[tuple[str, str], float] = {}
+
+    def on_start(self, event: Any) -> None:
+        name = _kernel_name(event)
+        if name in _ANNOUNCEMENTS:
+            self.begin[name] = time.perf_counter()
+            self.say(f"compiling {_ANNOUNCEMENTS[name]} ...")
+
+    def on_end(self, event: Any) -> None:
+        begin = self.begin.pop(_kernel_name(event), None)
+        if begin is not None:
+            self.say(f"compiled in {time.perf_counter() - begin:.1f} s")
+
+
+def _kernel_name(compilation: Any) -> tuple[str, str]:
+    function = compilation.data["dispatcher"].py_func
+    return function.__module__, function.__qualname__

@@ -18,7 +18,7 @@ from sayd_env.physics.contact.geometry import ContactTable, contact_table
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.profiles import rail_profile, wheel_profile
-from sayd_env.physics.step import ROWS_IN, ROWS_OUT, advance
+from sayd_env.physics.step import LIFT, ROWS_IN, ROWS_OUT, advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 
 Array = npt.NDArray[np.float64]
@@ -78,9 +78,7 @@ class VehicleModel:
         """Contact table of all wheels."""
         s = self.scenario
         wheel, rail = wheel_profile(s.wheel, s.wear), rail_profile(s.rail)
-        return contact_table(
-            wheel, rail, s.track.gauge, s.contact, s.vehicle.wheel_radius
-        )
+        return contact_table(wheel, rail, s.track.gauge, s.contact, s.vehicle.wheel_radius)
 
     @cached_property
     def dampers(self) -> tuple[ForceElement, ...]:
@@ -127,7 +125,7 @@ class VehicleModel:
         dofs = body.wheelset_dofs[0]
         mass, roll, spin = body.mass[dofs[0]], body.mass[dofs[3]], body.mass[dofs[4]]
         lateral = 1.0 / mass + radius**2 / roll + 1.0 / section.mass
-        return stiffness * max(lateral, 1.0 / mass + radius**2 / spin)
+        return float(stiffness * max(lateral, 1.0 / mass + radius**2 / spin))
 
     def realisation(self, seed: int) -> TrackRealisation:
         """Track irregularities of a seed, long enough for an assessed run."""
@@ -207,9 +205,17 @@ class VehicleModel:
         """Scratch memory for one vehicle."""
         n, m, w = self.multibody.n, len(self.dampers), len(self.multibody.wheelset_x)
         lanes = np.zeros(ROWS_IN * LANES)
-        lanes[3 * LANES : 4 * LANES] = 1.0  # wheels that the vehicle does not have stay in the air
+        lanes[LIFT * LANES : (LIFT + 1) * LANES] = (
+            1.0  # wheels that the vehicle does not have stay in the air
+        )
         return Work(
-            np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros(m), np.zeros((w, 8)), lanes, np.zeros(ROWS_OUT * LANES)
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros((n, 2)),
+            np.zeros(m),
+            np.zeros((w, 8)),
+            lanes,
+            np.zeros(ROWS_OUT * LANES),
         )
 
 
@@ -254,6 +260,19 @@ class Simulator:
         self.state = model.state()
         self.work = model.work()
 
+    @property
+    def channels(self) -> int:
+        """Number of signals that every sample has: those of `sayd_env.physics.step.record`."""
+        body = self.model.multibody
+        return 2 * len(body.wheelset_x) + len(body.yaw_dampers)
+
+    def divergence(self) -> str:
+        """What to tell of a run whose state did not stay finite."""
+        return (
+            f"the simulation at {self.speed * 3.6:g} km/h diverged after {self.state.clock[0]:.2f} s; "
+            "a smaller numerics.step may help"
+        )
+
     def advance(self, samples: int, *, wheels: bool = False, motion: bool = False) -> Telemetry:
         """Run on for a number of samples and return their signals.
 
@@ -270,17 +289,14 @@ class Simulator:
             The state did not stay finite.
         """
         h, substeps = self.model.step(self.speed)
-        w, yaw = len(self.model.multibody.wheelset_x), len(self.model.multibody.yaw_dampers)
+        w = len(self.model.multibody.wheelset_x)
         start = self.state.clock[0]
-        signals = np.empty((samples, 2 * w + yaw))
+        signals = np.empty((samples, self.channels))
         forces = np.empty((samples if wheels else 0, 2 * LANES))
         motions = np.empty((samples if motion else 0, self.model.multibody.n))
         done = advance(self.plant, self.state, self.work, substeps, signals, forces, motions)
         if done < samples:
-            raise StudyError(
-                f"the simulation at {self.speed * 3.6:g} km/h diverged after {self.state.clock[0]:.2f} s; "
-                "a smaller numerics.step may help"
-            )
+            raise StudyError(self.divergence())
         return Telemetry(
             time=start + h * substeps * np.arange(1, samples + 1),
             acceleration=signals[:, :w],

@@ -284,7 +284,7 @@ def _curve(x: Array, y: Array, at: float) -> float:
     p = 0
     while p < x.shape[0] - 2 and at > x[p + 1]:
         p += 1
-    return y[p] + (at - x[p]) * (y[p + 1] - y[p]) / (x[p + 1] - x[p])
+    return float(y[p] + (at - x[p]) * (y[p + 1] - y[p]) / (x[p + 1] - x[p]))
 
 
 @kernel
@@ -433,7 +433,7 @@ def record_wheels(work: Work, row: Array) -> None:
         row[LANES + i] = work.lane_out[FORCE_Z * LANES + i]
 
 
-@kernel
+@kernel(announce="the simulator (first start, about 10 s)")
 def advance(
     plant: Plant, state: State, work: Work, substeps: int, signals: Array, wheels: Array, motion: Array
 ) -> int:
