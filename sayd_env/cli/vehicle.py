@@ -41,7 +41,11 @@ def critical_speed(
     job = Job("critical-speed", out, as_json)
     with job.progress() as progress:
         result = find_critical_speed(
-            scenario, _metres_per_second(speeds), range(seed, seed + seeds), workers=workers, progress=progress
+            scenario,
+            _metres_per_second(speeds),
+            range(seed, seed + seeds),
+            workers=workers,
+            progress=progress,
         )
     job.finish(result, config=scenario, seed=seed)
 
@@ -61,7 +65,7 @@ def evaluate(
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
-    """Run one configuration at given speeds (default 300, 350 and 400 km/h): cost, ratios to the limits, forces."""
+    """Run one configuration at given speeds (default 300, 350, 400 km/h): cost, limits, forces."""
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
 
     scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)

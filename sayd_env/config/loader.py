@@ -26,7 +26,7 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)  # type: ignore[no-untyped-call]
+            key = self.construct_object(key_node, deep=True)
             if key in seen:
                 line = key_node.start_mark.line + 1
                 raise ConfigError(f"{node.start_mark.name}: line {line}: key '{key}' appears twice")
@@ -53,7 +53,7 @@ def parse_yaml(text: str, source: str) -> Any:
         problem = getattr(error, "problem", None) or "cannot be read as YAML"
         raise ConfigError(f"{source}: {where}{problem}") from None
     finally:
-        loader.dispose()  # type: ignore[no-untyped-call]
+        loader.dispose()
 
 
 def packaged_names(kind: str) -> list[str]:
@@ -127,7 +127,7 @@ def apply_overrides(data: dict[str, Any], overrides: Iterable[str]) -> dict[str,
     ConfigError
         An assignment without ``=``, or a path through something that is not a section.
     """
-    result = _copy(data)
+    result: dict[str, Any] = _copy(data)
     for item in overrides:
         path, sep, text = item.partition("=")
         if not sep or not path.strip():
@@ -152,8 +152,9 @@ def _assign(data: Any, keys: list[str], value: Any, item: str) -> None:
                 node[key] = value
                 return
             if key not in node:
+                known = [str(name) for name in node]
                 raise ConfigError(
-                    f"--set {item}: no key '{where}'{nearest(key, map(str, node))}; here: {', '.join(map(str, node))}"
+                    f"--set {item}: no key '{where}'{nearest(key, known)}; here: {', '.join(known)}"
                 )
             node = node[key]
         else:

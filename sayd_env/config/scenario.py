@@ -1,4 +1,4 @@
-"""The root of a simulation's configuration: which vehicle, dampers, wheels, rails and track, and how to run."""
+"""The root of a simulation's configuration: vehicle, dampers, wheels, rails, track, and how to run."""
 
 from __future__ import annotations
 
@@ -56,7 +56,9 @@ class Scenario(Model):
     rail: RailProfileConfig
     track: TrackConfig
     contact: ContactConfig
-    contact_damping: float = quantity("N s/m", "Normal damping of a wheel's contact at its static load", ge=0.0)
+    contact_damping: float = quantity(
+        "N s/m", "Normal damping of a wheel's contact at its static load", ge=0.0
+    )
     wear: float = quantity("-", "Wear of the wheels' treads: 0 new, 1 worn", ge=0.0, le=1.0)
     friction: float = quantity("-", "Coefficient of friction of wheel and rail", gt=0.0, le=1.0)
     numerics: NumericsConfig
@@ -100,7 +102,9 @@ def _study(name: str, users: tuple[str, ...]) -> dict[str, Any]:
     if base in users or base == name:
         raise ConfigError(f"{source}: base: '{base}' stands on this file itself")
     if not isinstance(assignments, dict):
-        raise ConfigError(f"{source}: set: expected keys and values, for example damper.series_stiffness: 4.0e6")
+        raise ConfigError(
+            f"{source}: set: expected keys and values, for example damper.series_stiffness: 4.0e6"
+        )
     below = {} if base is None else _study(str(base), (*users, name))
     data = _merged(below, _resolved(own, source))
     return _resolved(apply_overrides(data, [f"{k}={json.dumps(v)}" for k, v in assignments.items()]), source)

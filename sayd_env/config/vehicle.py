@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -31,7 +32,9 @@ class Body(Model):
     name: str
     role: Literal["carbody", "frame", "wheelset", "hinged", "body"] = "body"
     per: tuple[str, ...] = Field((), description="Index sets over which the body is repeated")
-    mass: float = quantity("kg", "Mass; 0 for a hinged part, whose mass the carrier holds", default=0.0, ge=0.0)
+    mass: float = quantity(
+        "kg", "Mass; 0 for a hinged part, whose mass the carrier holds", default=0.0, ge=0.0
+    )
     inertia: tuple[
         Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]
     ] = Field(description="Principal moments of inertia about x, y, z (kg m2)")
@@ -102,7 +105,7 @@ def checked_curve(points: Curve, abscissa: str) -> Curve:
     """
     if len(points) < 2 or points[0] != (0.0, 0.0):
         raise ValueError("needs at least two points, the first of which is [0, 0]")
-    for (x0, f0), (x1, f1) in zip(points, points[1:], strict=False):
+    for (x0, f0), (x1, f1) in pairwise(points):
         if x1 <= x0:
             raise ValueError(f"{abscissa} must increase: {x1:g} follows {x0:g}")
         if f1 < f0:
@@ -201,4 +204,6 @@ def _check_body(user: str, name: str, per: tuple[str, ...], bodies: dict[str, Bo
         raise ValueError(f"{user}: unknown body '{name}'{nearest(name, [*bodies, GROUND])}")
     outer = bodies[name].per
     if per[: len(outer)] != outer:
-        raise ValueError(f"{user}: is repeated per {list(per)}, so it cannot reach '{name}', one per {list(outer)}")
+        raise ValueError(
+            f"{user}: is repeated per {list(per)}, so it cannot reach '{name}', one per {list(outer)}"
+        )

@@ -185,7 +185,7 @@ def _instantiate(vehicle: VehicleConfig) -> dict[str, Instance]:
             carrier = None
             if body.carrier is not None:
                 carrier = instances[".".join((body.carrier, *members[: depth[body.carrier]]))]
-            columns = {dof: next(column) for dof in body.dofs}
+            columns: dict[str, int] = {dof: next(column) for dof in body.dofs}
             instances[name] = Instance(name, body, origin + sign * np.array(body.position), columns, carrier)
     return instances
 
@@ -269,7 +269,11 @@ class _Builder:
     def add_section(self, first: int, section: SectionConfig) -> None:
         """Springs and dampers of a track section (y, z, roll) against the ground."""
         arm = section.seat_half_spacing
-        k = (section.lateral_stiffness, 2 * section.vertical_stiffness, 2 * section.vertical_stiffness * arm**2)
+        k = (
+            section.lateral_stiffness,
+            2 * section.vertical_stiffness,
+            2 * section.vertical_stiffness * arm**2,
+        )
         c = (section.lateral_damping, 2 * section.vertical_damping, 2 * section.vertical_damping * arm**2)
         for i in range(3):
             self.stiffness[first + i, first + i] += k[i]
@@ -343,7 +347,7 @@ class _Builder:
 def _mass(instances: dict[str, Instance], n: int) -> Array:
     mass = np.zeros(n)
     for i in instances.values():
-        values = dict(zip(DOFS, (*(3 * [i.body.mass]), *i.body.inertia), strict=True))
+        values: dict[str, float] = dict(zip(DOFS, (*(3 * [i.body.mass]), *i.body.inertia), strict=True))
         for dof, column in i.columns.items():
             mass[column] = values[dof]
     return mass
@@ -373,7 +377,7 @@ def _dof_names(instances: dict[str, Instance], sections: dict[str, int], n: int)
 def _compact_order(*matrices: Array) -> Index:
     """Order of the unknowns that keeps the non-zero rows of each column close together."""
     pattern = csr_matrix(sum(np.abs(m) for m in matrices) != 0.0)
-    return reverse_cuthill_mckee(pattern, symmetric_mode=True).astype(np.int64)
+    return np.asarray(reverse_cuthill_mckee(pattern, symmetric_mode=True), dtype=np.int64)
 
 
 def _renumbered(instance: Instance, rank: Index) -> Instance:

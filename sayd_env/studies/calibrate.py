@@ -104,9 +104,17 @@ class CalibrationResult:
         """Print the calibrated values and what is left of each row's penalty."""
         from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
 
-        table = Table("parameter", "value", "range", "source", title=f"cost {self.best.cost:.3f} ({self.best.stage})")
+        table = Table(
+            "parameter", "value", "range", "source", title=f"cost {self.best.cost:.3f} ({self.best.stage})"
+        )
         for p in self.config.parameters:
-            table.add_row(p.name, f"{self.values[p.name]:.4g} {p.unit}", f"{p.low:g} to {p.high:g}", p.source, style=None)
+            table.add_row(
+                p.name,
+                f"{self.values[p.name]:.4g} {p.unit}",
+                f"{p.low:g} to {p.high:g}",
+                p.source,
+                style=None,
+            )
         console.print(table)
         left = {k: round(v, 2) for k, v in self.best.penalties.items() if v > 0.0}
         console.print(f"penalties left: {left or 'none'}")
@@ -185,7 +193,9 @@ def calibrate(
     return CalibrationResult(config, evaluations)
 
 
-def _polish(config: CalibrationConfig, start: Array, evaluate: Callable[[str, Array, int], Evaluation]) -> None:
+def _polish(
+    config: CalibrationConfig, start: Array, evaluate: Callable[[str, Array, int], Evaluation]
+) -> None:
     n = len(start)
     steps = np.where(start < 0.5, 0.15, -0.15)
     minimize(
@@ -270,7 +280,7 @@ def _extrapolated(grid: Sweep, values: Array, limit: float) -> float:
     above = np.flatnonzero(peak > limit)
     i = len(v) - 1 if above.size == 0 else max(1, int(above[0]))
     slope = (peak[i] - peak[i - 1]) / (v[i] - v[i - 1])
-    if 0 < above.size and above[0] > 0:
+    if above.size > 0 and above[0] > 0:
         return float(v[i] + (limit - peak[i]) / slope)
     end = i if above.size == 0 else 0
     return float(v[end] + (limit - peak[end]) / max(slope, limit / 200.0))
@@ -302,7 +312,9 @@ class _Memory:
                 data = json.loads(line)
             except json.JSONDecodeError:  # the line that an interruption cut off
                 continue
-            e = Evaluation(data["stage"], tuple(data["place"]), data["cost"], data["penalties"], data["measures"])
+            e = Evaluation(
+                data["stage"], tuple(data["place"]), data["cost"], data["penalties"], data["measures"]
+            )
             self.known[e.stage, e.place] = e
 
     def get(self, stage: str, place: tuple[float, ...]) -> Evaluation | None:

@@ -135,7 +135,9 @@ class PassiveMeasures:
 
     def _ratios(self, at: int) -> Array:
         acceleration = self.worn.acceleration[at].max(axis=-1) / self.limits.acceleration
-        return np.array([acceleration, self.worn.track_shift[at].max(axis=-1) / self.limits.track_shift_force])
+        return np.array(
+            [acceleration, self.worn.track_shift[at].max(axis=-1) / self.limits.track_shift_force]
+        )
 
 
 def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
@@ -153,11 +155,29 @@ def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
     return [
         _by_seed("P1", "new, 280 km/h: a_max < 0.5 of the limit", m.stable_280(), lambda r: r < 0.5),
         _by_median("P2", "new: critical speed 365 to 385 km/h", "km/h", m, m.critical_new, _within(365, 385)),
-        _by_median("P3", "new: 3.5 to 4.5 Hz at the critical speed", "Hz", m, m.frequency_at_critical, _within(3.5, 4.5)),
+        _by_median(
+            "P3",
+            "new: 3.5 to 4.5 Hz at the critical speed",
+            "Hz",
+            m,
+            m.frequency_at_critical,
+            _within(3.5, 4.5),
+        ),
         _by_seed("P4", "worn, 320 km/h: both ratios < 1", m.ratios_320(), lambda r: r < 1.0),
-        _by_median("P5", "worn: critical speed 322 to 340 km/h", "km/h", m, m.critical_worn, _within(322, 340)),
-        _by_seed("P6", "worn, >= 350 km/h: acceleration ratio > 1", m.lowest_ratio_above(), lambda r: r > 1.0),
-        _by_median("P7", "worn: a_max and Y_max rise with speed", "smallest rise", m, m.smallest_rise, lambda x: x > 0.0),
+        _by_median(
+            "P5", "worn: critical speed 322 to 340 km/h", "km/h", m, m.critical_worn, _within(322, 340)
+        ),
+        _by_seed(
+            "P6", "worn, >= 350 km/h: acceleration ratio > 1", m.lowest_ratio_above(), lambda r: r > 1.0
+        ),
+        _by_median(
+            "P7",
+            "worn: a_max and Y_max rise with speed",
+            "smallest rise",
+            m,
+            m.smallest_rise,
+            lambda x: x > 0.0,
+        ),
         _by_median(
             "P8",
             "worn: track shift force crosses in (350, 370] km/h, after P5",
@@ -167,7 +187,12 @@ def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
             lambda v: 350.0 < v <= 370.0,
             also=lambda seeds: m.critical_worn_force(seeds) > m.critical_worn(seeds),
         ),
-        _by_seed("P9", "worn, >= 350 km/h: trailing > 1.1 leading track shift force", m.trailing_ratio(), lambda r: r > 1.1),
+        _by_seed(
+            "P9",
+            "worn, >= 350 km/h: trailing > 1.1 leading track shift force",
+            m.trailing_ratio(),
+            lambda r: r > 1.1,
+        ),
         _judged(
             "P10",
             "worn: one rising frequency at >= 350 km/h (spread <= 0.3 Hz), scatter at 320 km/h",
@@ -189,7 +214,9 @@ def _within(low: float, high: float) -> Callable[[float], bool]:
     return lambda value: low <= value <= high
 
 
-def _by_seed(id_: str, expected: str, values: Array, passes: Callable[[Array], npt.NDArray[np.bool_]]) -> Claim:
+def _by_seed(
+    id_: str, expected: str, values: Array, passes: Callable[[Array], npt.NDArray[np.bool_]]
+) -> Claim:
     fraction = float(np.mean(passes(values)))
     measured = f"{np.median(values):.2f} ({np.min(values):.2f} to {np.max(values):.2f})"
     return Claim(id_, "seed", expected, measured, fraction, fraction >= SHARE)
@@ -215,7 +242,9 @@ def _by_median(
     return Claim(id_, "median", expected, measured, fraction, holds)
 
 
-def _judged(id_: str, expected: str, measured: str, m: PassiveMeasures, passes: Callable[[Seeds], bool]) -> Claim:
+def _judged(
+    id_: str, expected: str, measured: str, m: PassiveMeasures, passes: Callable[[Seeds], bool]
+) -> Claim:
     fraction = float(np.mean([passes(seeds) for seeds in _bootstrap(m.count)]))
     return Claim(id_, "median", expected, measured, fraction, bool(passes(m.all) and fraction >= SHARE))
 

@@ -131,7 +131,14 @@ class CriticalSpeedResult:
 
     def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
         """Every run, one line for each wheelset."""
-        header = ("speed_kmh", "seed", "wheelset", "dominant_frequency_hz", "acceleration_rms", "track_shift_rms_kn")
+        header = (
+            "speed_kmh",
+            "seed",
+            "wheelset",
+            "dominant_frequency_hz",
+            "acceleration_rms",
+            "track_shift_rms_kn",
+        )
         s = self.sweep
         rows = [
             [v * KMH, seed, name, s.frequency[i, j, k], s.acceleration[i, j, k], s.track_shift[i, j, k] / 1e3]
@@ -149,7 +156,8 @@ class CriticalSpeedResult:
         """Print the trends over speed and the critical speed."""
         from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
 
-        table = Table(title=f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}: medians of {len(self.sweep.seeds)} seeds")
+        about = f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}"
+        table = Table(title=f"{about}: medians of {len(self.sweep.seeds)} seeds")
         for name in ("km/h", "f_0 (Hz)", "acceleration (m/s2)", "ratio", "track shift (kN)", "ratio"):
             table.add_column(name, justify="right")
         for i, v in enumerate(self.sweep.speeds):
@@ -157,7 +165,12 @@ class CriticalSpeedResult:
             ratios = a.max() / self.limits.acceleration, y.max() / self.limits.track_shift_force
             styled = [f"[bold red]{r:.2f}[/]" if r > 1.0 else f"{r:.2f}" for r in ratios]
             table.add_row(
-                f"{v * KMH:.0f}", f"{f.min():.2f} to {f.max():.2f}", f"{a.max():.2f}", styled[0], f"{y.max() / 1e3:.1f}", styled[1]
+                f"{v * KMH:.0f}",
+                f"{f.min():.2f} to {f.max():.2f}",
+                f"{a.max():.2f}",
+                styled[0],
+                f"{y.max() / 1e3:.1f}",
+                styled[1],
             )
         console.print(table)
         for name, c in self.crossing().items():
@@ -195,7 +208,9 @@ class CriticalSpeedResult:
         figure.set_size_inches(8.0, 9.0)
         axes = figure.subplots(3, 1, sharex=True)
         draw_trends(axes, self.sweep, self.limits, self.wheelsets)
-        axes[0].set_title(f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}: medians and range of the seeds")
+        axes[0].set_title(
+            f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}: medians and range of the seeds"
+        )
 
     def _draw_history(self, figure: Figure) -> None:
         h = self.history
@@ -204,7 +219,11 @@ class CriticalSpeedResult:
         axis.plot(h.position / h.speed, h.rms, "rx-", markersize=3, label="sliding RMS")
         for sign in (-1, 1):
             axis.axhline(sign * self.limits.acceleration, color="k", linestyle="--", linewidth=0.8)
-        axis.set(xlabel="time (s)", ylabel="lateral acceleration (m/s²)", title=f"{h.wheelset} at {h.speed * KMH:.0f} km/h")
+        axis.set(
+            xlabel="time (s)",
+            ylabel="lateral acceleration (m/s²)",
+            title=f"{h.wheelset} at {h.speed * KMH:.0f} km/h",
+        )
         axis.legend(loc="upper right")
 
 
@@ -218,8 +237,12 @@ def draw_trends(axes: Sequence[Axes], sweep: Sweep, bounds: Limits, wheelsets: S
     for axis, (values, scale, label, limit) in zip(axes, panels, strict=True):
         for k, name in enumerate(wheelsets):
             series = values[..., k] * scale
-            (line,) = axis.plot(sweep.speeds * KMH, np.median(series, axis=1), "o-", label=f"WS{k + 1} {name}")
-            axis.fill_between(sweep.speeds * KMH, series.min(axis=1), series.max(axis=1), color=line.get_color(), alpha=0.12)
+            (line,) = axis.plot(
+                sweep.speeds * KMH, np.median(series, axis=1), "o-", label=f"WS{k + 1} {name}"
+            )
+            axis.fill_between(
+                sweep.speeds * KMH, series.min(axis=1), series.max(axis=1), color=line.get_color(), alpha=0.12
+            )
         if limit is not None:
             axis.axhline(limit, color="k", linestyle="--", label="limit")
         axis.set_ylabel(label)

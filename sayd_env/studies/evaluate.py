@@ -93,8 +93,20 @@ class EvaluateResult:
         """Print the medians over the seeds at each speed."""
         from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
 
-        table = Table(title=f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}: medians over the seeds")
-        for name in ("policy", "km/h", "J", "J_acceleration", "J_force", "acc. ratio", "track shift ratio", "force RMS (kN)", "peak (kN)"):
+        table = Table(
+            title=f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}: medians over the seeds"
+        )
+        for name in (
+            "policy",
+            "km/h",
+            "J",
+            "J_acceleration",
+            "J_force",
+            "acc. ratio",
+            "track shift ratio",
+            "force RMS (kN)",
+            "peak (kN)",
+        ):
             table.add_column(name, justify="left" if name == "policy" else "right")
         for policy, speed in self._cases():
             m = self._medians(policy, speed)
@@ -129,7 +141,9 @@ class EvaluateResult:
                 speeds = sorted({r.speed_kmh for r in rows})
                 medians = [scale * self._medians(policy, v)[name] for v in speeds]
                 axis.plot(speeds, medians, "o-", label=policy)
-                axis.plot([r.speed_kmh for r in rows], [scale * getattr(r, name) for r in rows], "k.", markersize=2)
+                axis.plot(
+                    [r.speed_kmh for r in rows], [scale * getattr(r, name) for r in rows], "k.", markersize=2
+                )
             if name.endswith("ratio"):
                 axis.axhline(1.0, color="k", linestyle="--")
             axis.set_ylabel(label)

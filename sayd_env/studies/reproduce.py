@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config.scenario import Scenario
@@ -50,7 +51,11 @@ class ReproduceResult:
         """Claims, and every run on new and worn wheels."""
         header = ("id", "by", "expected", "measured", "fraction", "holds")
         claims = [[c.id, c.by, c.expected, c.measured, c.fraction, c.holds] for c in self.claims]
-        return {"claims": (header, claims), "runs_new": self._runs(self.new), "runs_worn": self._runs(self.worn)}
+        return {
+            "claims": (header, claims),
+            "runs_new": self._runs(self.new),
+            "runs_worn": self._runs(self.worn),
+        }
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
         """Counterparts of the paper's figures 1, 2, 3, 8 and 10."""
@@ -74,12 +79,31 @@ class ReproduceResult:
             table.add_row(c.id, c.expected, c.measured, f"{100 * c.fraction:.0f} %", verdict)
         console.print(table)
         held = len(self.claims) - len(self.failed)
-        console.print(f"{held} of {len(self.claims)} rows hold" + (f"; not: {', '.join(self.failed)}" if self.failed else ""))
+        console.print(
+            f"{held} of {len(self.claims)} rows hold"
+            + (f"; not: {', '.join(self.failed)}" if self.failed else "")
+        )
 
     def _runs(self, s: Sweep) -> tuple[Sequence[str], list[list[Any]]]:
-        header = ("speed_kmh", "seed", "wheelset", "frequency_hz", "frequency_force_hz", "acceleration_rms", "track_shift_rms_kn")
+        header = (
+            "speed_kmh",
+            "seed",
+            "wheelset",
+            "frequency_hz",
+            "frequency_force_hz",
+            "acceleration_rms",
+            "track_shift_rms_kn",
+        )
         rows = [
-            [v * KMH, seed, name, s.frequency[i, j, k], s.frequency_force[i, j, k], s.acceleration[i, j, k], s.track_shift[i, j, k] / 1e3]
+            [
+                v * KMH,
+                seed,
+                name,
+                s.frequency[i, j, k],
+                s.frequency_force[i, j, k],
+                s.acceleration[i, j, k],
+                s.track_shift[i, j, k] / 1e3,
+            ]
             for i, v in enumerate(s.speeds)
             for j, seed in enumerate(s.seeds)
             for k, name in enumerate(self.wheelsets)
@@ -122,10 +146,7 @@ def reproduce(
     done_before = 0
     sweeps = []
     for model, speeds in zip(models, (NEW_SPEEDS, WORN_SPEEDS), strict=True):
-
-        def report(done: float, _: float, what: str = "", before: int = done_before) -> None:
-            progress(before + done, total, what)
-
+        report = partial(_report, progress, done_before, total)
         sweeps.append(sweep(model, speeds, seeds, workers=workers, progress=report))
         done_before += len(seeds) * len(speeds)
     new, worn = sweeps
@@ -134,6 +155,11 @@ def reproduce(
     claims = [*passive_claims(new, worn, limits), damper_claim(loops), model_claim(models[0])]
     names = tuple(name.removeprefix("wheelset.") for name, _ in models[0].multibody.measuring_points)
     return ReproduceResult(scenario, claims, new, worn, limits, names, loops)
+
+
+def _report(progress: Progress, before: int, total: int, done: float, _: float, what: str = "") -> None:
+    """Progress of one of several sweeps, as a part of all."""
+    progress(before + done, total, what)
 
 
 def damper_claim(result: HysteresisResult) -> Claim:
@@ -146,7 +172,14 @@ def damper_claim(result: HysteresisResult) -> Claim:
     least = min(loop.energy for loop in result.loops)
     holds = least > 0.0 and max(excess) <= 1.0
     measured = f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.0f} % of the curve"
-    return Claim("P11", "once", "hysteresis: loops dissipate, peak force <= curve at peak velocity", measured, float(holds), holds)
+    return Claim(
+        "P11",
+        "once",
+        "hysteresis: loops dissipate, peak force <= curve at peak velocity",
+        measured,
+        float(holds),
+        holds,
+    )
 
 
 def model_claim(model: VehicleModel) -> Claim:
