@@ -42,17 +42,24 @@ class Parameter(Model):
         return (value - self.low) / (self.high - self.low)
 
 
+class Search(Model):
+    """A bounded Nelder-Mead search."""
+
+    name: str
+    seeds: int = quantity("-", "Track seeds of each evaluation", ge=1)
+    evaluations: int = quantity("-", "Number of evaluations", ge=1)
+    step: float = quantity("-", "Size of the first simplex, as a share of the ranges", gt=0.0, le=0.5)
+
+
 class CalibrationConfig(Model):
-    """A calibration: parameters, seeds and the budget of its two stages."""
+    """A calibration: parameters, seeds and the budget of its stages."""
 
     base: str = Field(description="Study whose free numbers are calibrated")
     parameters: tuple[Parameter, ...] = Field(min_length=1)
     first_seed: int = quantity("-", "First track seed; apart from those of the reproduction", ge=0)
     screening_samples: int = quantity("-", "Points of the Latin hypercube", ge=1)
     screening_seeds: int = quantity("-", "Track seeds of each of them", ge=1)
-    polishing_starts: int = quantity("-", "Best points from which the search goes on", ge=1)
-    polishing_seeds: int = quantity("-", "Track seeds of each evaluation there", ge=1)
-    polishing_evaluations: int = quantity("-", "Evaluations from each start", ge=0)
+    searches: tuple[Search, ...] = Field(description="Searches, each from the best point so far")
     new_speeds: tuple[float, ...] = Field(description="Speeds on new wheels (m/s)")
     worn_speeds: tuple[float, ...] = Field(description="Speeds on worn wheels (m/s)")
 

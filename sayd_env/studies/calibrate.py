@@ -1,7 +1,7 @@
 """What the paper leaves open, found within sourced ranges from its statements on the passive vehicle.
 
-Two stages. A Latin hypercube screens the ranges with few track seeds; from its best points a bounded
-Nelder-Mead search goes on with more seeds. The cost adds squared penalties of rows P1 to P10, each zero where
+A Latin hypercube screens the ranges with few track seeds; from its best point bounded Nelder-Mead searches go
+on with more seeds. The cost adds squared penalties of rows P1 to P10, each zero where
 the row holds with a margin, and extrapolated beyond the speed grid so that a search can start anywhere.
 """
 
@@ -19,7 +19,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.stats import qmc
 
 from sayd_env.config import ConfigError, StudyError
-from sayd_env.config.calibration import CalibrationConfig
+from sayd_env.config.calibration import CalibrationConfig, Search
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
@@ -169,7 +169,7 @@ def calibrate(
         No parameters gave a finite run.
     """
     memory = _Memory(config, log)
-    total = config.screening_samples + config.polishing_starts * config.polishing_evaluations
+    total = config.screening_samples + sum(s.evaluations for s in config.searches)
     evaluations: list[Evaluation] = []
 
     def evaluate(stage: str, place: Array, seeds: int) -> Evaluation:
@@ -187,24 +187,23 @@ def calibrate(
     screened = [evaluate("screening", place, config.screening_seeds) for place in cube]
     if min(e.cost for e in screened) >= DIVERGED:
         raise StudyError("calibration: no parameters within the ranges gave a finite run")
-    for start in sorted(screened, key=lambda e: e.cost)[: config.polishing_starts]:
-        if config.polishing_evaluations:
-            _polish(config, np.array(start.place), evaluate)
+    best = min(screened, key=lambda e: e.cost)
+    for search in config.searches:
+        _search(search, np.array(best.place), evaluate)
+        best = min((e for e in evaluations if e.stage == search.name), key=lambda e: e.cost)
     return CalibrationResult(config, evaluations)
 
 
-def _polish(
-    config: CalibrationConfig, start: Array, evaluate: Callable[[str, Array, int], Evaluation]
-) -> None:
+def _search(search: Search, start: Array, evaluate: Callable[[str, Array, int], Evaluation]) -> None:
     n = len(start)
-    steps = np.where(start < 0.5, 0.15, -0.15)
+    steps = np.where(start < 0.5, search.step, -search.step)
     minimize(
-        lambda place: evaluate("polishing", place, config.polishing_seeds).cost,
+        lambda place: evaluate(search.name, place, search.seeds).cost,
         start,
         method="Nelder-Mead",
         bounds=Bounds(np.zeros(n), np.ones(n)),
         options={
-            "maxfev": config.polishing_evaluations,
+            "maxfev": search.evaluations,
             "initial_simplex": np.vstack([start, start + np.diag(steps)]),
             "adaptive": True,
             "xatol": 1e-3,
@@ -294,7 +293,7 @@ class _Memory:
         self.known: dict[tuple[str, tuple[float, ...]], Evaluation] = {}
         # Budgets may grow from one run to the next; what an evaluation means may not change.
         meaning = config.model_dump_json(
-            exclude={"screening_samples", "polishing_starts", "polishing_evaluations"}
+            exclude={"screening_samples": True, "searches": {"__all__": {"evaluations"}}}
         )
         if log is None:
             return
