@@ -68,7 +68,7 @@ def inverse_curve(force: Array, curve: Array) -> Array:
     inside = np.interp(size, forces, nodes)
     slope = (nodes[-1] - nodes[-2]) / (forces[-1] - forces[-2])
     beyond = np.maximum(size - forces[-1], 0.0) * slope
-    return np.sign(force) * (inside + beyond)
+    return np.asarray(np.sign(force) * (inside + beyond))
 
 
 def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[str, Array]:
