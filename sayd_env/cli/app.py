@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sayd_env import __version__
-from sayd_env.cli import components, stability, vehicle
+from sayd_env.cli import components, performance, stability, vehicle
 
 app = typer.Typer(
     name="sayd",
@@ -42,3 +42,4 @@ app.command()(stability.assess)
 app.command()(components.conicity)
 app.command()(components.hysteresis)
 app.command()(stability.modes)
+app.command()(performance.bench)

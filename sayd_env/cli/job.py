@@ -69,12 +69,25 @@ class Job:
     def progress(self) -> Iterator[Progress]:
         """Give the study a way to report progress: a bar on a terminal, else a line now and then.
 
-        Both go to standard error; a run that ends within two seconds shows no line.
+        Both go to standard error, as does a word before and after the first start's compilation; a run that
+        ends within two seconds shows no line.
         """
+        from sayd_env.physics.kernel import announced_compilation  # noqa: PLC0415 - keeps --help fast
+
         errors = _console(to_stderr=True)
-        if not errors.is_terminal:
-            yield _Lines(self.command, errors)
-            return
+
+        def say(text: str) -> None:
+            errors.print(f"sayd {self.command}: {text}", markup=False, highlight=False, soft_wrap=True)
+
+        with announced_compilation(say):
+            if errors.is_terminal:
+                with self._bar(errors) as report:
+                    yield report
+            else:
+                yield _Lines(self.command, errors)
+
+    @contextmanager
+    def _bar(self, errors: Console) -> Iterator[Progress]:
         from rich.progress import (  # noqa: PLC0415 - only a terminal needs it
             BarColumn,
             MofNCompleteColumn,

@@ -24,11 +24,12 @@ from sayd_env.physics.simulator import Simulator
 from sayd_env.physics.step import advance
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
 numba_config: Any = config  # its settings are made at run time
 Fields = TypeVar("Fields", Plant, State, Work)
 
 
-def stack(vehicles: Sequence[Fields]) -> tuple[Any, Any]:
+def stack(vehicles: Sequence[Fields]) -> tuple[Any, Index]:
     """Put the fields of several vehicles one behind another.
 
     Parameters
@@ -38,9 +39,10 @@ def stack(vehicles: Sequence[Fields]) -> tuple[Any, Any]:
 
     Returns
     -------
-    values, starts
-        Two named tuples of that type: each array's rows of all vehicles, or the (v,) values of a number, and
-        the (v + 1,) rows at which the vehicles begin.
+    values : Plant, State or Work
+        Each array's rows of all vehicles, or the (v,) values of a number.
+    starts : ndarray, shape (fields, v + 1)
+        The rows of each field at which the vehicles begin.
 
     Raises
     ------
@@ -48,34 +50,33 @@ def stack(vehicles: Sequence[Fields]) -> tuple[Any, Any]:
         Arrays that do not fit: vehicles of different structure.
     """
     kind: Any = type(vehicles[0])
-    columns = {name: [getattr(vehicle, name) for vehicle in vehicles] for name in kind._fields}
+    columns: dict[str, list[Any]] = {
+        name: [getattr(vehicle, name) for vehicle in vehicles] for name in kind._fields
+    }
     for name, column in columns.items():
         if len({np.shape(value)[1:] for value in column}) > 1:
             raise ConfigError(
                 f"a batch needs vehicles with equal numbers of unknowns, dampers and stops; '{name}' differs"
             )
     values = {name: np.concatenate([np.atleast_1d(x) for x in column]) for name, column in columns.items()}
-    starts = {name: _starts(column) for name, column in columns.items()}
-    return kind(**values), kind(**starts)
+    lengths = [[len(np.atleast_1d(value)) for value in column] for column in columns.values()]
+    starts = np.zeros((len(lengths), len(vehicles) + 1), dtype=np.int64)
+    np.cumsum(lengths, axis=1, out=starts[:, 1:])
+    return kind(**values), starts
 
 
-def unstack(values: Any, starts: Any) -> list[Any]:
+def unstack(values: Any, starts: Index) -> list[Any]:
     """Return the named tuples of all vehicles, made of arrays alone, as views of the stack's."""
-    count = len(starts[0]) - 1
-    pairs = list(zip(values, starts, strict=True))
-    return [type(values)(*(x[s[i] : s[i + 1]] for x, s in pairs)) for i in range(count)]
+    fields = list(zip(values, starts, strict=True))
+    return [type(values)(*(x[s[i] : s[i + 1]] for x, s in fields)) for i in range(starts.shape[1] - 1)]
 
 
-def _starts(column: list[Any]) -> npt.NDArray[np.int64]:
-    return np.cumsum([0, *(len(np.atleast_1d(value)) for value in column)], dtype=np.int64)
+def _rows(values: Array, starts: Index, field: int, vehicle: int) -> Array:
+    return values[starts[field, vehicle] : starts[field, vehicle + 1]]
 
 
-def _rows(values: Array, starts: npt.NDArray[np.int64], vehicle: int) -> Array:
-    return values[starts[vehicle] : starts[vehicle + 1]]
-
-
-def _number(values: Array, starts: npt.NDArray[np.int64], vehicle: int) -> float:
-    return float(values[starts[vehicle]])
+def _number(values: Array, starts: Index, field: int, vehicle: int) -> float:
+    return float(values[starts[field, vehicle]])
 
 
 def _vehicle_of(typing_context: Any, values: Any, starts: Any, vehicle: Any) -> Any:
@@ -93,9 +94,11 @@ def _vehicle_of(typing_context: Any, values: Any, starts: Any, vehicle: Any) -> 
         pieces = []
         for k, part in enumerate(parts):
             cut = _number if numbers[k] else _rows
-            inputs = [builder.extract_value(stacked, k), builder.extract_value(begin, k), index]
-            cut_signature = part(values[k], starts[k], vehicle)
-            pieces.append(context.compile_internal(builder, cut, cut_signature, inputs))
+            field = context.get_constant(types.int64, k)
+            inputs = [builder.extract_value(stacked, k), begin, field, index]
+            pieces.append(
+                context.compile_internal(builder, cut, part(values[k], starts, types.int64, vehicle), inputs)
+            )
         return context.make_tuple(builder, result, pieces)
 
     return result(values, starts, vehicle), generate
@@ -104,17 +107,17 @@ def _vehicle_of(typing_context: Any, values: Any, starts: Any, vehicle: Any) -> 
 vehicle_of: Any = intrinsic(_vehicle_of)
 
 
-@kernel(parallel=True, announce="the simulator of many vehicles (first use, about 10 s)")
+@kernel(parallel=True, announce="the simulator of many vehicles (first use, about 5 s)")
 def advance_batch(
     plant: Plant,
-    plant_starts: Plant,
+    plant_starts: Index,
     state: State,
-    state_starts: State,
+    state_starts: Index,
     work: Work,
-    work_starts: Work,
-    substeps: npt.NDArray[np.int64],
+    work_starts: Index,
+    substeps: Index,
     signals: Array,
-    done: npt.NDArray[np.int64],
+    done: Index,
 ) -> None:
     """Advance v vehicles by as many samples as `signals` has, in parallel.
 

@@ -1,0 +1,60 @@
+"""Repeat the parts of a time step, to measure what each of them costs."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.physics.kernel import kernel
+from sayd_env.physics.plant import Plant, State, Work
+from sayd_env.physics.step import (
+    add_contact,
+    add_dampers,
+    add_stops,
+    add_suspension,
+    damper_elongations,
+    read_track,
+    step_dampers,
+    wheel_forces,
+    wheel_kinematics,
+)
+
+Array = npt.NDArray[np.float64]
+
+PARTS = ("track", "contact", "suspension", "dampers")
+"""Parts that `repeat` knows, in the order of a step; integration is what else a step does."""
+
+
+@kernel
+def repeat(part: int, count: int, plant: Plant, state: State, work: Work, q: Array, v: Array) -> None:
+    """Evaluate one part of the step many times.
+
+    Parameters
+    ----------
+    part : int
+        Index in `PARTS`.
+    count : int
+        Number of evaluations.
+    plant, state, work
+        One vehicle that has run for a while; its dampers and scratch memory change.
+    q, v : ndarray, shape (2, n)
+        Displacements and velocities at two instants, taken in turn: dampers at rest would let their forces
+        decay into denormal numbers, whose arithmetic takes many times as long.
+    """
+    if part == 0:
+        for i in range(count):
+            read_track(plant, state.clock[1] + i * plant.step * plant.speed, work)
+    elif part == 1:
+        for i in range(count):
+            wheel_kinematics(plant, q[i & 1], v[i & 1], work)
+            wheel_forces(plant, work)
+            add_contact(plant, work)
+    elif part == 2:
+        for i in range(count):
+            add_suspension(plant, q[i & 1], v[i & 1], work)
+            add_stops(plant, q[i & 1], work.f)
+    else:
+        for i in range(count):
+            damper_elongations(plant, q[i & 1], work.shift)
+            step_dampers(plant, state, work)
+            add_dampers(plant, state.force, work.f)
