@@ -45,6 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _drop_stdout()
         _complain(f"error: {error.filename or 'standard output'}: {error.strerror or error}")
         return FAILURE
+    except MemoryError:
+        _complain("error: not enough memory; fewer workers or a shorter assessment.length need less")
+        return FAILURE
     except Exception as error:
         # The last border: even a defect speaks in one line.
         if os.environ.get("SAYD_DEBUG"):
@@ -77,7 +80,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except TyperException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see '{context.command_path} --help')" if context is not None else ""
-        message = " ".join(error.format_message().split()).removesuffix(".")
+        message = " ".join(error.format_message().split()).removesuffix(".").replace("Value error, ", "")
         _complain(f"error: {message}{hint}")
         return INPUT_ERROR
     except typer.Abort:

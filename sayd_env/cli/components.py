@@ -39,7 +39,7 @@ def hysteresis(
         options.Numbers | None,
         typer.Option(
             "--amplitudes",
-            parser=options.positive_list("--amplitudes", "mm"),
+            parser=options.positive_list("--amplitudes", "mm", 1000.0),
             metavar="MM",
             help="Amplitudes in mm: 1,2,4.",
         ),
@@ -48,7 +48,7 @@ def hysteresis(
         options.Numbers | None,
         typer.Option(
             "--frequencies",
-            parser=options.positive_list("--frequencies", "Hz"),
+            parser=options.positive_list("--frequencies", "Hz", 1000.0),
             metavar="HZ",
             help="Frequencies in Hz: 1,2,4,6,8,10.",
         ),

@@ -14,6 +14,9 @@ import typer
 from sayd_env.config.errors import ConfigError
 
 MAX_SPEEDS = 1000
+MAX_SEEDS = 10_000
+LARGEST_SEED = 2**32 - 1
+MAX_WORKERS = 1024
 OUTPUT = "Output"
 SCENARIO = "Scenario"
 
@@ -101,24 +104,40 @@ def parse_friction(text: str) -> float:
     return value
 
 
-def positive(option: str, unit: str) -> Callable[[str], float]:
+def whole(option: str, least: int, most: int) -> Callable[[str], int]:
+    """Make the reader of an option that takes one whole number."""
+
+    def read(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if not least <= value <= most:
+            raise ConfigError(f"{option} {text}: expected a whole number from {least} to {most}")
+        return value
+
+    return read
+
+
+def positive(option: str, unit: str, most: float = math.inf) -> Callable[[str], float]:
     """Make the reader of an option that takes one finite number above 0."""
+    limit = "" if math.isinf(most) else f", at most {most:g}"
 
     def read(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not (value > 0.0 and math.isfinite(value)):
-            raise ConfigError(f"{option} {text}: expected a finite number above 0 {unit}")
+        if not (0.0 < value <= most and math.isfinite(value)):
+            raise ConfigError(f"{option} {text}: expected a finite number above 0 {unit}{limit}")
         return value
 
     return read
 
 
-def positive_list(option: str, unit: str) -> Callable[[str], Numbers]:
+def positive_list(option: str, unit: str, most: float = math.inf) -> Callable[[str], Numbers]:
     """Make the reader of an option that takes finite numbers above 0, separated by commas."""
-    one = positive(option, unit)
+    one = positive(option, unit, most)
     return lambda text: Numbers(one(part) for part in text.split(","))
 
 
@@ -140,14 +159,26 @@ Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override one key of the configuration; repeatable."),
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, metavar="S", help="First random seed.")]
+Seed = Annotated[
+    int,
+    typer.Option("--seed", parser=whole("--seed", 0, LARGEST_SEED), metavar="S", help="First random seed."),
+]
 Seeds = Annotated[
-    int, typer.Option("--seeds", min=1, metavar="N", help="Number of track realisations: seeds S to S+N-1.")
+    int,
+    typer.Option(
+        "--seeds",
+        parser=whole("--seeds", 1, MAX_SEEDS),
+        metavar="N",
+        help="Number of track realisations: seeds S to S+N-1.",
+    ),
 ]
 Workers = Annotated[
     int | None,
     typer.Option(
-        "--workers", min=1, metavar="N", help="Threads (default: all cores); results do not change."
+        "--workers",
+        parser=whole("--workers", 1, MAX_WORKERS),
+        metavar="N",
+        help="Threads (default: all cores); results do not change.",
     ),
 ]
 Out = Annotated[

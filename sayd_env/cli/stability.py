@@ -45,7 +45,7 @@ def assess(
     from sayd_env.config.assessment import load_assessment  # noqa: PLC0415
     from sayd_env.studies.assess import assess_file  # noqa: PLC0415
 
-    settings = load_assessment(config or "en14363", assignments or ())
+    settings = load_assessment("en14363" if config is None else config, assignments or ())
     job = Job("assess", out, as_json)
     result = assess_file(
         file,

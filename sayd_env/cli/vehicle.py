@@ -97,7 +97,7 @@ def calibrate(
     from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies.calibrate import calibrate as study  # noqa: PLC0415
 
-    settings = load_calibration(config or "calibration", tuple(assignments or ()))
+    settings = load_calibration("calibration" if config is None else config, tuple(assignments or ()))
     job = Job("calibrate", out, as_json)
     log = None if job.directory is None else job.directory.path / "evaluations.jsonl"
     with job.progress() as progress:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pydantic import model_validator
 
 from sayd_env.config.base import Model, quantity
-from sayd_env.config.loader import apply_overrides, read_config, validate
+from sayd_env.config.loader import read_overridden
 
 
 class AssessmentConfig(Model):
@@ -15,7 +15,7 @@ class AssessmentConfig(Model):
 
     run_in: float = quantity("m", "distance at the start that is not assessed", ge=0)
     length: float | None = quantity("m", "assessed distance; null: all that follows the run-in", gt=0)
-    sample_rate: float = quantity("Hz", "rate at which simulated signals are sampled", gt=0)
+    sample_rate: float = quantity("Hz", "rate at which simulated signals are sampled", gt=0, le=2e4)
     minimum_sample_rate: float = quantity("Hz", "lowest sampling rate of a recording", gt=0)
 
     segment_length: float = quantity("m", "distance of one spectrum", gt=0)
@@ -75,8 +75,4 @@ def load_assessment(name: str = "en14363", overrides: Iterable[str] = ()) -> Ass
     ConfigError
         The file, a key or a value cannot be used.
     """
-    data, source = read_config("study", name)
-    overrides = list(overrides)
-    if overrides and isinstance(data, dict):
-        data = apply_overrides(data, overrides)
-    return validate(AssessmentConfig, data, source)
+    return read_overridden(AssessmentConfig, "study", name, overrides)

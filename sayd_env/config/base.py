@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
+
+Number = Annotated[float, Field(strict=True)]
+"""A number in a list: neither text nor true or false will do."""
 
 
 class Model(BaseModel):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from itertools import pairwise
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from sayd_env.config.base import Model, quantity
-from sayd_env.config.errors import ConfigError
-from sayd_env.config.loader import apply_overrides, read_config, validate
+from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.loader import read_overridden
 
 
 class Parameter(Model):
@@ -17,10 +17,10 @@ class Parameter(Model):
 
     name: str
     unit: str
-    low: float = Field(description="Lower end of the range, in the unit above", allow_inf_nan=False)
-    high: float = Field(description="Upper end of the range", allow_inf_nan=False)
+    low: Number = Field(description="Lower end of the range, in the unit above", allow_inf_nan=False)
+    high: Number = Field(description="Upper end of the range", allow_inf_nan=False)
     scale: Literal["linear", "log"] = "linear"
-    keys: dict[str, float] = Field(description="Scenario key -> factor", min_length=1)
+    keys: dict[str, Number] = Field(description="Scenario key -> factor", min_length=1)
     source: str = Field(description="Where the range comes from")
 
     @model_validator(mode="after")
@@ -60,8 +60,16 @@ class CalibrationConfig(Model):
     screening_samples: int = quantity("-", "Points of the Latin hypercube", ge=1)
     screening_seeds: int = quantity("-", "Track seeds of each of them", ge=1)
     searches: tuple[Search, ...] = Field(description="Searches, each from the best point so far")
-    new_speeds: tuple[float, ...] = Field(description="Speeds on new wheels (m/s)")
-    worn_speeds: tuple[float, ...] = Field(description="Speeds on worn wheels (m/s)")
+    new_speeds: tuple[Number, ...] = Field(min_length=2, description="Speeds on new wheels (m/s)")
+    worn_speeds: tuple[Number, ...] = Field(min_length=2, description="Speeds on worn wheels (m/s)")
+
+    @field_validator("new_speeds", "worn_speeds")
+    @classmethod
+    def _rising(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
+        for before, after in pairwise((0.0, *speeds)):
+            if after <= before:
+                raise ValueError(f"speeds must be positive and rise: {after:g} follows {before:g}")
+        return speeds
 
 
 def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ()) -> CalibrationConfig:
@@ -72,8 +80,4 @@ def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ())
     ConfigError
         A file, key or value that cannot be used.
     """
-    data, source = read_config("study", name)
-    if not isinstance(data, dict):
-        raise ConfigError(f"{source}: expected keys and values")
-    filled: dict[str, Any] = apply_overrides(data, overrides)
-    return validate(CalibrationConfig, filled, source)
+    return read_overridden(CalibrationConfig, "study", name, overrides)

@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
-import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
 
 from sayd_env.config.errors import ConfigError
+from sayd_env.config.explain import Origin, explain, nearest, shown
+
+__all__ = [
+    "KINDS",
+    "apply_overrides",
+    "assigned",
+    "nearest",
+    "packaged_names",
+    "parse_yaml",
+    "read_config",
+    "read_overridden",
+    "read_text",
+    "section",
+    "validate",
+    "validated",
+]
 
 M = TypeVar("M", bound=BaseModel)
 
 KINDS = ("vehicle", "damper", "profile", "track", "sensors", "control", "train", "study")
+
+
+_MERGE = "tag:yaml.org,2002:merge"
 
 
 class _Loader(yaml.SafeLoader):
@@ -26,10 +43,14 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for key_node, _ in node.value:
+            if key_node.tag == _MERGE:  # <<: *anchor, whose keys the mapping's own may override
+                continue
             key = self.construct_object(key_node, deep=True)
+            where = f"{node.start_mark.name}: line {key_node.start_mark.line + 1}"
+            if not isinstance(key, Hashable):
+                raise ConfigError(f"{where}: found {shown(key)}; expected a name as key")
             if key in seen:
-                line = key_node.start_mark.line + 1
-                raise ConfigError(f"{node.start_mark.name}: line {line}: key '{key}' appears twice")
+                raise ConfigError(f"{where}: key '{key}' appears twice")
             seen.add(key)
         return super().construct_mapping(node, deep=deep)
 
@@ -43,10 +64,19 @@ _Loader.add_implicit_resolver(
 
 def parse_yaml(text: str, source: str) -> Any:
     """Parse YAML text; raise `ConfigError` naming the source and the line."""
-    loader = _Loader(text)
+    try:
+        loader = _Loader(text)
+    except yaml.YAMLError:  # PyYAML's check for characters that no text has
+        raise ConfigError(f"{source}: is not a text file") from None
     loader.name = source
+    # Content that holds itself (`&a [*a]`) is then an error, not an endless walk.
+    loader.deep_construct = True
     try:
         return loader.get_single_data()
+    except ValueError as error:  # a date that the calendar lacks
+        raise ConfigError(f"{source}: {error}") from None
+    except RecursionError:
+        raise ConfigError(f"{source}: is nested too deeply") from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f"line {mark.line + 1}: " if mark is not None else ""
@@ -99,28 +129,58 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
     return parse_yaml(text, source), source
 
 
-def nearest(word: str, candidates: Iterable[str]) -> str:
-    """Return ", did you mean 'x'?" for the closest candidate, or nothing."""
-    match = difflib.get_close_matches(word, list(candidates), n=1, cutoff=0.5)
-    return f", did you mean '{match[0]}'?" if match else ""
+def section(data: Any, source: str) -> dict[str, Any]:
+    """Return data that consists of keys and values; raise `ConfigError` where it does not."""
+    if isinstance(data, dict):
+        return data
+    found = "is empty" if data is None else f"found {shown(data)}"
+    raise ConfigError(f"{source}: {found}; expected keys and values (YAML)")
 
 
-def validate(model: type[M], data: Any, source: str) -> M:
+def validate(model: type[M], data: Any, source: str, origins: Iterable[Origin] = ()) -> M:
     """Validate raw data; raise `ConfigError` with one line for each problem.
 
-    Each line names the file, the key, what was found and what is allowed (with its unit).
+    Each line names the file, the key, what was found and what is allowed (with its unit). `origins` tells
+    which parts of the data come from other files than `source`, or from options.
     """
-    if not isinstance(data, Mapping):
-        raise ConfigError(f"{source}: expected keys and values, found {_shown(data)}")
     try:
-        return model.model_validate(data)
+        return model.model_validate(section(data, source))
     except ValidationError as error:
-        lines = [_explain(model, detail) for detail in error.errors(include_url=False)]
-        raise ConfigError("\n".join(f"{source}: {line}" for line in lines)) from None
+        raise ConfigError(explain(model, data, error, source, origins)) from None
 
 
-def apply_overrides(data: dict[str, Any], overrides: Iterable[str]) -> dict[str, Any]:
+def validated(model: type[M], data: dict[str, Any], source: str, overrides: Iterable[str]) -> M:
+    """Apply ``key=value`` assignments to raw data, then validate it.
+
+    Raises
+    ------
+    ConfigError
+        A key or a value cannot be used.
+    """
+    origins = []
+    for item in overrides:
+        changed = apply_overrides(data, [item])
+        origins.append(assigned(data, item))
+        data = changed
+    return validate(model, data, source, origins)
+
+
+def read_overridden(model: type[M], kind: str, name_or_path: str, overrides: Iterable[str]) -> M:
+    """Read a configuration by name or path, apply ``key=value`` assignments, and validate it.
+
+    Raises
+    ------
+    ConfigError
+        The file, a key or a value cannot be used.
+    """
+    content, source = read_config(kind, name_or_path)
+    return validated(model, section(content, source), source, overrides)
+
+
+def apply_overrides(data: dict[str, Any], overrides: Iterable[str], option: str = "--set") -> dict[str, Any]:
     """Return a copy of nested data with ``a.b.c=value`` assignments applied; values are YAML.
+
+    `option` is what a message calls the place of the assignments.
 
     Raises
     ------
@@ -131,9 +191,22 @@ def apply_overrides(data: dict[str, Any], overrides: Iterable[str]) -> dict[str,
     for item in overrides:
         path, sep, text = item.partition("=")
         if not sep or not path.strip():
-            raise ConfigError(f"--set {item}: expected key=value, for example numerics.step=0.00025")
-        _assign(result, path.strip().split("."), parse_yaml(text, f"--set {path}"), item)
+            raise ConfigError(f"{option} {item}: expected key=value, for example wear=0.5")
+        where = f"{option} {path}"
+        _assign(result, path.strip().split("."), parse_yaml(text, where), f"{option} {item}")
     return result
+
+
+def assigned(data: dict[str, Any], item: str, option: str = "--set") -> Origin:
+    """Where an assignment goes in the data that `apply_overrides` has accepted it for."""
+    node: Any = data
+    path: list[int | str] = []
+    for key in item.partition("=")[0].strip().split("."):
+        part = _list_index(node, key, key, item) if isinstance(node, list) else key
+        path.append(part)
+        # What the last key names may be new.
+        node = node.get(part) if isinstance(node, dict) else node[part]
+    return Origin(tuple(path), option)
 
 
 def _assign(data: Any, keys: list[str], value: Any, item: str) -> None:
@@ -153,12 +226,10 @@ def _assign(data: Any, keys: list[str], value: Any, item: str) -> None:
                 return
             if key not in node:
                 known = [str(name) for name in node]
-                raise ConfigError(
-                    f"--set {item}: no key '{where}'{nearest(key, known)}; here: {', '.join(known)}"
-                )
+                raise ConfigError(f"{item}: no key '{where}'{nearest(key, known)}; here: {', '.join(known)}")
             node = node[key]
         else:
-            raise ConfigError(f"--set {item}: '{'.'.join(keys[:depth])}' is a value, not a section")
+            raise ConfigError(f"{item}: '{'.'.join(keys[:depth])}' is a value, not a section")
 
 
 def _list_index(node: list[Any], key: str, where: str, item: str) -> int:
@@ -168,7 +239,7 @@ def _list_index(node: list[Any], key: str, where: str, item: str) -> int:
     if key.isdigit() and int(key) < len(node):
         return int(key)
     raise ConfigError(
-        f"--set {item}: no entry '{where}'{nearest(key, names)}; use a number below {len(node)}"
+        f"{item}: no entry '{where}'{nearest(key, names)}; use a number below {len(node)}"
         + (f" or a name: {', '.join(names)}" if names else "")
     )
 
@@ -177,67 +248,3 @@ def _copy(node: Any) -> Any:
     if isinstance(node, dict):
         return {key: _copy(value) for key, value in node.items()}
     return [_copy(value) for value in node] if isinstance(node, list) else node
-
-
-def _explain(model: type[BaseModel], detail: ErrorDetails) -> str:
-    location = [str(part) for part in detail["loc"]]
-    key = ".".join(location) or "(top level)"
-    found = _shown(detail["input"])
-    kind = detail["type"]
-    if kind == "extra_forbidden":
-        known = sorted(_fields_at(model, detail["loc"][:-1]))
-        return f"unknown key '{key}'{nearest(location[-1], known)}; allowed here: {', '.join(known)}"
-    if kind == "missing":
-        return f"key '{key}' is missing{_unit_at(model, detail['loc'])}"
-    message = detail["msg"].removeprefix("Value error, ")
-    if kind in ("float_type", "int_type"):
-        message = "expected a number"
-    return f"{key}: found {found}; {message[0].lower() + message[1:]}{_unit_at(model, detail['loc'])}"
-
-
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    if get_origin(annotation) is None:
-        return []
-    return [found for part in get_args(annotation) for found in _models_in(part)]
-
-
-def _walk(model: type[BaseModel], location: tuple[int | str, ...]) -> list[type[BaseModel]]:
-    """Models that may stand at a location (several where the field is a union)."""
-    models = [model]
-    for part in location:
-        if isinstance(part, int):
-            continue
-        fields = [m.model_fields[part] for m in models if part in m.model_fields]
-        if fields:
-            models = [found for field in fields for found in _models_in(field.annotation)]
-    return models
-
-
-def _fields_at(model: type[BaseModel], location: tuple[int | str, ...]) -> set[str]:
-    # A discriminated union puts the tag (`linear`) into the location: keep the models that carry it.
-    models = _walk(model, location)
-    tags = {part for part in location if isinstance(part, str)}
-    tagged = [m for m in models if tags & set(_tags(m))]
-    return {name for m in (tagged or models) for name in m.model_fields}
-
-
-def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
-    field = model.model_fields.get("type")
-    return get_args(field.annotation) if field is not None else ()
-
-
-def _unit_at(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
-    if not location or not isinstance(location[-1], str):
-        return ""
-    for owner in _walk(model, location[:-1]):
-        field = owner.model_fields.get(location[-1])
-        if field is not None and field.description:
-            return f": {field.description}"
-    return ""
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

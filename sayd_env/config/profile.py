@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, quantity
+from sayd_env.config.base import Model, Number, quantity
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.loader import read_config, validate
 
@@ -50,7 +50,7 @@ class Polynomial(Model):
     type: Literal["polynomial"]
     start: float = quantity("mm", "lateral start of the zone")
     end: float = quantity("mm", "lateral end of the zone")
-    coefficients: tuple[float, ...] = Field(
+    coefficients: tuple[Number, ...] = Field(
         min_length=1, description="coefficients from the constant upwards (mm, -, 1/mm, ...)"
     )
 
@@ -65,7 +65,7 @@ class Shape(Model):
     """
 
     zones: tuple[Zone, ...] | None = Field(None, min_length=1, description="formulas, in order of y (mm)")
-    points: tuple[tuple[float, float], ...] | None = Field(
+    points: tuple[tuple[Number, Number], ...] | None = Field(
         None, min_length=8, description="table of [y, z] in order of y (mm)"
     )
     file: str | None = Field(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import Field
 
@@ -14,7 +14,16 @@ from sayd_env.config.base import Model, quantity
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.loader import apply_overrides, packaged_names, read_config, validate
+from sayd_env.config.explain import Origin
+from sayd_env.config.loader import (
+    apply_overrides,
+    assigned,
+    packaged_names,
+    parse_yaml,
+    read_config,
+    section,
+    validate,
+)
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig, with_resolved_files
 from sayd_env.config.track import TrackConfig, with_resolved_path
 from sayd_env.config.vehicle import VehicleConfig
@@ -30,12 +39,15 @@ REFERENCES = {
 }
 
 
+PROFILE_KINDS = ("wheel", "rail")
+
+
 class NumericsConfig(Model):
     """Time integration."""
 
-    step: float = quantity("s", "Longest time step; a whole number of steps makes a sample", gt=0.0, le=1e-3)
+    step: float = quantity("s", "Longest time step; a whole number of steps makes a sample", ge=1e-6, le=1e-3)
     creep_step: float = quantity(
-        "-", "Largest product of step and creep damping rate; shortens the step at low speed", gt=0.0, le=1.0
+        "-", "Largest product of step and creep damping rate; shortens the step at low speed", ge=0.01, le=1.0
     )
 
 
@@ -86,40 +98,92 @@ def load_scenario(config: str | None = None, overrides: Iterable[str] = ()) -> S
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
     name = "nominal" if config is None else config
-    data = _study(name, ())
+    source = f"configs/study/{name}.yaml" if name in packaged_names("study") else name
+    draft = _study(name, ())
     for item in overrides:  # one by one, so that a name can be followed by a key of its content
-        data = _resolved(apply_overrides(data, [item]), item)
-    return validate(Scenario, data, f"configs/study/{name}.yaml" if name in packaged_names("study") else name)
+        draft = _with_assignment(draft, item, "--set")
+    return validate(Scenario, draft.data, source, draft.origins)
 
 
-def _study(name: str, users: tuple[str, ...]) -> dict[str, Any]:
+class _Draft(NamedTuple):
+    """Raw content of a scenario, and which of its parts come from where."""
+
+    data: dict[str, Any]
+    origins: tuple[Origin, ...] = ()
+
+
+def _study(name: str, users: tuple[str, ...]) -> _Draft:
     """Content of a study on top of the study that its `base` names, its own `set` assignments last."""
-    own, source = read_config("study", name)
-    if not isinstance(own, dict):
-        raise ConfigError(f"{source}: expected keys and values")
-    own = dict(own)
-    base, assignments = own.pop("base", "nominal"), own.pop("set", {})
+    content, source = read_config("study", name)
+    own = dict(section(content, source))
+    base, assignments = own.pop("base", "nominal"), own.pop("set", None)
     if base in users or base == name:
         raise ConfigError(f"{source}: base: '{base}' stands on this file itself")
-    if not isinstance(assignments, dict):
+    if base is not None and not isinstance(base, str):
+        raise ConfigError(f"{source}: base: found {base!r}; expected the name of a study, a path or null")
+    if assignments is not None and not isinstance(assignments, dict):
         raise ConfigError(
             f"{source}: set: expected keys and values, for example damper.series_stiffness: 4.0e6"
         )
-    below = {} if base is None else _study(str(base), (*users, name))
-    data = _merged(below, _resolved(own, source))
-    return _resolved(apply_overrides(data, [f"{k}={json.dumps(v)}" for k, v in assignments.items()]), source)
+    below = _Draft({}) if base is None else _study(base, (*users, name))
+    top = _resolved(_Draft(own, tuple(Origin(path, source) for path in _paths(own))), source)
+    draft = _Draft(_merged(below.data, top.data), below.origins + top.origins)
+    for key, value in (assignments or {}).items():
+        draft = _with_assignment(draft, f"{key}={json.dumps(value, default=str)}", f"{source}: set:")
+    return draft
 
 
-def _resolved(data: Any, source: str) -> dict[str, Any]:
-    """Replace names of packaged configurations by their content."""
-    result = dict(data)
+def _paths(node: dict[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Paths of the values that a section sets."""
+    found = []
+    for key, value in node.items():
+        path = (*above, key)
+        # A section with a name or a type stands alone: what it lacks is not found in the study below.
+        if not isinstance(value, dict) or not value or "name" in value or "type" in value:
+            found.append(path)
+        if isinstance(value, dict):
+            found += _paths(value, path)
+    return found
+
+
+def _with_assignment(draft: _Draft, item: str, option: str) -> _Draft:
+    changed = apply_overrides(draft.data, [item], option)
+    key, _, text = (part.strip() for part in item.partition("="))
+    if key in REFERENCES and isinstance(changed[key], int | float):
+        changed[key] = text  # a name such as 60e1, which YAML reads as a number
+    origin = assigned(draft.data, item, option.removesuffix(":"))
+    return _resolved(_Draft(changed, (*draft.origins, origin)), option.removesuffix(":"))
+
+
+def _resolved(draft: _Draft, source: str) -> _Draft:
+    """Replace names of packaged configurations, and paths, by their content."""
+    data, origins = dict(draft.data), draft.origins
     for key, kind in REFERENCES.items():
-        if isinstance(result.get(key), str):
-            content, found = read_config(kind, result[key])
-            if not isinstance(content, dict):
-                raise ConfigError(f"{found}: expected keys and values")
-            result[key] = _beside(key, content, Path(found).parent)
-    return result
+        named = data.get(key)
+        if isinstance(named, str):
+            content, found = read_config(kind, named)
+            data[key] = _beside(key, _of_kind(key, section(content, found), found), Path(found).parent)
+            origins = (*origins, Origin((key,), found, own=True))
+        elif key in data and not isinstance(named, dict):
+            raise ConfigError(f"{source}: {key}: found {named!r}; {_expected(key, kind, named)}")
+    return _Draft(data, origins)
+
+
+def _expected(key: str, kind: str, found: Any) -> str:
+    names = packaged_names(kind)
+    number = isinstance(found, int | float)
+    same = [name for name in names if number and parse_yaml(name, key) == found]
+    quoted = f"; did you mean '{same[0]}', in quotes?" if same else ""
+    return f"expected the name of a {kind} ({', '.join(names)}), a path or keys and values{quoted}"
+
+
+def _of_kind(key: str, content: dict[str, Any], source: str) -> dict[str, Any]:
+    """Refuse a rail where a wheel is expected, and the other way round."""
+    kind = content.get("kind")
+    if key in PROFILE_KINDS and kind in PROFILE_KINDS and kind != key:
+        fitting = [n for n in packaged_names("profile") if read_config("profile", n)[0].get("kind") == key]
+        raise ConfigError(f"{source}: is a {kind} profile; as {key} are available: {', '.join(fitting)}")
+    return content
 
 
 def _beside(key: str, content: dict[str, Any], folder: Path) -> Any:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StrictFloat, model_validator
 
 from sayd_env.config.base import Model, quantity
-from sayd_env.config.loader import apply_overrides, read_config, validate
+from sayd_env.config.loader import read_config, section, validated
 
 Channel = Literal["alignment", "vertical", "cross_level", "gauge"]
 CHANNELS: tuple[Channel, ...] = ("alignment", "vertical", "cross_level", "gauge")
@@ -190,10 +190,9 @@ def read_track(name_or_path: str, overrides: Iterable[str] = ()) -> TrackConfig:
     ConfigError
         Unknown name, unreadable file, unknown key, or value out of its range.
     """
-    data, source = read_config("track", name_or_path)
-    if isinstance(data, Mapping):
-        data = apply_overrides(with_resolved_path(data, Path(source).parent), overrides)
-    return validate(TrackConfig, data, source)
+    content, source = read_config("track", name_or_path)
+    data = with_resolved_path(section(content, source), Path(source).parent)
+    return validated(TrackConfig, data, source, overrides)
 
 
 def with_resolved_path(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:

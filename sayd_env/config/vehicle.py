@@ -7,10 +7,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from sayd_env.config.base import Model, quantity
+from sayd_env.config.base import Model, Number, quantity
 from sayd_env.config.loader import nearest
 
-Vector = tuple[float, float, float]
+Vector = tuple[Number, Number, Number]
+NotNegative = Annotated[float, Field(ge=0, strict=True)]
 Dof = Literal["x", "y", "z", "roll", "pitch", "yaw"]
 Axis = Literal["x", "y", "z"]
 DOFS: tuple[Dof, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -35,9 +36,9 @@ class Body(Model):
     mass: float = quantity(
         "kg", "Mass; 0 for a hinged part, whose mass the carrier holds", default=0.0, ge=0.0
     )
-    inertia: tuple[
-        Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]
-    ] = Field(description="Principal moments of inertia about x, y, z (kg m2)")
+    inertia: tuple[NotNegative, NotNegative, NotNegative] = Field(
+        description="Principal moments of inertia about x, y, z (kg m2)"
+    )
     position: Vector = Field(description="Centre of gravity in the local frame, z above the rail (m)")
     dofs: tuple[Dof, ...] = Field(DOFS, description="Degrees of freedom")
     carrier: str | None = Field(None, description="Body that a hinged part is mounted on")
@@ -74,12 +75,12 @@ class Bush(_Element):
     """Linear springs and dampers along x, y, z between two points: springs, bushes, links."""
 
     type: Literal["bush"]
-    stiffness: tuple[
-        Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]
-    ] = Field(description="Stiffness along x, y, z (N/m)")
-    damping: tuple[
-        Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]
-    ] = Field((0.0, 0.0, 0.0), description="Damping along x, y, z (N s/m)")
+    stiffness: tuple[NotNegative, NotNegative, NotNegative] = Field(
+        description="Stiffness along x, y, z (N/m)"
+    )
+    damping: tuple[NotNegative, NotNegative, NotNegative] = Field(
+        (0.0, 0.0, 0.0), description="Damping along x, y, z (N s/m)"
+    )
     carries_weight: bool = Field(False, description="Carries static weight (gives its gravity stiffness)")
 
 
@@ -92,7 +93,7 @@ class Torsion(_Element):
     damping: float = quantity("N m s/rad", "Torsional damping", default=0.0, ge=0.0)
 
 
-Curve = tuple[tuple[float, float], ...]
+Curve = tuple[tuple[Number, Number], ...]
 
 
 def checked_curve(points: Curve, abscissa: str) -> Curve:
@@ -166,7 +167,7 @@ class VehicleConfig(Model):
     measuring_height: float = quantity(
         "m", "Height above the rail of the bogie-frame accelerometers over the wheelsets", gt=0.0
     )
-    speed_range: tuple[float, float] = Field(
+    speed_range: tuple[Number, Number] = Field(
         description="Lowest and highest speed for which the model stands (m/s)"
     )
 

@@ -90,11 +90,8 @@ class VehicleModel:
         ]
         return (*yaw, *self.multibody.dampers)
 
-    def step(self, speed: float) -> tuple[float, int]:
-        """Time step (s) and number of steps in a sample at a speed (m/s).
-
-        The configured step, shortened at low speed, where the creep forces damp a wheelset at a rate of
-        about 2 f_22 (1/m + r^2/I + 1/m_track) / V that an explicit scheme must resolve.
+    def check_speed(self, speed: float) -> None:
+        """Refuse a speed (m/s) for which the vehicle's model does not stand.
 
         Raises
         ------
@@ -107,6 +104,19 @@ class VehicleModel:
                 f"speed {speed * 3.6:g} km/h is outside the range of vehicle '{self.scenario.vehicle.name}': "
                 f"{low * 3.6:g} to {high * 3.6:g} km/h"
             )
+
+    def step(self, speed: float) -> tuple[float, int]:
+        """Time step (s) and number of steps in a sample at a speed (m/s).
+
+        The configured step, shortened at low speed, where the creep forces damp a wheelset at a rate of
+        about 2 f_22 (1/m + r^2/I + 1/m_track) / V that an explicit scheme must resolve.
+
+        Raises
+        ------
+        ConfigError
+            A speed outside the vehicle's range.
+        """
+        self.check_speed(speed)
         numerics, sample = self.scenario.numerics, 1.0 / self.scenario.assessment.sample_rate
         longest = min(numerics.step, numerics.creep_step * speed / self._creep_rate)
         count = math.ceil(sample / longest - 1e-9)

@@ -20,6 +20,7 @@ from scipy.stats import qmc
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.calibration import CalibrationConfig, Search
+from sayd_env.config.loader import read_text
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
@@ -86,7 +87,7 @@ class CalibrationResult:
     def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
         """Every evaluation."""
         names = [p.name for p in self.config.parameters]
-        rows = sorted(self.evaluations[0].penalties)
+        rows = sorted({row for e in self.evaluations for row in e.penalties})
         header = ("stage", "cost", *names, *rows)
         lines = [
             [e.stage, e.cost]
@@ -285,6 +286,15 @@ def _extrapolated(grid: Sweep, values: Array, limit: float) -> float:
     return float(v[end] + (limit - peak[end]) / max(slope, limit / 200.0))
 
 
+def _line(text: str) -> dict[str, Any]:
+    """Content of a line of the log; empty if it holds none."""
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError:
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 class _Memory:
     """Evaluations that survive an interruption: a file to which each one is appended at once."""
 
@@ -303,18 +313,19 @@ class _Memory:
             log.write_text(json.dumps({"calibration": meaning}) + "\n", encoding="utf-8")
 
     def _read(self, log: Path, meaning: str) -> None:
-        lines = log.read_text(encoding="utf-8").splitlines()
-        if not lines or json.loads(lines[0]).get("calibration") != meaning:
+        text = read_text(log, "log of a calibration")
+        whole, _, cut_off = text.rpartition("\n")
+        head, *lines = whole.split("\n")
+        if _line(head).get("calibration") != meaning:
             raise ConfigError(f"{log}: belongs to another calibration; choose another --out or remove it")
-        for line in lines[1:]:
+        for number, line in enumerate(lines, start=2):
             try:
-                data = json.loads(line)
-            except json.JSONDecodeError:  # the line that an interruption cut off
-                continue
-            e = Evaluation(
-                data["stage"], tuple(data["place"]), data["cost"], data["penalties"], data["measures"]
-            )
+                e = Evaluation(**{**_line(line), "place": tuple(_line(line)["place"])})
+            except (KeyError, TypeError):
+                raise ConfigError(f"{log}: line {number}: is no evaluation; remove the line") from None
             self.known[e.stage, e.place] = e
+        if cut_off:  # by an interruption: what follows shall not join it
+            log.write_text(whole + "\n", encoding="utf-8")
 
     def get(self, stage: str, place: tuple[float, ...]) -> Evaluation | None:
         return self.known.get((stage, place))

@@ -51,9 +51,9 @@ class Sweep:
 
 def simulate(model: VehicleModel, speed: float, seed: int) -> Telemetry:
     """Signals of one run over run-in and assessed length, and a little beyond."""
-    assessment = model.scenario.assessment
-    assert assessment.length is not None  # VehicleModel.realisation has refused it
-    return Simulator(model, speed, seed).run(assessment.run_in + assessment.length + RUN_OUT)
+    simulator, assessment = Simulator(model, speed, seed), model.scenario.assessment
+    assert assessment.length is not None  # the simulator's track has refused it
+    return simulator.run(assessment.run_in + assessment.length + RUN_OUT)
 
 
 def assessed_run(model: VehicleModel, speed: float, seed: int) -> Run:
@@ -91,7 +91,7 @@ def sweep(
         Told after each run.
     """
     for speed in speeds:
-        model.step(speed)  # a speed out of range is refused before any work
+        model.check_speed(speed)  # refused before any work
     model.table  # noqa: B018 - made once, before the threads ask for it
     cases = [(speed, seed) for seed in seeds for speed in speeds]
     runs = parallel(lambda case: assessed_run(model, *case), cases, workers, progress)
