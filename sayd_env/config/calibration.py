@@ -43,12 +43,12 @@ class Parameter(Model):
 
 
 class Search(Model):
-    """A bounded Nelder-Mead search."""
+    """A bounded Gauss-Newton search."""
 
     name: str
     seeds: int = quantity("-", "Track seeds of each evaluation", ge=1)
-    evaluations: int = quantity("-", "Number of evaluations", ge=1)
-    step: float = quantity("-", "Size of the first simplex, as a share of the ranges", gt=0.0, le=0.5)
+    iterations: int = quantity("-", "Number of iterations, each of parameters + 1 evaluations or more", ge=1)
+    step: float = quantity("-", "Difference step, as a share of the ranges", gt=0.0, le=0.5)
 
 
 class CalibrationConfig(Model):

@@ -1,8 +1,9 @@
 """What the paper leaves open, found within sourced ranges from its statements on the passive vehicle.
 
-A Latin hypercube screens the ranges with few track seeds; from its best point bounded Nelder-Mead searches go
-on with more seeds. The cost adds squared penalties of rows P1 to P10, each zero where
-the row holds with a margin, and extrapolated beyond the speed grid so that a search can start anywhere.
+A Latin hypercube screens the ranges with few track seeds; from its best point bounded least-squares searches
+(trust-region reflective) go on with more seeds. The residuals are the three critical speeds' distances from
+their targets and a penalty for every other row of P1 to P10, zero where the row holds with a margin.
+Crossings are extrapolated beyond the speed grid, so that a search can start anywhere.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import Bounds, minimize
+from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from sayd_env.config import ConfigError, StudyError
@@ -37,6 +38,15 @@ Array = npt.NDArray[np.float64]
 KMH = 3.6
 WORST = 8.0
 """Largest penalty of one row: beyond it, further away is no worse, and other rows matter more."""
+ROWS = tuple(f"P{i}" for i in range(1, 11))
+TARGETS = (
+    ("critical_new_kmh", 375.0, 6.0),
+    ("critical_worn_kmh", 331.0, 5.0),
+    ("critical_force_kmh", 361.0, 5.0),
+)
+"""Critical speeds (km/h) of rows P2, P5 and P8: target and scale."""
+PRIOR = 0.05
+"""Weight of a parameter's distance from the middle of its range: settles what the rows do not."""
 DIVERGED = 1e3
 """Cost of parameters with which a run does not stay finite."""
 
@@ -49,8 +59,17 @@ class Evaluation:
     place: tuple[float, ...]
     """In the unit cube of the parameters' ranges."""
     cost: float
+    """Sum of the squared penalties."""
     penalties: dict[str, float]
     measures: dict[str, float]
+
+    @property
+    def residuals(self) -> list[float]:
+        """What the least-squares search makes small."""
+        if not self.measures:
+            return [WORST] * len(ROWS)
+        signed = [(self.measures[key] - target) / scale for key, target, scale in TARGETS]
+        return [*signed, *(v for row, v in self.penalties.items() if row not in ("P2", "P5", "P8"))]
 
 
 @dataclass(frozen=True)
@@ -170,7 +189,8 @@ def calibrate(
         No parameters gave a finite run.
     """
     memory = _Memory(config, log)
-    total = config.screening_samples + sum(s.evaluations for s in config.searches)
+    each = len(config.parameters) + 1
+    total = config.screening_samples + sum(1 + s.iterations * each for s in config.searches)
     evaluations: list[Evaluation] = []
 
     def evaluate(stage: str, place: Array, seeds: int) -> Evaluation:
@@ -196,20 +216,18 @@ def calibrate(
 
 
 def _search(search: Search, start: Array, evaluate: Callable[[str, Array, int], Evaluation]) -> None:
-    n = len(start)
-    steps = np.where(start < 0.5, search.step, -search.step)
-    minimize(
-        lambda place: evaluate(search.name, place, search.seeds).cost,
-        start,
-        method="Nelder-Mead",
-        bounds=Bounds(np.zeros(n), np.ones(n)),
-        options={
-            "maxfev": search.evaluations,
-            "initial_simplex": np.vstack([start, start + np.diag(steps)]),
-            "adaptive": True,
-            "xatol": 1e-3,
-            "fatol": 1e-3,
-        },
+    def residuals(shifted: Array) -> Array:
+        found = evaluate(search.name, shifted - 1.0, search.seeds)
+        return np.array([*found.residuals, *(PRIOR * (shifted - 1.5))])
+
+    # Places run from 1 to 2 here: the difference step is relative, and 0 would have none.
+    least_squares(
+        residuals,
+        np.clip(start, 0.01, 0.99) + 1.0,
+        bounds=(1.0, 2.0),
+        diff_step=search.step,
+        max_nfev=search.iterations + 1,
+        x_scale=0.2,
     )
 
 
@@ -303,7 +321,7 @@ class _Memory:
         self.known: dict[tuple[str, tuple[float, ...]], Evaluation] = {}
         # Budgets may grow from one run to the next; what an evaluation means may not change.
         meaning = config.model_dump_json(
-            exclude={"screening_samples": True, "searches": {"__all__": {"evaluations"}}}
+            exclude={"screening_samples": True, "searches": {"__all__": {"iterations"}}}
         )
         if log is None:
             return
