@@ -18,10 +18,11 @@ _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
 
 
 def source_hash(folder: Path) -> str:
-    """Hash of all Python sources below a folder (16 hexadecimal digits), the numba version and the processor.
+    """Hash of all Python sources below a folder and of the numba version (16 hexadecimal digits).
 
     Numba keys its cache by the file of the compiled function alone, so an edit of a function that this one
-    calls would go unnoticed. A cache directory named by the hash of all kernel sources cannot be stale.
+    calls would go unnoticed. A cache directory named by the hash of all kernel sources cannot be stale. (The
+    processor is part of Numba's own index.)
     """
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(folder.rglob("*.py")):

@@ -116,7 +116,7 @@ def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
 
 
 @kernel
-def wheel_forces(plant: Plant, work: Work) -> None:
+def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop body, as the physics reads
     """Normal and creep forces of all wheels, from `work.lane_in` into `work.lane_out`.
 
     One branch-free loop over eight wheels, which compiles to vector instructions. Normal force: Hertz on the
@@ -188,8 +188,8 @@ def wheel_forces(plant: Plant, work: Work) -> None:
         rail_arm = side * arm + x[OFFSET * LANES + i]
         slip_y = x[SLIP_Y * LANES + i] + lead * x[YAW_RATE * LANES + i]
         slip_z = x[SLIP_Z * LANES + i] + x[ROLL_RATE * LANES + i] * arm - x[PLANE_RATE * LANES + i] * rail_arm
-        # Touching ahead of its axle by r yaw tan(gamma), the wheel also turns downwards there: with it the slip
-        # of yaw is V yaw / cos(gamma), and along the normal none is left.
+        # Touching ahead of its axle by r yaw tan(gamma), the wheel also turns downwards there: with it the
+        # slip of yaw is V yaw / cos(gamma), and along the normal none is left.
         slip_t = slip_y * cosine + side * sine * slip_z - speed * yaw * tangent * sine
         spin = x[YAW_RATE * LANES + i] * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
         force_x, force_t = polach(
