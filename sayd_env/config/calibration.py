@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from sayd_env.config.base import Model, Number, quantity
-from sayd_env.config.loader import read_overridden
+from sayd_env.config.loader import beside, read_config, section, validated
 
 
 class Parameter(Model):
@@ -19,6 +20,7 @@ class Parameter(Model):
     unit: str
     low: Number = Field(description="Lower end of the range, in the unit above", allow_inf_nan=False)
     high: Number = Field(description="Upper end of the range", allow_inf_nan=False)
+    guess: float = Field(description="A first guess, screened with the random points")
     scale: Literal["linear", "log"] = "linear"
     keys: dict[str, Number] = Field(description="Scenario key -> factor", min_length=1)
     source: str = Field(description="Where the range comes from")
@@ -27,6 +29,8 @@ class Parameter(Model):
     def _range(self) -> Parameter:
         if not self.low < self.high or (self.scale == "log" and self.low <= 0.0):
             raise ValueError("needs low < high, and low > 0 on a log scale")
+        if not self.low <= self.guess <= self.high:
+            raise ValueError("the guess must lie within the range")
         return self
 
     def value(self, unit: float) -> float:
@@ -80,4 +84,8 @@ def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ())
     ConfigError
         A file, key or value that cannot be used.
     """
-    return read_overridden(CalibrationConfig, "study", name, overrides)
+    content, source = read_config("study", name)
+    data = section(content, source)
+    if isinstance(data.get("base"), str):
+        data = {**data, "base": beside(data["base"], Path(source).parent)}
+    return validated(CalibrationConfig, data, source, overrides)

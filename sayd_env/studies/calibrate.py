@@ -9,10 +9,11 @@ Crossings are extrapolated beyond the speed grid, so that a search can start any
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -204,8 +205,9 @@ def calibrate(
         progress(min(len(evaluations), total), total, f"{stage}, best cost {best:.2f}")
         return found
 
-    cube = qmc.LatinHypercube(len(config.parameters), seed=seed).random(config.screening_samples)
-    screened = [evaluate("screening", place, config.screening_seeds) for place in cube]
+    guess = [p.place(p.guess) for p in config.parameters]
+    cube = qmc.LatinHypercube(len(guess), seed=seed).random(config.screening_samples - 1)
+    screened = [evaluate("screening", place, config.screening_seeds) for place in [np.array(guess), *cube]]
     if min(e.cost for e in screened) >= DIVERGED:
         raise StudyError("calibration: no parameters within the ranges gave a finite run")
     best = min(screened, key=lambda e: e.cost)
@@ -325,10 +327,10 @@ class _Memory:
         )
         if log is None:
             return
-        if log.exists():
+        if log.exists() and log.stat().st_size:
             self._read(log, meaning)
         else:
-            log.write_text(json.dumps({"calibration": meaning}) + "\n", encoding="utf-8")
+            self._write(json.dumps({"calibration": meaning}) + "\n", "w")
 
     def _read(self, log: Path, meaning: str) -> None:
         text = read_text(log, "log of a calibration")
@@ -343,12 +345,19 @@ class _Memory:
                 raise ConfigError(f"{log}: line {number}: is no evaluation; remove the line") from None
             self.known[e.stage, e.place] = e
         if cut_off:  # by an interruption: what follows shall not join it
-            log.write_text(whole + "\n", encoding="utf-8")
+            os.truncate(log, len(whole.encode()) + 1)
 
     def get(self, stage: str, place: tuple[float, ...]) -> Evaluation | None:
         return self.known.get((stage, place))
 
     def put(self, e: Evaluation) -> None:
         if self.log is not None:
-            with self.log.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(e.__dict__) + "\n")
+            self._write(json.dumps(e.__dict__) + "\n", "a")
+
+    def _write(self, text: str, mode: Literal["a", "w"]) -> None:
+        assert self.log is not None
+        try:
+            with self.log.open(mode, encoding="utf-8") as stream:
+                stream.write(text)
+        except OSError as error:
+            raise ConfigError(f"{self.log}: cannot be written ({error.strerror})") from None
