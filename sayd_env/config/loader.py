@@ -18,6 +18,8 @@ __all__ = [
     "KINDS",
     "apply_overrides",
     "assigned",
+    "beside",
+    "is_path",
     "nearest",
     "packaged_names",
     "parse_yaml",
@@ -106,6 +108,16 @@ def read_text(path: Path, what: str = "file") -> str:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
 
 
+def is_path(name_or_path: str) -> bool:
+    """Whether a reference is a path to a YAML file: it ends in .yaml or .yml, or has a separator."""
+    return name_or_path.endswith((".yaml", ".yml")) or "/" in name_or_path
+
+
+def beside(name_or_path: str, folder: Path) -> str:
+    """A path as seen from the folder of the file that holds it; a name as it is."""
+    return str(folder / name_or_path) if is_path(name_or_path) else name_or_path
+
+
 def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
     """Raw content of a configuration and where it came from.
 
@@ -114,9 +126,9 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
     kind : str
         One of `KINDS`.
     name_or_path : str
-        A packaged name (``emu``) or a path to a YAML file (it ends in .yaml or .yml, or has a separator).
+        A packaged name (``emu``) or a path to a YAML file.
     """
-    if name_or_path.endswith((".yaml", ".yml")) or "/" in name_or_path:
+    if is_path(name_or_path):
         return parse_yaml(read_text(Path(name_or_path)), name_or_path), name_or_path
     names = packaged_names(kind)
     if name_or_path not in names:

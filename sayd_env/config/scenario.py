@@ -18,6 +18,8 @@ from sayd_env.config.explain import Origin
 from sayd_env.config.loader import (
     apply_overrides,
     assigned,
+    beside,
+    is_path,
     packaged_names,
     parse_yaml,
     read_config,
@@ -88,7 +90,8 @@ def load_scenario(config: str | None = None, overrides: Iterable[str] = ()) -> S
     config : str, optional
         A packaged study (``nominal``) or a path to a YAML file. A file needs only the keys in which it
         differs from its ``base`` (``nominal`` unless it names another); a section may be given by name, by
-        path or by content, and single numbers under ``set``, as key: value with dotted keys.
+        path (relative to that file) or by content, and single numbers under ``set``, as key: value with
+        dotted keys.
     overrides : iterable of str
         ``key=value`` assignments, applied last, for example ``damper.series_stiffness=4e6``.
 
@@ -117,15 +120,19 @@ def _study(name: str, users: tuple[str, ...]) -> _Draft:
     content, source = read_config("study", name)
     own = dict(section(content, source))
     base, assignments = own.pop("base", "nominal"), own.pop("set", None)
-    if base in users or base == name:
-        raise ConfigError(f"{source}: base: '{base}' stands on this file itself")
     if base is not None and not isinstance(base, str):
         raise ConfigError(f"{source}: base: found {base!r}; expected the name of a study, a path or null")
+    folder = Path(source).parent
+    base = None if base is None else beside(base, folder)
+    users = (*users, _identity(name))
+    if base is not None and _identity(base) in users:
+        raise ConfigError(f"{source}: base: '{base}' stands on this file itself")
     if assignments is not None and not isinstance(assignments, dict):
         raise ConfigError(
             f"{source}: set: expected keys and values, for example damper.series_stiffness: 4.0e6"
         )
-    below = _Draft({}) if base is None else _study(base, (*users, name))
+    below = _Draft({}) if base is None else _study(base, users)
+    own = {key: _placed(key, value, folder) for key, value in own.items()}
     top = _resolved(_Draft(own, tuple(Origin(path, source) for path in _paths(own))), source)
     draft = _Draft(_merged(below.data, top.data), below.origins + top.origins)
     for key, value in (assignments or {}).items():
@@ -162,7 +169,8 @@ def _resolved(draft: _Draft, source: str) -> _Draft:
         named = data.get(key)
         if isinstance(named, str):
             content, found = read_config(kind, named)
-            data[key] = _beside(key, _of_kind(key, section(content, found), found), Path(found).parent)
+            fitting = _of_kind(key, section(content, found), found)
+            data[key] = _with_data_files(key, fitting, Path(found).parent)
             origins = (*origins, Origin((key,), found, own=True))
         elif key in data and not isinstance(named, dict):
             raise ConfigError(f"{source}: {key}: found {named!r}; {_expected(key, kind, named)}")
@@ -186,7 +194,18 @@ def _of_kind(key: str, content: dict[str, Any], source: str) -> dict[str, Any]:
     return content
 
 
-def _beside(key: str, content: dict[str, Any], folder: Path) -> Any:
+def _identity(name_or_path: str) -> str:
+    return str(Path(name_or_path).resolve()) if is_path(name_or_path) else name_or_path
+
+
+def _placed(key: str, value: Any, folder: Path) -> Any:
+    """Value of a study's key, its paths as seen from the folder of the file in which they stand."""
+    if key in REFERENCES and isinstance(value, str):
+        return beside(value, folder)
+    return _with_data_files(key, value, folder) if isinstance(value, dict) else value
+
+
+def _with_data_files(key: str, content: dict[str, Any], folder: Path) -> Any:
     """Content whose data files are looked for beside the YAML file that names them."""
     if key == "track":
         return with_resolved_path(content, folder)
