@@ -1,0 +1,282 @@
+"""Bad input of any kind is one message, the right exit status, no traceback and no result file."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from sayd_env.cli import main
+
+COMMANDS = (
+    "critical-speed",
+    "evaluate",
+    "reproduce",
+    "conicity",
+    "hysteresis",
+    "modes",
+    "calibrate",
+    "bench",
+)
+RUNS = ("critical-speed", "evaluate", "modes")
+SHORT = ["--config", "estimates", "--set", "assessment.run_in=200", "--set", "assessment.length=600"]
+EVALUATE = ["evaluate", *SHORT, "--speeds", "300", "--seeds", "1", "--json"]
+
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Refused]:
+    """Run a command in an empty directory; it must refuse within three seconds, in one line."""
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str, status: int = 2) -> str:
+        start = time.perf_counter()
+        assert main(arguments) == status
+        assert time.perf_counter() - start < 3.0
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.startswith("sayd: error: ")
+        assert err.count("\n") == 1
+        assert "Traceback" not in err
+        assert list(tmp_path.rglob("result.json")) == []
+        return err
+
+    yield run
+    signal.signal(signal.SIGTERM, before)
+
+
+def write(path: str, text: str | bytes = "") -> str:
+    file = Path(path)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(text.encode() if isinstance(text, str) else text)
+    return path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_refuses_a_bad_config(command: str, refused: Refused):
+    Path("folder.yaml").mkdir()
+    write("binary.yaml", bytes(range(256)))
+    write("empty.yaml")
+    write("list.yaml", "- 1\n- 2\n")
+    assert "nowhere.yaml: no such file" in refused(command, "--config", "nowhere.yaml")
+    assert "folder.yaml: is a directory, expected a file" in refused(command, "--config", "folder.yaml")
+    assert "binary.yaml: is not a text file" in refused(command, "--config", "binary.yaml")
+    assert "empty.yaml: is empty; expected keys and values" in refused(command, "--config", "empty.yaml")
+    assert "list.yaml: found [1, 2]; expected keys and values" in refused(command, "--config", "list.yaml")
+    assert "did you mean 'nominal'?; available: " in refused(command, "--config", "nominl")
+    assert "unknown study ''" in refused(command, "--config", "")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_refuses_bad_assignments_and_a_bad_directory(command: str, refused: Refused):
+    write("file")
+    assert "--set wear: expected key=value" in refused(command, "--set", "wear")
+    assert "--set =3: expected key=value" in refused(command, "--set", "=3")
+    assert "--set: unknown key 'weer'" in refused(command, "--set", "weer=1")
+    for path in ("file", "file/below"):
+        assert f"--out {path}: a file is in the way, expected a directory" in refused(command, "--out", path)
+    assert "--out /proc/none: cannot be written" in refused(command, "--out", "/proc/none")
+    assert "No such option: --bogus" in refused(command, "--bogus")
+
+
+@pytest.mark.parametrize("command", RUNS)
+@pytest.mark.parametrize(
+    ("speeds", "message"),
+    [
+        ("0", "found 0; expected a finite number above 0 km/h"),
+        ("-300", "found -300; expected a finite number above 0 km/h"),
+        ("nan", "found nan"),
+        ("inf", "found inf"),
+        ("", "found an empty place"),
+        ("300km/h", "found '300km/h'; expected numbers in km/h"),
+        ("400,300", "300 follows 400; speeds must rise"),
+        ("5", "speed 5 km/h is outside the range of vehicle 'emu': 28.8 to 504 km/h"),
+        ("300,900", "speed 900 km/h is outside the range of vehicle 'emu': 28.8 to 504 km/h"),
+    ],
+)
+def test_bad_speeds_are_refused_before_any_work(command: str, speeds: str, message: str, refused: Refused):
+    assert message in refused(command, "--speeds", speeds, "--json")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--friction", "0"], "--friction 0: expected a number above 0, at most 1"),
+        (["--friction", "2"], "--friction 2: expected a number from 0 to 1"),
+        (["--wear", "2"], "--wear 2: expected a number from 0 to 1"),
+        (["--wear", "-1"], "--wear -1: expected a number from 0 to 1"),
+        (["--seeds", "0"], "--seeds 0: expected a whole number from 1 to 10000"),
+        (["--seeds", "1e3"], "--seeds 1e3: expected a whole number"),
+        (["--seed", "-1"], "--seed -1: expected a whole number from 0"),
+        (["--workers", "0"], "--workers 0: expected a whole number from 1 to"),
+        (["--profile", "s1002cm"], "unknown profile 's1002cm', did you mean 's1002cn'?; available: "),
+        (["--profile", "60e1"], "configs/profile/60e1.yaml: is a rail profile; as wheel are available: "),
+        (["--track", "chinna"], "unknown track 'chinna', did you mean 'china'?"),
+        (["--set", "numerics.step=1e-12"], "numerics.step: found 1e-12; expected a number greater than"),
+        (["--set", "assessment.length=null"], "assessment.length: a simulation needs a distance, found null"),
+        (["--set", "assessment.length=1e12"], "track length: found 1e+12 m"),
+        (["--set", "assessment.sample_rate=1e9"], "assessment.sample_rate: found 1000000000.0; expected"),
+        (["--set", "track.gauge=1.6"], "check gauge and back-to-back distance"),
+        (["--set", "vehicle.bodies.carbody.mass=-1"], "vehicle.bodies.carbody.mass: found -1; expected"),
+    ],
+)
+def test_bad_values_are_refused(arguments: list[str], message: str, refused: Refused):
+    assert message in refused(*EVALUATE, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--amplitudes", "1e300"], "--amplitudes 1e300: expected a finite number above 0 mm, at most 1000"),
+        (["--frequencies", "1e9"], "--frequencies 1e9: expected a finite number above 0 Hz, at most 1000"),
+        (["--damper", "pasive"], "'pasive' is not one of 'passive', 'sayd'"),
+    ],
+)
+def test_bad_test_rigs_are_refused(arguments: list[str], message: str, refused: Refused):
+    assert message in refused("hysteresis", *arguments)
+
+
+def test_a_bad_vehicle_file_is_named_with_the_part(refused: Refused):
+    text = resources.files("configs").joinpath("vehicle", "emu.yaml").read_text(encoding="utf-8")
+    for old, new, message in (
+        ("mass: 49962.0", "mass: -49962.0", "bodies.carbody.mass: found -49962.0; expected a number greater"),
+        ("body: axlebox", "body: axelbox", "primary_spring: unknown body 'axelbox', did you mean 'axlebox'?"),
+        (
+            "stiffness: 2.0e6",
+            "stifness: 2.0e6",
+            "unknown key 'elements.anti_roll_bar.stifness', did you mean",
+        ),
+        ("type: bush", "type: bsh", "elements.primary_spring.type: found 'bsh', did you mean 'bush'?"),
+        ("[0.1, 1960.0]", "[0.5, 1960.0]", "elements.primary_damper.curve: "),
+    ):
+        assert old in text
+        write("my/vehicle.yaml", text.replace(old, new, 1))
+        found = refused(*EVALUATE, "--set", "vehicle=my/vehicle.yaml")
+        assert found.startswith("sayd: error: my/vehicle.yaml: ")
+        assert message in found
+
+
+WHEEL = """
+wear: 0.0
+wheel: {kind: wheel, name: mine, back_to_back: 1.353, tape_to_back: 0.07, shape: {file: measured.csv}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "found no points, at least 20 are needed"),
+        ("y,z\n1,2\n2,3\n", "found 2 points, at least 20 are needed"),
+        ("y,z\n" + "a,b\n" * 30, "line 2: found 'a,b', expected two numbers y z (mm)"),
+        (
+            "".join(f"{y},{'nan' if y == 5 else 0}\n" for y in range(30)),
+            "line 6: found a value that is not finite",
+        ),
+        ("".join(f"{40 if y == 7 else y},0\n" for y in range(30)), "line 9: y goes from 40 to 8 mm, against"),
+        (bytes(range(256)), "is not a text file"),
+        (None, "no such profile file"),
+    ],
+)
+def test_a_bad_profile_file_is_named(content: str | bytes | None, message: str, refused: Refused):
+    """The file lies beside the YAML file that names it."""
+    if content is not None:
+        write("my/measured.csv", content)
+    write("my/study.yaml", WHEEL)
+    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--json")
+    assert found.startswith("sayd: error: my/measured.csv: ")
+    assert message in found
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "is empty; expected a header with x_m and any of alignment_mm"),
+        ("x_m,alignment_mm\n0,1\n", "found 1 rows of numbers; at least 4 are needed"),
+        ("x_m,alignmnt_mm\n0,1\n", "line 1: unknown column 'alignmnt_mm', did you mean 'alignment_mm'?"),
+        ("x_m,alignment_mm\n0,1\n1,nan\n2,1\n3,1\n", "line 3: column 'alignment_mm': found 'nan'"),
+        ("x_m,alignment_mm\n0,1\n2,1\n1,1\n3,1\n", "line 4: x_m 1 comes after 2 m; positions must ascend"),
+        ("x_m,alignment_mm\n0,a\n1,1\n2,1\n3,1\n", "line 2: column 'alignment_mm': found 'a'"),
+        ("x_m,alignment_mm\n0,1\n1,1\n2,1\n3,1\n", "covers 0 to 3 m of a run from 0 to"),
+        (None, "no such file"),
+    ],
+)
+def test_a_bad_irregularity_file_is_named(content: str | None, message: str, refused: Refused):
+    """The file lies beside the YAML file that names it."""
+    if content is not None:
+        write("my/measured.csv", content)
+    write("my/study.yaml", "track: {irregularity: {type: file, path: measured.csv}}\n")
+    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--json")
+    assert found.startswith("sayd: error: my/measured.csv: ")
+    assert message in found
+
+
+@pytest.mark.parametrize("command", ["evaluate", "critical-speed"])
+def test_a_run_that_diverges_is_a_failed_study(command: str, refused: Refused):
+    stiff = ["--set", "vehicle.elements.arm_joint.stiffness=[1e12, 1e12, 1e12]"]
+    run = [command, *SHORT, "--speeds", "300", "--seeds", "2", *stiff, "--out", "here"]
+    assert "the simulation at 300 km/h diverged after" in refused(*run, status=1)
+    assert list(Path("here").iterdir()) == []
+
+
+def test_too_little_memory_is_one_message(refused: Refused, monkeypatch: pytest.MonkeyPatch):
+    def exhausted(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("sayd_env.studies.evaluate.simulate", exhausted)
+    assert "not enough memory" in refused(*EVALUATE, status=1)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs POSIX signals")
+@pytest.mark.parametrize("command", ["critical-speed", "calibrate"])
+def test_an_interrupted_study_ends_soon_and_leaves_no_result(command: str, tmp_path: Path):
+    """Interrupted when the first sign of progress is out, long before the end."""
+    arguments = ["--out", "here"] + (["--seeds", "1000"] if command == "critical-speed" else [])
+    with subprocess.Popen(
+        [sys.executable, "-m", "sayd_env", command, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    ) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if " of " in line:
+                break
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert out == ""
+    assert err.splitlines()[-1] == "sayd: interrupted; no result was written"
+    assert "Traceback" not in err
+    names = {path.name for path in (tmp_path / "here").iterdir()}
+    assert names == ({"evaluations.jsonl"} if command == "calibrate" else set())
+    for name in names:
+        lines = (tmp_path / "here" / name).read_text().splitlines()
+        assert [json.loads(line) for line in lines[1:]]
+
+
+def test_no_warning_reaches_the_user(tmp_path: Path):
+    """A process with every warning shown prints none, neither for a good run nor for a refused one."""
+    for arguments, status in ((EVALUATE, 0), ([*EVALUATE, "--set", "track.irregularity.scale=1e6"], 1)):
+        done = subprocess.run(
+            [sys.executable, "-W", "always", "-m", "sayd_env", *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONWARNINGS": "always"},
+        )
+        assert done.returncode == status
+        assert "Warning" not in done.stderr

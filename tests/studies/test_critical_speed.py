@@ -1,0 +1,187 @@
+"""The critical speed: from known crossings to the printed keys, and the sweep behind it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sayd_env.cli import main
+from sayd_env.config import ConfigError
+from sayd_env.config.scenario import Scenario
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.stability import Limits
+from sayd_env.studies.critical_speed import (
+    CriticalSpeedResult,
+    History,
+    default_speeds,
+    find_critical_speed,
+    model_limits,
+)
+from sayd_env.studies.output import json_text
+from sayd_env.studies.sweep import Sweep, assessed_run, parallel, sweep
+
+KMH = [320.0, 350.0, 370.0, 395.0, 420.0, 445.0]
+NAMES = ("front.leading", "front.trailing", "rear.leading", "rear.trailing")
+NONE = np.zeros(0)
+
+
+@pytest.fixture
+def result(
+    synthetic: Callable[..., Sweep], limits: Limits, short_scenario: Scenario
+) -> Callable[..., CriticalSpeedResult]:
+    """Make a result with known crossings (km/h) for each seed."""
+
+    def result(acceleration: list[float], force: list[float]) -> CriticalSpeedResult:
+        grid = synthetic(KMH, acceleration, force)
+        history = History(KMH[0] / 3.6, NAMES[0], NONE, NONE, NONE, NONE)
+        return CriticalSpeedResult(short_scenario, grid, limits, NAMES, history)
+
+    return result
+
+
+Make = Callable[..., CriticalSpeedResult]
+
+
+def test_the_lower_criterion_decides_and_seeds_count_by_their_median(result: Make):
+    """Medians of lines of one slope: the crossing of the median is the median of the crossings."""
+    keys = result([326.0, 331.0, 345.0], [350.0, 361.0, 390.0]).as_dict()
+    assert keys["critical_speed_kmh"] == pytest.approx(331.0)
+    assert keys["criterion"] == "acceleration"
+    by = keys["by_criterion"]
+    assert by["track_shift_force"]["critical_speed_kmh"] == pytest.approx(361.0)
+    # 10 % and 90 % of three values lie a fifth of the way from the outer ones to the middle.
+    assert by["acceleration"]["over_seeds_kmh"] == pytest.approx([327.0, 342.2])
+    assert not by["acceleration"]["sensitive_to_grid"]
+
+
+def test_the_track_shift_force_may_decide(result: Make):
+    keys = result([380.0], [361.0]).as_dict()
+    assert keys["criterion"] == "track_shift_force"
+    assert keys["critical_speed_kmh"] == pytest.approx(361.0)
+
+
+def test_no_crossing_in_the_range_is_null(result: Make):
+    keys = result([500.0], [500.0]).as_dict()
+    assert keys["critical_speed_kmh"] is None
+    assert keys["criterion"] is None
+    assert keys["by_criterion"]["acceleration"]["status"] == "not_reached"
+
+
+def test_a_limit_exceeded_at_the_lowest_speed_is_null_with_its_criterion(result: Make):
+    keys = result([310.0], [361.0]).as_dict()
+    assert keys["critical_speed_kmh"] is None
+    assert keys["criterion"] == "acceleration"
+    assert keys["by_criterion"]["acceleration"]["status"] == "below_grid"
+
+
+def test_keys_of_json_are_those_that_scripts_rely_on(result: Make):
+    keys = json.loads(json_text(result([326.0, 331.0, 345.0], [350.0, 361.0, 390.0]).as_dict()))
+    assert {"critical_speed_kmh", "criterion", "limits", "speeds", "seeds"} <= set(keys)
+    assert keys["limits"] == pytest.approx({"acceleration_rms": 5.44, "track_shift_rms_kn": 30.0})
+    assert keys["seeds"] == [0, 1, 2]
+    assert [row["speed_kmh"] for row in keys["speeds"]] == pytest.approx(KMH)
+    row = keys["speeds"][1]
+    assert row["acceleration_rms"] == pytest.approx(
+        [5.44 * (1 + 19 / 200) * share for share in (1.0, 0.9, 0.9, 0.9)]
+    )
+    assert row["track_shift_rms_kn"] == pytest.approx(
+        [30.0 * (1 - 11 / 200) * share for share in (0.8, 1.0, 0.8, 1.0)]
+    )
+    assert row["dominant_frequency_hz"] == [4.0] * 4
+
+
+def test_a_kink_makes_the_crossing_sensitive_to_the_grid(result: Make):
+    """Without its second speed the grid crosses at 349.5 km/h instead of 335: more than 8 km/h away."""
+    made = result([330.0], [500.0])
+    ratio = np.array([0.9, 1.1, 1.12, 1.13, 1.14, 1.15])
+    made.sweep.acceleration[:] = 5.44 * ratio[:, None, None]
+    keys = made.as_dict()["by_criterion"]["acceleration"]
+    assert keys["critical_speed_kmh"] == pytest.approx(320 + 30 * 0.1 / 0.2)
+    thinned = 320 + 50 * 0.1 / 0.22
+    assert keys["sensitive_to_grid"] is (thinned - 335 > 8)
+
+
+def test_the_default_grid_depends_on_the_wear():
+    assert np.array(default_speeds(0.0)) * 3.6 == pytest.approx([280, 310, 340, 370, 400])
+    assert np.array(default_speeds(1.0)) * 3.6 == pytest.approx(KMH)
+
+
+def test_limits_of_the_papers_vehicle_are_those_of_the_paper(short_model: VehicleModel):
+    """Wang et al. (2022): 30 kN and 5.44 m/s2."""
+    limits = model_limits(short_model)
+    assert limits.track_shift_force == pytest.approx(30e3, rel=1e-3)
+    assert limits.acceleration == pytest.approx(5.44, rel=1e-3)
+
+
+SPEEDS = (300 / 3.6, 400 / 3.6)
+
+
+def test_a_sweep_is_its_single_runs_whatever_the_workers(short_model: VehicleModel):
+    one, many = (sweep(short_model, SPEEDS, (3, 5, 8), workers=n) for n in (1, 3))
+    assert one.acceleration.shape == (2, 3, 4)
+    assert one.seeds == (3, 5, 8)
+    for name in ("frequency", "frequency_force", "acceleration", "track_shift"):
+        assert np.array_equal(getattr(one, name), getattr(many, name))
+    single = assessed_run(short_model, SPEEDS[1], 5)
+    assert np.array_equal(one.track_shift[1, 1], single.track_shift)
+    assert np.array_equal(one.frequency[1, 1], single.frequency)
+
+
+def test_progress_counts_every_run_once(short_scenario: Scenario):
+    told: list[tuple[float, float]] = []
+    result = find_critical_speed(
+        short_scenario, SPEEDS, (0, 1), progress=lambda done, total, what="": told.append((done, total))
+    )
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    # The history shows the wheelset with the highest RMS of the first speed and seed.
+    worst = int(np.argmax(result.sweep.acceleration[0, 0]))
+    assert result.history.wheelset == result.wheelsets[worst]
+    assert result.history.rms.max() == pytest.approx(result.sweep.acceleration[0, 0, worst], rel=1e-12)
+
+
+def test_a_speed_out_of_range_is_refused_before_any_work(short_scenario: Scenario):
+    model = VehicleModel(short_scenario)
+    with pytest.raises(ConfigError, match="speed 900 km/h is outside the range"):
+        sweep(model, (300 / 3.6, 900 / 3.6), (0,))
+    assert "table" not in model.__dict__
+
+
+def test_the_first_error_ends_the_others():
+    def work(case: int) -> int:
+        if case == 1:
+            raise ConfigError("the second case")
+        return case
+
+    with pytest.raises(ConfigError, match="the second case"):
+        parallel(work, range(1000), workers=2)
+    assert parallel(work, [5, 0, 3], workers=2) == [5, 0, 3]
+
+
+def test_the_command_prints_the_keys_and_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    command = [
+        "critical-speed",
+        "--config",
+        "estimates",
+        "--speeds",
+        "300,330",
+        "--seed",
+        "7",
+        "--seeds",
+        "2",
+    ]
+    settings = ["--set", "assessment.run_in=200", "--set", "assessment.length=600"]
+    assert main([*command, *settings, "--json", "--out", str(tmp_path)]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["seeds"] == [7, 8]
+    assert content["seed"] == 7
+    assert content["config"]["assessment"]["length"] == 600
+    files = {path.name for path in tmp_path.iterdir()}
+    assert files == {"result.json", "runs.csv", "critical_speed.png", "time_history.png"}
+    runs = np.genfromtxt(tmp_path / "runs.csv", delimiter=",", names=True, dtype=None, encoding=None)
+    at = (runs["speed_kmh"] == 300.0) & (runs["wheelset"] == "rear.trailing")
+    median = np.median(runs["acceleration_rms"][at])
+    assert content["speeds"][0]["acceleration_rms"][3] == pytest.approx(median)

@@ -1,0 +1,93 @@
+"""The table of the paper's statements: one command, a row for each, the same on any number of threads."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from sayd_env.cli import main
+from sayd_env.config.scenario import Scenario
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.studies.claims import WORN_SPEEDS, passive_claims
+from sayd_env.studies.hysteresis import hysteresis
+from sayd_env.studies.reproduce import ReproduceResult, damper_claim, model_claim, reproduce
+from sayd_env.studies.sweep import assessed_run
+
+ROWS = [*(f"P{i}" for i in range(1, 12)), "C2"]
+SHORT = ["--config", "estimates", "--set", "assessment.run_in=200", "--set", "assessment.length=600"]
+
+
+@pytest.fixture(scope="module")
+def told() -> list[tuple[float, float]]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(short_scenario: Scenario, told: list[tuple[float, float]]) -> ReproduceResult:
+    return reproduce(
+        short_scenario,
+        [3],
+        workers=2,
+        progress=lambda done, total, what="": told.append((done, total)),
+    )
+
+
+def test_every_row_of_the_passive_vehicle_is_judged(result: ReproduceResult):
+    assert [claim.id for claim in result.claims] == ROWS
+    assert result.claims[:10] == passive_claims(result.new, result.worn, result.limits)
+    keys = result.as_dict()
+    assert keys["seeds"] == [3]
+    for row in keys["claims"]:
+        assert {"id", "expected", "measured", "fraction", "holds"} <= set(row)
+        assert 0.0 <= row["fraction"] <= 1.0
+
+
+def test_progress_goes_on_over_both_sweeps(result: ReproduceResult, told: list[tuple[float, float]]):
+    assert told == [(done, 11) for done in range(1, 12)]
+
+
+def test_wear_is_0_and_1_in_turn(result: ReproduceResult, short_scenario: Scenario):
+    for grid, wear in ((result.new, 0.0), (result.worn, 1.0)):
+        model = VehicleModel(short_scenario.model_copy(update={"wear": wear}))
+        run = assessed_run(model, float(grid.speeds[0]), 3)
+        assert (grid.acceleration[0, 0] == run.acceleration).all()
+    assert result.worn.speeds == pytest.approx(WORN_SPEEDS)
+
+
+def test_the_model_is_counted(short_model: VehicleModel):
+    """62 degrees of freedom, 8 yaw dampers: Wang et al. (2022), section 2."""
+    claim = model_claim(short_model)
+    assert (claim.measured, claim.holds) == ("62 and 8", True)
+
+
+def test_a_loop_that_dissipates_nothing_fails_row_11(short_scenario: Scenario):
+    loops = hysteresis(short_scenario, [2e-3], [2.0])
+    assert damper_claim(loops).holds
+    loop = loops.loops[0]
+    backwards = loop.cycle._replace(force=-loop.cycle.force)
+    broken = dataclasses.replace(loops, loops=(dataclasses.replace(loop, cycle=backwards),))
+    assert not damper_claim(broken).holds
+
+
+def test_the_command_writes_claims_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["reproduce", *SHORT, "--seeds", "1", "--json", "--out", str(tmp_path)]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert [claim["id"] for claim in content["claims"]] == ROWS
+    assert content["seeds"] == [0]
+    files = {path.name for path in tmp_path.iterdir()}
+    assert {"result.json", "claims.csv", "runs_new.csv", "runs_worn.csv"} <= files
+    assert {"figure_01_conicity.png", "figure_08_new_wheels.png", "figure_10_worn_wheels.png"} <= files
+    assert {name[:9] for name in files if name.startswith("figure")} >= {"figure_02", "figure_03"}
+
+
+def test_strict_fails_with_the_rows_that_do_not_hold(capsys: pytest.CaptureFixture[str]):
+    # A second, smaller damper curve: no vehicle is stable at every speed of the paper with a hundredth of it.
+    weak = ["--set", "damper.curve=[[0, 0], [0.2, 120.0], [1.0, 150.0]]"]
+    assert main(["reproduce", *SHORT, *weak, "--seeds", "1", "--json", "--strict"]) == 1
+    out, err = capsys.readouterr()
+    failed = [claim["id"] for claim in json.loads(out)["claims"] if not claim["holds"]]
+    assert failed
+    assert f"sayd: error: rows that do not hold: {', '.join(failed)}" in err
