@@ -10,7 +10,7 @@ RUN_JOB = $(BIN)/sayd critical-speed --profile new --out results/new && \
           $(BIN)/sayd critical-speed --profile worn --out results/worn
 
 # Compiles the kernels once, so that parallel test processes find them in the cache instead of racing for it.
-WARM_UP = $(BIN)/sayd conicity --json > /dev/null
+WARM_UP = $(BIN)/sayd evaluate --speeds 300 --seeds 1 --set assessment.length=600 --json > /dev/null
 
 # Options for both test passes, for example `make test PYTEST_OPTIONS="-k contact"`.
 PYTEST_OPTIONS =

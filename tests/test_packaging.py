@@ -83,6 +83,10 @@ def test_the_wheel_works_in_an_empty_environment(wheel: Path, tmp_path: Path):
     assert place.count("site-packages") == 2
     run(python, "-c", "import importlib.util as u; assert u.find_spec('torch') is None", cwd=elsewhere)
     (elsewhere / "ride.csv").write_text(RIDE)
-    assert json.loads(run(environment / "bin" / "sayd", "assess", "ride.csv", "--json", cwd=elsewhere))[
-        "stable"
-    ]
+    sayd = environment / "bin" / "sayd"
+    assert json.loads(run(sayd, "assess", "ride.csv", "--json", cwd=elsewhere))["stable"]
+    evaluation = ["--speeds", "300", "--seeds", "1", "--set", "assessment.length=1000"]
+    (row,) = json.loads(run(sayd, "evaluate", *evaluation, "--json", cwd=elsewhere))["rows"]
+    assert (row["policy"], row["seed"]) == ("passive", 0)
+    assert row["J"] > 0.0
+    assert sorted(path.name for path in elsewhere.iterdir()) == ["ride.csv"]
