@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, get_args, get_origin
+from typing import Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -52,19 +52,47 @@ def explain(
         Parts of it that come from elsewhere; the last one that a problem touches counts.
     """
     known = list(origins)
-    details = _without_consequences(error.errors(include_url=False))
-    missing: dict[tuple[str, str], list[str]] = {}
+    problems = [
+        _Problem(detail, path, _origin(known, path) or Origin((), source))
+        for detail in _without_consequences(error.errors(include_url=False))
+        for path in [_data_path(data, detail["loc"])]
+    ]
     lines = []
-    for detail in details:
-        path = _data_path(data, detail["loc"])
-        origin = _origin(known, path) or Origin((), source)
-        if detail["type"] == "missing":
-            section = _named(data, path[:-1], origin)
-            missing.setdefault((origin.source, section), []).append(str(path[-1]))
-            if len(missing[origin.source, section]) > 1:
-                continue
-        lines.append((origin.source, _sentence(model, data, detail, path, origin)))
-    return "\n".join(f"{where}: {_with_all(line, where, missing)}" for where, line in lines)
+    for group in _grouped(model, problems):
+        first = group[0]
+        text = _sentence(model, data, first) if len(group) == 1 else _several(model, data, group)
+        lines.append(f"{first.origin.source}: {text}")
+    return "\n".join(lines)
+
+
+class _Problem(NamedTuple):
+    detail: ErrorDetails
+    path: Path
+    origin: Origin
+
+
+def _grouped(model: type[BaseModel], problems: list[_Problem]) -> list[list[_Problem]]:
+    """Put together the missing keys of a section, and those that resemble none that is allowed."""
+    groups: dict[object, list[_Problem]] = {}
+    for number, problem in enumerate(problems):
+        detail, path, origin = problem
+        kind: object = detail["type"]
+        alone = kind not in ("missing", "extra_forbidden") or not isinstance(path[-1], str)
+        if not alone and kind == "extra_forbidden":
+            alone = _closest(str(path[-1]), _fields_at(model, detail["loc"][:-1])) is not None
+        groups.setdefault(number if alone else (kind, origin.source, path[:-1]), []).append(problem)
+    return list(groups.values())
+
+
+def _several(model: type[BaseModel], data: Any, group: list[_Problem]) -> str:
+    detail, path, origin = group[0]
+    section = _named(data, path[:-1], origin)
+    place = f" in '{section}'" if section else ""
+    names = ", ".join(str(problem.path[-1]) for problem in group)
+    if detail["type"] == "missing":
+        return f"keys are missing{place}: {names}"
+    allowed = ", ".join(sorted(_fields_at(model, detail["loc"][:-1])))
+    return f"unknown keys{place}: {names}; allowed here: {allowed}"
 
 
 def shown(value: Any) -> str:
@@ -92,17 +120,8 @@ def _without_consequences(details: list[ErrorDetails]) -> list[ErrorDetails]:
     return kept
 
 
-def _with_all(line: str, where: str, missing: Mapping[tuple[str, str], list[str]]) -> str:
-    """Turn the first of several missing keys of a section into all of them."""
-    for (source, section), names in missing.items():
-        prefix = f"{section}." if section else ""
-        if len(names) > 1 and source == where and line.startswith(f"key '{prefix}{names[0]}' is missing"):
-            place = f" in '{section}'" if section else ""
-            return f"keys are missing{place}: {', '.join(names)}"
-    return line
-
-
-def _sentence(model: type[BaseModel], data: Any, detail: ErrorDetails, path: Path, origin: Origin) -> str:
+def _sentence(model: type[BaseModel], data: Any, problem: _Problem) -> str:
+    detail, path, origin = problem
     kind, key = detail["type"], _named(data, path, origin)
     about = _description(model, detail["loc"])
     if kind == "missing" and isinstance(path[-1], int):

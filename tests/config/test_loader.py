@@ -123,6 +123,15 @@ def test_several_missing_keys_share_a_line_and_other_problems_have_their_own():
     ]
 
 
+def test_a_file_of_another_kind_is_not_a_page_of_messages():
+    lines = message("wheels: 4\nsprings: 2\nnam: cart\nparts: []\n").splitlines()
+    assert lines == [
+        "machine.yaml: parts: found []; expected at least 1 entries, found 0",
+        "machine.yaml: unknown keys: wheels, springs; allowed here: count, name, parts",
+        "machine.yaml: unknown key 'nam', did you mean 'name'?; allowed here: count, name, parts",
+    ]
+
+
 def test_a_list_that_lost_its_bad_entries_is_not_called_too_short():
     assert message("name: a\nparts: [{type: spring, name: b, stiffness: 0, ends: [0, 1]}]").count("\n") == 0
     assert "expected at least 1 entries, found 0" in message("name: a\nparts: []")
