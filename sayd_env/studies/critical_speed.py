@@ -181,17 +181,21 @@ class CriticalSpeedResult:
             return f"above {self.sweep.speeds[-1] * KMH:.0f} km/h (limit not reached)"
         if c.speed is None:
             return f"below {self.sweep.speeds[0] * KMH:.0f} km/h (limit exceeded at the lowest speed)"
-        low, high = self._over_seeds(name)
-        spread = f" (80 % of the seeds: {low:.0f} to {high:.0f})" if np.isfinite([low, high]).all() else ""
+        ends = self.sweep.speeds[[0, -1]] * KMH
+        low, high = (
+            f"{v:.0f}" if np.isfinite(v) else f"beyond {end:.0f}"
+            for v, end in zip(self._over_seeds(name), ends, strict=True)
+        )
+        spread = f" (80 % of the seeds: {low} to {high})"
         grid = ", sensitive to the speed grid" if self.sensitivity[name].sensitive else ""
         return f"[bold]{c.speed * KMH:.0f} km/h[/]{spread}{grid}"
 
     def _over_seeds(self, name: str) -> tuple[float, float]:
-        """10 % and 90 % quantile over single seeds (km/h); NaN if some seed has no crossing."""
-        single = [self.crossing(np.array([j]))[name].speed for j in range(len(self.sweep.seeds))]
-        if any(v is None for v in single):
-            return float("nan"), float("nan")
-        low, high = np.quantile(np.array(single, dtype=float) * KMH, (0.1, 0.9))
+        """10 % and 90 % quantile over single seeds (km/h); infinite where they lie beyond the grid."""
+        single = [self.crossing(np.array([j]))[name] for j in range(len(self.sweep.seeds))]
+        beyond = {Crossing.BELOW_GRID: -np.inf, Crossing.NOT_REACHED: np.inf}
+        values = [beyond[c.crossing] if c.speed is None else c.speed * KMH for c in single]
+        low, high = np.quantile(values, (0.1, 0.9), method="nearest")
         return float(low), float(high)
 
     def _criteria(self) -> tuple[tuple[str, Array, float], ...]:
