@@ -123,6 +123,12 @@ class MaxwellLaw(Model):
     @field_validator("curve")
     @classmethod
     def _curve(cls, points: Curve) -> Curve:
+        for (_, f0), (v1, f1) in pairwise(points):
+            if f1 == f0:
+                # The force is the state of the element: a flat part would have no one velocity.
+                raise ValueError(
+                    f"the force must rise up to {v1:g} m/s; give a saturated damper a small slope"
+                )
         return checked_curve(points, "velocity (m/s)")
 
 

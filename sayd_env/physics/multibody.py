@@ -282,8 +282,9 @@ class _Builder:
     def add_gravity(self, wheelsets: list[Instance]) -> Array:
         """Static loads, their gravity (geometric) stiffness, and the wheel loads (N).
 
-        A weight-carrying spring's static force P stays vertical while its ends move with their bodies, so a
-        rotation theta of a body changes the moment about its centre by (theta x r) x P (pendulum terms).
+        A weight-carrying spring's static force P acts at its ends, which move with their bodies, so a rotation
+        theta of a body changes the moment about its centre by (theta x r) x P (pendulum terms). The force
+        follows the mean rotation of both ends: a body on a canted base slides down as m g theta demands.
         """
         weight = np.zeros(self.n)
         vertical = np.zeros((self.n, self.n))
@@ -308,12 +309,13 @@ class _Builder:
             force = -k * float(g @ settled)  # on b, upwards; the opposite on a
             self._add_geometric(b, bt, force)
             self._add_geometric(a, at, -force)
+            self._add_following(a, at, b, bt, force)
         sinking = [settled[w.columns["z"]] if "z" in w.columns else 0.0 for w in wheelsets]
         return -0.5 * stiff * np.array(sinking)
 
     def _add_geometric(self, instance: Instance | None, position: Array, force: float) -> None:
         if instance is None or instance.carrier is not None:
-            return  # on a hinged part the force passes through the axle
+            return  # a spring on a hinged part stands at its hinge: no lever
         x, y, z = position - instance.position
         moment = {  # (theta x r) x P for P along z
             "roll": {"roll": -z * force, "yaw": x * force},
@@ -323,6 +325,16 @@ class _Builder:
             for column, value in entries.items():
                 if row in instance.columns and column in instance.columns:
                     self.stiffness[instance.columns[row], instance.columns[column]] -= value
+
+    def _add_following(
+        self, a: Instance | None, at: Array, b: Instance | None, bt: Array, force: float
+    ) -> None:
+        """Turn the force with the mean rotation: potential P (roll dy - pitch dx), d from a's end to b's."""
+        roll = 0.5 * (self._rotate(a, "roll") + self._rotate(b, "roll"))
+        pitch = 0.5 * (self._rotate(a, "pitch") + self._rotate(b, "pitch"))
+        dx, dy, _ = self._move(b, bt) - self._move(a, at)
+        half = np.outer(roll, dy) - np.outer(pitch, dx)
+        self.stiffness += force * (half + half.T)
 
     def _end(
         self, end: Attachment, members: tuple[str, ...], origin: Array, sign: Array

@@ -277,10 +277,12 @@ class Simulator:
         return 2 * len(body.wheelset_x) + len(body.yaw_dampers)
 
     def divergence(self) -> str:
-        """What to tell of a run whose state did not stay finite."""
+        """What to tell of a run that ended early."""
+        when = f"after {self.state.clock[0]:.2f} s"
+        if np.all(np.isfinite(self.state.q)):
+            return f"derailment at {self.speed * 3.6:g} km/h {when}: a wheel has climbed beyond the contact table"
         return (
-            f"the simulation at {self.speed * 3.6:g} km/h diverged after {self.state.clock[0]:.2f} s; "
-            "a smaller numerics.step may help"
+            f"the simulation at {self.speed * 3.6:g} km/h diverged {when}; a smaller numerics.step may help"
         )
 
     def advance(self, samples: int, *, wheels: bool = False, motion: bool = False) -> Telemetry:

@@ -32,7 +32,7 @@ SLOPE = 4
     OFFSET,  # lateral offset of the wheelset from the track's centre at rail level, m
     LIFT,  # height of the unloaded wheelset over the track plane at the centre, m
     TILT,  # roll of the wheelset against the track plane, times side
-    YAW,
+    YAW,  # of the wheelset against its rail
     SLIP_X,  # longitudinal slip velocity of the axle's centre, m/s
     YAW_RATE,
     SPIN_RATE,  # pitch rate over the nominal one, rad/s
@@ -100,7 +100,7 @@ def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
             lane[OFFSET * LANES + i] = offset
             lane[LIFT * LANES + i] = q[w[2]] - q[s[1]] - rail[VERTICAL] - plane * offset - plant.approach[j]
             lane[TILT * LANES + i] = side * (q[w[3]] - plane)
-            lane[YAW * LANES + i] = q[w[5]]
+            lane[YAW * LANES + i] = q[w[5]] - rail[SLOPE + ALIGNMENT] - 0.5 * side * rail[SLOPE + GAUGE]
             lane[SLIP_X * LANES + i] = v[w[0]]
             lane[YAW_RATE * LANES + i] = v[w[5]]
             lane[SPIN_RATE * LANES + i] = v[w[4]]
@@ -433,6 +433,15 @@ def record_wheels(work: Work, row: Array) -> None:
         row[LANES + i] = work.lane_out[FORCE_Z * LANES + i]
 
 
+@kernel
+def largest_shift(plant: Plant, work: Work) -> float:
+    """Largest shift of a wheel towards its flange, m: beyond the contact table it has climbed the rail."""
+    largest = 0.0
+    for i in range(2 * plant.wheelset_x.shape[0]):
+        largest = max(largest, work.lane_in[SHIFT * LANES + i])
+    return largest
+
+
 @kernel(announce="the simulator (first start, about 10 s)")
 def advance(
     plant: Plant, state: State, work: Work, substeps: int, signals: Array, wheels: Array, motion: Array
@@ -455,8 +464,10 @@ def advance(
     Returns
     -------
     int
-        Number of samples taken: fewer than asked for if the state is no longer finite.
+        Number of samples taken: fewer than asked for if the state is no longer finite or a wheel has left
+        the contact table.
     """
+    widest = plant.table_start + plant.table_step * (plant.table.shape[0] // geometry.WIDTH - 1)
     for t in range(signals.shape[0]):
         for _ in range(substeps):
             step(plant, state, work)
@@ -465,6 +476,6 @@ def advance(
             record_wheels(work, wheels[t])
         if motion.shape[0] > 0:
             motion[t, :] = state.q
-        if not math.isfinite(signals[t, 0] + state.v[0]):
+        if not math.isfinite(signals[t, 0] + state.v[0]) or largest_shift(plant, work) >= widest:
             return t
     return int(signals.shape[0])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.stability import Limits, critical_speed
+from sayd_env.stability import Limits, critical_speed, grid_sensitivity, thinned_grids
 from sayd_env.studies.sweep import Sweep
 
 Array = npt.NDArray[np.float64]
@@ -26,6 +26,8 @@ SHARE = 0.8
 """Share of seeds or bootstraps that must pass."""
 BOOTSTRAPS = 1000
 KMH = 3.6
+GRID_TOLERANCE = 8.0 / KMH
+"""A critical speed that moves further (m/s) on another speed grid is reported as sensitive."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,15 @@ def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
     spread = m.frequency_spread(m.all)
     return [
         _by_seed("P1", "new, 280 km/h: a_max < 0.5 of the limit", m.stable_280(), lambda r: r < 0.5),
-        _by_median("P2", "new: critical speed 365 to 385 km/h", "km/h", m, m.critical_new, _within(365, 385)),
+        _by_median(
+            "P2",
+            "new: critical speed 365 to 385 km/h",
+            "km/h",
+            m,
+            m.critical_new,
+            _within(365, 385),
+            note=_grid_note(new, new.acceleration, limits.acceleration),
+        ),
         _by_median(
             "P3",
             "new: 3.5 to 4.5 Hz at the critical speed",
@@ -165,7 +175,13 @@ def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
         ),
         _by_seed("P4", "worn, 320 km/h: both ratios < 1", m.ratios_320(), lambda r: r < 1.0),
         _by_median(
-            "P5", "worn: critical speed 322 to 340 km/h", "km/h", m, m.critical_worn, _within(322, 340)
+            "P5",
+            "worn: critical speed 322 to 340 km/h",
+            "km/h",
+            m,
+            m.critical_worn,
+            _within(322, 340),
+            note=_grid_note(worn, worn.acceleration, limits.acceleration),
         ),
         _by_seed(
             "P6", "worn, >= 350 km/h: acceleration ratio > 1", m.lowest_ratio_above(), lambda r: r > 1.0
@@ -186,6 +202,7 @@ def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
             m.critical_worn_force,
             lambda v: 350.0 < v <= 370.0,
             also=lambda seeds: m.critical_worn_force(seeds) > m.critical_worn(seeds),
+            note=_grid_note(worn, worn.track_shift, limits.track_shift_force),
         ),
         _by_seed(
             "P9",
@@ -210,6 +227,14 @@ def _crossing(sweep: Sweep, values: Array, limit: float, seeds: Seeds) -> float:
     return float("nan") if found is None else found * KMH
 
 
+def _grid_note(grid: Sweep, values: Array, limit: float, tolerance: float = GRID_TOLERANCE) -> str:
+    """Say so if a critical speed moves with the speed grid."""
+    peak = np.median(values.max(axis=-1), axis=1)
+    reference = critical_speed(grid.speeds, peak, limit)
+    moved = grid_sensitivity(reference, thinned_grids(grid.speeds, peak, limit), tolerance)
+    return ", sensitive to the speed grid" if moved.sensitive else ""
+
+
 def _within(low: float, high: float) -> Callable[[float], bool]:
     return lambda value: low <= value <= high
 
@@ -230,13 +255,16 @@ def _by_median(
     statistic: Callable[[Seeds], float],
     passes: Callable[[float], bool],
     also: Callable[[Seeds], bool] = lambda seeds: True,
+    note: str = "",
 ) -> Claim:
     draws = _bootstrap(m.count)
     values = np.array([statistic(seeds) for seeds in draws])
     finite = values[np.isfinite(values)]
     low, high = np.quantile(finite, (0.1, 0.9)) if finite.size else (np.nan, np.nan)
     digits = 0 if unit == "km/h" else 3
-    measured = f"{statistic(m.all):.{digits}f} {unit} ({low:.{digits}f} to {high:.{digits}f})"
+    measured = (
+        f"{statistic(m.all):.{digits}f} {unit} (bootstraps {low:.{digits}f} to {high:.{digits}f}){note}"
+    )
     fraction = float(np.mean([passes(v) and also(s) for v, s in zip(values, draws, strict=True)]))
     holds = bool(passes(statistic(m.all)) and also(m.all) and fraction >= SHARE)
     return Claim(id_, "median", expected, measured, fraction, holds)

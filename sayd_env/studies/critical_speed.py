@@ -26,7 +26,7 @@ from sayd_env.stability import (
 )
 from sayd_env.studies.claims import NEW_SPEEDS, WORN_SPEEDS
 from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.sweep import Sweep, simulate, sweep
+from sayd_env.studies.sweep import Sweep, runs_table, simulate, sweep
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,22 +131,7 @@ class CriticalSpeedResult:
 
     def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
         """Every run, one line for each wheelset."""
-        header = (
-            "speed_kmh",
-            "seed",
-            "wheelset",
-            "dominant_frequency_hz",
-            "acceleration_rms",
-            "track_shift_rms_kn",
-        )
-        s = self.sweep
-        rows = [
-            [v * KMH, seed, name, s.frequency[i, j, k], s.acceleration[i, j, k], s.track_shift[i, j, k] / 1e3]
-            for i, v in enumerate(s.speeds)
-            for j, seed in enumerate(s.seeds)
-            for k, name in enumerate(self.wheelsets)
-        ]
-        return {"runs": (header, rows)}
+        return {"runs": runs_table(self.sweep, self.wheelsets)}
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
         """Counterparts of figure 10 (trends over speed) and figure 8 (a) (time history)."""
@@ -160,9 +145,10 @@ class CriticalSpeedResult:
         table = Table(title=f"{about}: medians of {len(self.sweep.seeds)} seeds")
         for name in ("km/h", "f_0 (Hz)", "acceleration (m/s2)", "ratio", "track shift (kN)", "ratio"):
             table.add_column(name, justify="right")
+        chosen = np.arange(len(self.sweep.seeds))
         for i, v in enumerate(self.sweep.speeds):
             f, a, y = (self.medians[k][i] for k in ("frequency", "acceleration", "track_shift"))
-            ratios = a.max() / self.limits.acceleration, y.max() / self.limits.track_shift_force
+            ratios = [self._peak(values, chosen)[i] / limit for _, values, limit in self._criteria()]
             styled = [f"[bold red]{r:.2f}[/]" if r > 1.0 else f"{r:.2f}" for r in ratios]
             table.add_row(
                 f"{v * KMH:.0f}",

@@ -227,7 +227,8 @@ def _acceleration_cost(model: VehicleModel, signals: Telemetry, speed: float, bo
     distance = distance_run(speed, settings.sample_rate, len(signals.time))
     span = assessed_span(distance, settings)
     grid, spectra = averaged_spectra(signals.acceleration, settings.sample_rate, distance, settings, span)
-    pairs = spectra.reshape(-1, 2, spectra.shape[-1]).sum(axis=1)
-    f0 = np.repeat(grid[np.argmax(pairs[:, 1:-1], axis=1) + 1], 2)
+    width = 2 if len(spectra) % 2 == 0 else 1  # points of a bogie
+    pairs = spectra.reshape(-1, width, spectra.shape[-1]).sum(axis=1)
+    f0 = np.repeat(grid[np.argmax(pairs[:, 1:-1], axis=1) + 1], width)
     filtered = band_pass(signals.acceleration, settings.sample_rate, f0, settings)
     return np.asarray(np.mean((filtered / bounds.acceleration) ** 2, axis=1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +16,7 @@ from sayd_env.studies.conicity import conicity, plot_conicity
 from sayd_env.studies.critical_speed import draw_trends, model_limits
 from sayd_env.studies.hysteresis import HysteresisResult, curve_force, hysteresis
 from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.sweep import Sweep, sweep
+from sayd_env.studies.sweep import Sweep, runs_table, sweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 KMH = 3.6
 DEGREES_OF_FREEDOM = 62
 YAW_DAMPERS = 8
+LEAST_SEEDS = 10
+"""Track realisations that a verdict needs."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +56,8 @@ class ReproduceResult:
         claims = [[c.id, c.by, c.expected, c.measured, c.fraction, c.holds] for c in self.claims]
         return {
             "claims": (header, claims),
-            "runs_new": self._runs(self.new),
-            "runs_worn": self._runs(self.worn),
+            "runs_new": runs_table(self.new, self.wheelsets),
+            "runs_worn": runs_table(self.worn, self.wheelsets),
         }
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
@@ -78,37 +81,13 @@ class ReproduceResult:
             verdict = "yes" if c.holds else "[bold red]no[/]"
             table.add_row(c.id, c.expected, c.measured, f"{100 * c.fraction:.0f} %", verdict)
         console.print(table)
+        if len(self.new.seeds) < LEAST_SEEDS:
+            console.print(f"fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
         held = len(self.claims) - len(self.failed)
         console.print(
             f"{held} of {len(self.claims)} rows hold"
             + (f"; not: {', '.join(self.failed)}" if self.failed else "")
         )
-
-    def _runs(self, s: Sweep) -> tuple[Sequence[str], list[list[Any]]]:
-        header = (
-            "speed_kmh",
-            "seed",
-            "wheelset",
-            "frequency_hz",
-            "frequency_force_hz",
-            "acceleration_rms",
-            "track_shift_rms_kn",
-        )
-        rows = [
-            [
-                v * KMH,
-                seed,
-                name,
-                s.frequency[i, j, k],
-                s.frequency_force[i, j, k],
-                s.acceleration[i, j, k],
-                s.track_shift[i, j, k] / 1e3,
-            ]
-            for i, v in enumerate(s.speeds)
-            for j, seed in enumerate(s.seeds)
-            for k, name in enumerate(self.wheelsets)
-        ]
-        return header, rows
 
     def _draw_sweep(self, figure: Figure, grid: Sweep, title: str) -> None:
         figure.set_size_inches(8.0, 9.0)
@@ -166,12 +145,16 @@ def damper_claim(result: HysteresisResult) -> Claim:
     """Row P11: loops that dissipate, with a force below the curve at the peak velocity."""
     damper = result.damper
     excess = [
-        loop.force_peak / curve_force(damper, 6.283185307179586 * loop.frequency * loop.amplitude)
+        loop.force_peak / curve_force(damper, 2.0 * math.pi * loop.frequency * loop.amplitude)
         for loop in result.loops
     ]
     least = min(loop.energy for loop in result.loops)
     holds = least > 0.0 and max(excess) <= 1.0
-    measured = f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.0f} % of the curve"
+    stiffness = [loop.zero_force_slope / damper.series_stiffness for loop in result.loops]
+    measured = (
+        f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.1f} % of the curve; slope at zero "
+        f"force {min(stiffness):.2f} to {max(stiffness):.2f} of the series stiffness"
+    )
     return Claim(
         "P11",
         "once",

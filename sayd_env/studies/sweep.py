@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -108,6 +108,32 @@ def sweep(
         acceleration=grid("acceleration"),
         track_shift=grid("track_shift"),
     )
+
+
+def runs_table(grid: Sweep, wheelsets: Sequence[str]) -> tuple[Sequence[str], list[list[Any]]]:
+    """Every run of a sweep as a table, one line for each wheelset."""
+    header = (
+        "speed_kmh",
+        "seed",
+        "wheelset",
+        "dominant_frequency_hz",
+        "dominant_frequency_force_hz",
+        "acceleration_rms",
+        "track_shift_rms_kn",
+    )
+    columns = (
+        (grid.frequency, 1.0),
+        (grid.frequency_force, 1.0),
+        (grid.acceleration, 1.0),
+        (grid.track_shift, 1e-3),
+    )
+    rows = [
+        [v * 3.6, seed, name, *(values[i, j, k] * scale for values, scale in columns)]
+        for i, v in enumerate(grid.speeds)
+        for j, seed in enumerate(grid.seeds)
+        for k, name in enumerate(wheelsets)
+    ]
+    return header, rows
 
 
 def parallel(

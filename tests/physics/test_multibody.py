@@ -164,20 +164,39 @@ def _weightless(data: dict[str, Any]) -> Multibody:
 
 
 def test_gravity_stiffness_of_a_body_on_springs() -> None:
-    """A body whose centre is h above its springs: 4 k_z b^2 + 4 k_y h^2 - m g h in roll, 4 k_y h coupled.
+    """A body whose centre is h above its springs: 4 k_z b^2 + 4 k_y h^2 in roll, 4 k_y h + m g / 2 coupled.
 
-    The inverted pendulum: of the springs' four forces m g / 4, each stays vertical while its foot moves.
+    The springs' forces m g / 4 turn with half the body's roll: of the inverted pendulum's - m g h (feet that
+    move under a vertical force) nothing is left, and the coupling gains half the weight.
     """
     body = assembled(wheelset())
     box = body.instances["box"].columns
     h, half, along = 1.3 - 0.7, 0.9, 0.3
     weight = 12000.0 * STANDARD_GRAVITY
     k = body.stiffness
-    assert k[box["roll"], box["roll"]] == pytest.approx(4 * 4e5 * half**2 + 4 * 2e5 * h**2 - weight * h)
-    assert k[box["pitch"], box["pitch"]] == pytest.approx(4 * 4e5 * along**2 + 4 * 1e5 * h**2 - weight * h)
+    assert k[box["roll"], box["roll"]] == pytest.approx(4 * 4e5 * half**2 + 4 * 2e5 * h**2)
+    assert k[box["pitch"], box["pitch"]] == pytest.approx(4 * 4e5 * along**2 + 4 * 1e5 * h**2)
     # Positive roll moves the springs' feet, below the centre, to +y.
-    assert k[box["y"], box["roll"]] == pytest.approx(4 * 2e5 * h)
+    assert k[box["y"], box["roll"]] == pytest.approx(4 * 2e5 * h + weight / 2)
     assert k[box["yaw"], box["yaw"]] == pytest.approx(4 * (1e5 * half**2 + 2e5 * along**2))
+
+
+def test_a_body_on_a_canted_base_slides_down() -> None:
+    """Equilibrium along the plane: the springs' lateral force 4 k_y d carries m g times the mean roll."""
+    body = assembled(wheelset())
+    box = [body.instances["box"].columns[d] for d in ("x", "y", "z", "roll", "pitch", "yaw")]
+    cant = 1e-3 * rigid_motion(body, 3)
+    rest = cant.copy()
+    held = np.setdiff1d(np.arange(body.n), box)
+    rest[box] = np.linalg.solve(
+        body.stiffness[np.ix_(box, box)], -body.stiffness[np.ix_(box, held)] @ cant[held]
+    )
+    foot = np.array([0.3, 0.9, 0.7])
+    lateral = np.array([0.0, 1.0, 0.0])
+    name = next(n for n, i in body.instances.items() if i.body.role == "wheelset")
+    shift = (body.point("box", foot, lateral) - body.point(name, foot, lateral)) @ rest
+    roll = 0.5 * (1e-3 + rest[body.instances["box"].columns["roll"]])
+    assert 4 * 2e5 * shift == pytest.approx(-12000.0 * STANDARD_GRAVITY * roll, rel=1e-9)
 
 
 def test_falling_over_follows_the_pendulum() -> None:
