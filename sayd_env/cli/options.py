@@ -25,7 +25,7 @@ class Speeds(tuple[float, ...]):
 
 
 class Numbers(tuple[float, ...]):
-    """Finite numbers above 0, at least one."""
+    """Finite numbers, at least one."""
 
     __slots__ = ()
 
@@ -120,6 +120,11 @@ def positive_list(option: str, unit: str) -> Callable[[str], Numbers]:
     """Make the reader of an option that takes finite numbers above 0, separated by commas."""
     one = positive(option, unit)
     return lambda text: Numbers(one(part) for part in text.split(","))
+
+
+def share_list(option: str) -> Callable[[str], Numbers]:
+    """Make the reader of an option that takes numbers from 0 to 1, separated by commas."""
+    return lambda text: Numbers(_bounded(option, part, 0.0, 1.0) for part in text.split(","))
 
 
 def _bounded(option: str, text: str, low: float, high: float) -> float:

@@ -180,7 +180,7 @@ def _copy(node: Any) -> Any:
 
 
 def _explain(model: type[BaseModel], detail: ErrorDetails) -> str:
-    location = [str(part) for part in detail["loc"]]
+    location = [str(part) for part in _path(model, detail["loc"])]
     key = ".".join(location) or "(top level)"
     found = _shown(detail["input"])
     kind = detail["type"]
@@ -193,6 +193,15 @@ def _explain(model: type[BaseModel], detail: ErrorDetails) -> str:
     if kind in ("float_type", "int_type"):
         message = "expected a number"
     return f"{key}: found {found}; {message[0].lower() + message[1:]}{_unit_at(model, detail['loc'])}"
+
+
+def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[int | str]:
+    """Keys that a user types: without the tags that a discriminated union puts into a location."""
+    return [
+        part
+        for depth, part in enumerate(location)
+        if not any(part in _tags(owner) for owner in _walk(model, location[:depth]))
+    ]
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

@@ -12,7 +12,7 @@ from pydantic import Field
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.base import Model, quantity
 from sayd_env.config.contact import ContactConfig
-from sayd_env.config.damper import PassiveDamperConfig
+from sayd_env.config.damper import DamperConfig, with_resolved_table
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.loader import apply_overrides, packaged_names, read_config, validate
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig, with_resolved_files
@@ -51,7 +51,7 @@ class Scenario(Model):
     """Everything a run needs but its speed and its seed."""
 
     vehicle: VehicleConfig
-    damper: PassiveDamperConfig
+    damper: DamperConfig
     wheel: WheelProfileConfig
     rail: RailProfileConfig
     track: TrackConfig
@@ -124,6 +124,8 @@ def _resolved(data: Any, source: str) -> dict[str, Any]:
 
 def _beside(key: str, content: dict[str, Any], folder: Path) -> Any:
     """Content whose data files are looked for beside the YAML file that names them."""
+    if key == "damper":
+        return with_resolved_table(content, folder)
     if key == "track":
         return with_resolved_path(content, folder)
     return with_resolved_files(content, folder) if key in ("wheel", "rail") else content

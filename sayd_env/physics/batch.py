@@ -130,13 +130,14 @@ def advance_batch(
         Receives the number of samples taken: fewer if a state is no longer finite.
     """
     for i in numba.prange(signals.shape[0]):
-        none = np.empty((0, 2 * LANES))
+        none = np.empty((0, LANES))
         done[i] = advance(
             vehicle_of(plant, plant_starts, i),
             vehicle_of(state, state_starts, i),
             vehicle_of(work, work_starts, i),
             substeps[i],
             signals[i],
+            none,
             none,
             none,
         )

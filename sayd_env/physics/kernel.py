@@ -12,6 +12,7 @@ from typing import Any
 
 import numba
 from numba.core import config, event
+from numba.core.compiler import Compiler
 
 numba_config: Any = config  # its settings are made at run time
 _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
@@ -41,11 +42,20 @@ def cache_directory() -> Path:
 CACHE_DIRECTORY = cache_directory()
 
 
+class _DistinctArrays(Compiler):
+    """Numba's compiler, with LLVM told that array arguments do not overlap."""
+
+    def define_pipelines(self) -> Any:
+        self.state.flags.noalias = True
+        return super().define_pipelines()  # type: ignore[no-untyped-call]
+
+
 def kernel(
     function: Callable[..., Any] | None = None,
     *,
     parallel: bool = False,
     inline: bool = False,
+    distinct: bool = False,
     announce: str | None = None,
 ) -> Any:
     """Compile a function: cached on disk, IEEE arithmetic (no fast-math), NumPy's division by zero.
@@ -58,6 +68,9 @@ def kernel(
         Allow `numba.prange` loops.
     inline : bool
         Merge the function into its callers, so that a loop that calls it can become vector instructions.
+    distinct : bool
+        The function's arrays never overlap in memory. A loop that reads a table at computed places becomes
+        vector instructions only if the compiler may rely on that; overlapping arrays then give wrong results.
     announce : str, optional
         What is compiled and how long it takes, for `announced_compilation`: worth saying of kernels that take
         seconds.
@@ -68,7 +81,12 @@ def kernel(
         numba_config.CACHE_DIR = str(CACHE_DIRECTORY)
         try:
             dispatcher = numba.njit(
-                cache=True, error_model="numpy", nogil=True, parallel=parallel, forceinline=inline
+                cache=True,
+                error_model="numpy",
+                nogil=True,
+                parallel=parallel,
+                forceinline=inline,
+                pipeline_class=_DistinctArrays if distinct else Compiler,
             )(f)
         finally:
             numba_config.CACHE_DIR = previous

@@ -8,13 +8,15 @@ Scheme: explicit Newmark (beta = 0, gamma = 1/2) with one evaluation of the forc
 
 The velocity in the forces is predicted; the diagonal D of the damping matrix (the strongly damped track
 sections) is treated implicitly, which costs a division. Maxwell dampers use the trapezoidal rule, solved
-exactly on their piecewise-linear curves. All of it is second order in h.
+exactly on their piecewise-linear curves; semi-active dampers take steps of their own (`sayd_env.physics.sayd`)
+between the same instants. All of it is second order in h.
 """
 
 from __future__ import annotations
 
 import math
 
+from sayd_env.physics import sayd
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.polach import polach
 from sayd_env.physics.kernel import kernel
@@ -332,6 +334,45 @@ def add_dampers(plant: Plant, force: Array, f: Array) -> None:
 
 
 @kernel
+def step_sayds(plant: Plant, state: State, work: Work) -> None:
+    """Advance the semi-active dampers over the step that ends at state.q with the velocities work.velocity.
+
+    `state.v` still holds the velocities at the step's start.
+    """
+    start, column, value = plant.sayd_start, plant.sayd_column, plant.sayd_value
+    inputs = work.sayd_inputs
+    count = (start.shape[0] - 1) // 2
+    for k in range(count):
+        for side in range(2):
+            position, velocity, before = 0.0, 0.0, 0.0
+            for e in range(start[side * count + k], start[side * count + k + 1]):
+                j = column[e]
+                position += value[e] * state.q[j]
+                velocity += value[e] * work.velocity[j]
+                before += value[e] * state.v[j]
+            first = sayd.END_2 if side else sayd.END_1
+            inputs[first * LANES + k] = position
+            inputs[(first + 1) * LANES + k] = velocity
+            inputs[(first + 2) * LANES + k] = before
+    sayd.move_valves(plant.sayd_constant, state.sayd_line, inputs, state.sayd)
+    sayd.integrate(
+        plant.step, int(plant.sayd_substeps), plant.sayd_constant, plant.sayd_table, inputs, state.sayd
+    )
+
+
+@kernel
+def add_sayds(plant: Plant, state: State, f: Array) -> None:
+    """Add the semi-active dampers' reactions: -F_1 on the bogie, -F_2 on the carbody."""
+    start, column, value = plant.sayd_start, plant.sayd_column, plant.sayd_value
+    count = (start.shape[0] - 1) // 2
+    for k in range(count):
+        for side in range(2):
+            force = state.sayd[(sayd.FORCE_2 if side else sayd.FORCE_1) * LANES + k]
+            for e in range(start[side * count + k], start[side * count + k + 1]):
+                f[column[e]] -= value[e] * force
+
+
+@kernel
 def contact(plant: Plant, q: Array, v: Array, position: float, work: Work) -> None:
     """Track and contact: from the vehicle's motion to the wheels' forces in `work`."""
     read_track(plant, position, work)
@@ -362,6 +403,9 @@ def step(plant: Plant, state: State, work: Work) -> None:
     damper_elongations(plant, q, work.shift)
     step_dampers(plant, state, work)
     add_dampers(plant, state.force, f)
+    if state.sayd.shape[0] > 0:
+        step_sayds(plant, state, work)
+        add_sayds(plant, state, f)
 
     for i in range(n):
         f[i] *= plant.mobility[i]
@@ -374,6 +418,8 @@ def step(plant: Plant, state: State, work: Work) -> None:
 @kernel
 def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work: Work, out: Array) -> None:
     """Time derivative of (q, v, F) for a general integrator: the same forces as `step`.
+
+    Semi-active dampers have states of their own and are left out.
 
     Parameters
     ----------
@@ -422,7 +468,7 @@ def record(plant: Plant, state: State, work: Work, row: Array) -> None:
         out = work.lane_out
         row[w + j] = -(out[FORCE_Y * LANES + 2 * j] + out[FORCE_Y * LANES + 2 * j + 1])
     for k in range(row.shape[0] - 2 * w):
-        row[2 * w + k] = state.force[k]
+        row[2 * w + k] = state.sayd[sayd.FORCE_1 * LANES + k] if state.sayd.shape[0] > 0 else state.force[k]
 
 
 @kernel
@@ -435,7 +481,14 @@ def record_wheels(work: Work, row: Array) -> None:
 
 @kernel(announce="the simulator (first start, about 10 s)")
 def advance(
-    plant: Plant, state: State, work: Work, substeps: int, signals: Array, wheels: Array, motion: Array
+    plant: Plant,
+    state: State,
+    work: Work,
+    substeps: int,
+    signals: Array,
+    wheels: Array,
+    motion: Array,
+    sayds: Array,
 ) -> int:
     """Advance by as many samples as `signals` has rows, `substeps` steps each.
 
@@ -451,6 +504,8 @@ def advance(
         Receives the wheel forces of `record_wheels`, unless it is empty.
     motion : ndarray, shape (samples or 0, n)
         Receives the displacements q, unless it is empty.
+    sayds : ndarray, shape (samples or 0, sayd.STATES * LANES)
+        Receives the states of the semi-active dampers, unless it is empty.
 
     Returns
     -------
@@ -465,6 +520,8 @@ def advance(
             record_wheels(work, wheels[t])
         if motion.shape[0] > 0:
             motion[t, :] = state.q
+        if sayds.shape[0] > 0:
+            sayds[t, :] = state.sayd
         if not math.isfinite(signals[t, 0] + state.v[0]):
             return t
     return int(signals.shape[0])

@@ -13,7 +13,7 @@ from sayd_env.stability import Limits
 from sayd_env.studies.claims import NEW_SPEEDS, WORN_SPEEDS, Claim, passive_claims
 from sayd_env.studies.conicity import conicity, plot_conicity
 from sayd_env.studies.critical_speed import draw_trends, model_limits
-from sayd_env.studies.hysteresis import HysteresisResult, curve_force, hysteresis
+from sayd_env.studies.hysteresis import HysteresisResult, hysteresis
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.sweep import Sweep, sweep
 
@@ -164,11 +164,7 @@ def _report(progress: Progress, before: int, total: int, done: float, _: float, 
 
 def damper_claim(result: HysteresisResult) -> Claim:
     """Row P11: loops that dissipate, with a force below the curve at the peak velocity."""
-    damper = result.damper
-    excess = [
-        loop.force_peak / curve_force(damper, 6.283185307179586 * loop.frequency * loop.amplitude)
-        for loop in result.loops
-    ]
+    excess = [loop.force_peak / loop.force_limit for loop in result.loops]
     least = min(loop.energy for loop in result.loops)
     holds = least > 0.0 and max(excess) <= 1.0
     measured = f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.0f} % of the curve"
