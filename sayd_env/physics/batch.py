@@ -104,7 +104,7 @@ def _vehicle_of(typing_context: Any, values: Any, starts: Any, vehicle: Any) -> 
 vehicle_of: Any = intrinsic(_vehicle_of)
 
 
-@kernel(parallel=True, announce="the simulator of many vehicles (first use, about 10 s)")
+@kernel(parallel=True, announce="the simulator of many vehicles (first use, about 15 s)")
 def advance_batch(
     plant: Plant,
     plant_starts: Plant,

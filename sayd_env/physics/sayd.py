@@ -115,7 +115,7 @@ _LAST_CURRENT = float(CURRENTS - 2)
 _LAST_ROOT = float(ROOTS - 2)
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _friction(velocity: float, constant: Array, i: int) -> tuple[float, float]:
     """Friction force over velocity, eq. (11) with standstill widened: secant slope and force."""
     width = constant[WIDTH * LANES + i]
@@ -126,7 +126,7 @@ def _friction(velocity: float, constant: Array, i: int) -> tuple[float, float]:
     return secant, secant * velocity
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _rectified(drop: float, checked: float, first: int, share: float, table: Array) -> tuple[float, float]:
     """Flow from A to B through rectifier and throttle and its slope over the pressure drop p_A - p_B.
 
@@ -148,7 +148,7 @@ def _rectified(drop: float, checked: float, first: int, share: float, table: Arr
     return (flow if drop > 0.0 else -flow), (high - low) * _PER_ROOT_STEP * warp_slope
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _drained(over: float, constant: Array, i: int) -> tuple[float, float]:
     """Flow from a chamber to the tank (suction negative) and about its slope over p - p_tank, eq. (24)."""
     relief = over > 0.0
@@ -172,7 +172,7 @@ def _drained(over: float, constant: Array, i: int) -> tuple[float, float]:
     return (flow if relief else -flow), slope
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _residuals(
     state: tuple[float, float, float, float, float, float],
     ends: tuple[float, float, float, float],
@@ -223,7 +223,7 @@ def _residuals(
     )
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _place(current: float) -> tuple[int, float]:
     """Table index below a current and how far the current is above it."""
     place = current * (CURRENTS - 1.0)
@@ -235,7 +235,7 @@ def _place(current: float) -> tuple[int, float]:
     return row * ROOTS, (share if share < 1.0 else 1.0)
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _end(
     inputs: Array, i: int, position: int, velocity: int, old_velocity: int, left: float, step: float
 ) -> tuple[float, float]:
@@ -245,7 +245,7 @@ def _end(
     return inputs[position * LANES + i] - step * left * (new - 0.5 * left * change), new - left * change
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _solve(
     right: tuple[float, float, float, float],
     masses: tuple[float, float],
@@ -283,8 +283,10 @@ def _solve(
     )
 
 
-@kernel(distinct=True)
-def integrate(step: float, substeps: int, constant: Array, table: Array, inputs: Array, state: Array) -> None:
+@kernel(distinct=True, allocates=False)
+def integrate(  # noqa: PLR0915 - the method's two stages read best side by side
+    step: float, substeps: int, constant: Array, table: Array, inputs: Array, state: Array
+) -> None:
     """Advance all dampers over one vehicle step.
 
     Parameters
@@ -303,6 +305,7 @@ def integrate(step: float, substeps: int, constant: Array, table: Array, inputs:
     """
     h = step / substeps
     g = _GAMMA * h
+    per_step = 1.0 / step
     for n in range(substeps):
         start, end = n / substeps, (n + 1) / substeps
         for i in range(constant.shape[0] // CONSTANTS):
@@ -316,6 +319,11 @@ def integrate(step: float, substeps: int, constant: Array, table: Array, inputs:
             now_2 = _end(inputs, i, END_2, RATE_2, OLD_RATE_2, 1.0 - start, step)
             next_1 = _end(inputs, i, END_1, RATE_1, OLD_RATE_1, 1.0 - end, step)
             next_2 = _end(inputs, i, END_2, RATE_2, OLD_RATE_2, 1.0 - end, step)
+            # Forces rise in time with the moving ends: gamma h df/dt, without which stiff mounts lag behind.
+            speed_up_1 = per_step * (inputs[RATE_1 * LANES + i] - inputs[OLD_RATE_1 * LANES + i])
+            speed_up_2 = per_step * (inputs[RATE_2 * LANES + i] - inputs[OLD_RATE_2 * LANES + i])
+            drift_1 = g * (c_1 * now_1[1] + d_1 * speed_up_1)
+            drift_2 = g * (c_2 * now_2[1] + d_2 * speed_up_2)
             old, new = inputs[OLD_CURRENT * LANES + i], state[CURRENT * LANES + i]
             valve = _place(old + start * (new - old))
             next_valve = _place(old + end * (new - old))
@@ -335,7 +343,12 @@ def integrate(step: float, substeps: int, constant: Array, table: Array, inputs:
             slopes = g * constant[AREA * LANES + i], g * friction, g * throttle
 
             # Stage 1, for rod (x), stroke (s), rod velocity (v), stroke velocity (w), p_A and p_B.
-            right = f_1 - g * c_1 * rod_rate, f_2 - g * c_2 * (rod_rate - stroke_rate), q_a, q_b
+            right = (
+                f_1 + drift_1 - g * c_1 * rod_rate,
+                f_2 + drift_2 - g * c_2 * (rod_rate - stroke_rate),
+                q_a,
+                q_b,
+            )
             k_v, k_w, k_a, k_b = _solve(right, masses, capacities, slopes)
             k_x, k_s = rod_rate + g * k_v, stroke_rate + g * k_w
 
@@ -354,8 +367,8 @@ def integrate(step: float, substeps: int, constant: Array, table: Array, inputs:
             both = 1.0 / (next_cap_a * next_cap_b)
             x_rate, s_rate = middle[3] - 2.0 * k_x, middle[1] - 2.0 * k_s
             right = (
-                f_1 - 2.0 * mass_1 * k_v - g * c_1 * x_rate,
-                f_2 - 2.0 * mass_2 * (k_v - k_w) - g * c_2 * (x_rate - s_rate),
+                f_1 - drift_1 - 2.0 * mass_1 * k_v - g * c_1 * x_rate,
+                f_2 - drift_2 - 2.0 * mass_2 * (k_v - k_w) - g * c_2 * (x_rate - s_rate),
                 cap_a * (q_a * next_cap_b * both - 2.0 * k_a),
                 cap_b * (q_b * next_cap_a * both - 2.0 * k_b),
             )
@@ -379,7 +392,7 @@ def integrate(step: float, substeps: int, constant: Array, table: Array, inputs:
             )
 
 
-@kernel
+@kernel(distinct=True, allocates=False)
 def move_valves(constant: Array, line: Array, inputs: Array, state: Array) -> None:
     """Advance the acting currents over one vehicle step: delay, lag, rate limit, fail-safe.
 
@@ -550,7 +563,7 @@ def rectified_flow(
     return out.reshape(dp.shape)
 
 
-@kernel
+@kernel(allocates=False)
 def _rectified_loop(table: Array, checked: float, drop: Array, current: Array, out: Array) -> None:
     for k in range(out.shape[0]):
         first, share = _place(current[k])
