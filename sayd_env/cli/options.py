@@ -213,4 +213,6 @@ Track = Annotated[
         "--track", metavar="NAME|FILE", rich_help_panel=SCENARIO, help="Track: a name or a YAML file."
     ),
 ]
-DamperKind = Annotated[Damper, typer.Option("--damper", rich_help_panel=SCENARIO, help="The yaw dampers.")]
+DamperKind = Annotated[
+    Damper | None, typer.Option("--damper", rich_help_panel=SCENARIO, help="The yaw dampers.")
+]

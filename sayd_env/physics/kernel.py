@@ -74,8 +74,8 @@ def kernel(
         The function's arrays never overlap in memory. A loop that reads a table at computed places becomes
         vector instructions only if the compiler may rely on that; arrays that overlap give wrong results.
     allocates : bool
-        Whether the function, or one that it calls, makes arrays. If not, arrays need no reference counts, which
-        for a tuple of fifty arrays cost more than many a kernel.
+        Whether the function, or one that it calls, makes arrays. If not, arrays need no reference counts,
+        which for a tuple of fifty arrays cost more than many a kernel.
     announce : str, optional
         What is compiled and how long it takes, for `announced_compilation`: worth saying of kernels that take
         seconds.
