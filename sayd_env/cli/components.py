@@ -53,6 +53,15 @@ def hysteresis(
             help="Frequencies in Hz: 1,2,4,6,8,10.",
         ),
     ] = None,
+    current: Annotated[
+        options.Numbers | None,
+        typer.Option(
+            "--current",
+            parser=options.share_list("--current"),
+            metavar="0..1",
+            help="Valve currents of a semi-active damper: 0,0.25,0.5,1.",
+        ),
+    ] = None,
     config: options.Config = None,
     assignments: options.Set = None,
     out: options.Out = None,
@@ -70,6 +79,7 @@ def hysteresis(
             scenario,
             AMPLITUDES if amplitudes is None else [value * 1e-3 for value in amplitudes],
             FREQUENCIES if frequencies is None else frequencies,
+            current,
             progress=progress,
         )
     job.finish(result, config=scenario)

@@ -28,7 +28,7 @@ class Speeds(tuple[float, ...]):
 
 
 class Numbers(tuple[float, ...]):
-    """Finite numbers above 0, at least one."""
+    """Finite numbers, at least one."""
 
     __slots__ = ()
 
@@ -141,6 +141,11 @@ def positive_list(option: str, unit: str, most: float = math.inf) -> Callable[[s
     return lambda text: Numbers(one(part) for part in text.split(","))
 
 
+def share_list(option: str) -> Callable[[str], Numbers]:
+    """Make the reader of an option that takes numbers from 0 to 1, separated by commas."""
+    return lambda text: Numbers(_bounded(option, part, 0.0, 1.0) for part in text.split(","))
+
+
 def _bounded(option: str, text: str, low: float, high: float) -> float:
     try:
         value = float(text)
@@ -239,4 +244,6 @@ Track = Annotated[
         "--track", metavar="NAME|FILE", rich_help_panel=SCENARIO, help="Track: a name or a YAML file."
     ),
 ]
-DamperKind = Annotated[Damper, typer.Option("--damper", rich_help_panel=SCENARIO, help="The yaw dampers.")]
+DamperKind = Annotated[
+    Damper | None, typer.Option("--damper", rich_help_panel=SCENARIO, help="The yaw dampers.")
+]

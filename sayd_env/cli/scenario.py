@@ -20,6 +20,7 @@ def scenario_from(
     wear: float | None = None,
     friction: float | None = None,
     track: str | None = None,
+    damper: str | None = None,
 ) -> Scenario:
     """Read the configuration and apply the flags, then the assignments of ``--set``.
 
@@ -36,6 +37,8 @@ def scenario_from(
         ``--wear`` (stronger than new and worn) and ``--friction``.
     track : str, optional
         ``--track``: name or path.
+    damper : str, optional
+        ``--damper``: passive or sayd.
 
     Raises
     ------
@@ -47,7 +50,7 @@ def scenario_from(
     if wear is None and profile is not None:
         wear = WEAR_OF.get(profile, 0.0)
     wheel = None if profile in WEAR_OF else profile
-    flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": track}
+    flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": track, "damper": damper}
     # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.
     given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
     return load_scenario(config, [*given, *(assignments or ())])

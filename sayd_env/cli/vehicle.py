@@ -23,6 +23,7 @@ def critical_speed(
     wear: options.Wear = None,
     friction: options.Friction = None,
     track: options.Track = None,
+    damper: options.DamperKind = None,
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
     config: options.Config = None,
@@ -37,7 +38,9 @@ def critical_speed(
     """
     from sayd_env.studies.critical_speed import find_critical_speed  # noqa: PLC0415 - keeps --help fast
 
-    scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)
+    scenario = scenario_from(
+        config, assignments, profile=profile, wear=wear, friction=friction, track=track, damper=damper
+    )
     job = Job("critical-speed", out, as_json)
     with job.progress() as progress:
         result = find_critical_speed(
@@ -57,6 +60,7 @@ def evaluate(
     wear: options.Wear = None,
     friction: options.Friction = None,
     track: options.Track = None,
+    damper: options.DamperKind = None,
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
     config: options.Config = None,
@@ -68,7 +72,9 @@ def evaluate(
     """Run one configuration at given speeds (default 300, 350, 400 km/h): cost, limits, forces."""
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
 
-    scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)
+    scenario = scenario_from(
+        config, assignments, profile=profile, wear=wear, friction=friction, track=track, damper=damper
+    )
     job = Job("evaluate", out, as_json)
     chosen = _metres_per_second(speeds) or [v / KMH for v in (300.0, 350.0, 400.0)]
     with job.progress() as progress:

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Literal, Self
 
+from pydantic import Field, model_validator
+
+from sayd_env.config.base import Model, quantity
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.loader import read_config, validate
 from sayd_env.config.vehicle import MaxwellLaw
 
 
@@ -13,3 +19,160 @@ class PassiveDamperConfig(MaxwellLaw):
     type: Literal["passive"]
     name: str
     description: str = ""
+
+
+class MountConfig(Model):
+    """Elastic bearing at an end of the damper, eq. (2) and (5)."""
+
+    stiffness: float = quantity("N/m", "c_b, stiffness", gt=0.0)
+    damping: float = quantity("N s/m", "d_b, damping", ge=0.0)
+
+
+class FrictionConfig(Model):
+    """Coulomb friction between piston and housing, eq. (11), regularised around standstill."""
+
+    stiction: float = quantity("N", "F_C, friction at standstill", ge=0.0)
+    sliding: float = quantity("N", "F_S, friction while sliding", ge=0.0)
+    width: float = quantity(
+        "m/s", "Stroke velocity that stands for standstill; small against the strokes of interest", gt=0.0
+    )
+
+    @model_validator(mode="after")
+    def _stiction_is_larger(self) -> Self:
+        if self.stiction < self.sliding:
+            raise ValueError(
+                f"stiction {self.stiction:g} N must not be below the sliding friction {self.sliding:g} N"
+            )
+        return self
+
+
+class CylinderConfig(Model):
+    """Through-rod cylinder: chamber volumes of eq. (18) to (21)."""
+
+    area: float = quantity("m2", "A, piston area less the rod's, both sides", gt=0.0)
+    bore: float = quantity("m", "d_p, diameter of the dead volumes", gt=0.0)
+    stroke: float = quantity("m", "st, whole stroke between the ends", gt=0.0)
+    dead_length_a: float = quantity("m", "L_pA, length of the dead volume of chamber A", gt=0.0)
+    dead_length_b: float = quantity("m", "L_pB, length of the dead volume of chamber B", gt=0.0)
+
+
+class OilConfig(Model):
+    """The oil, its pressures absolute."""
+
+    bulk_modulus: float = quantity("Pa", "E, effective bulk modulus, entrained air included", gt=1e7)
+    tank_pressure: float = quantity("Pa", "Pressure in the tank", gt=0.0)
+    vapour_pressure: float = quantity("Pa", "Pressure below which no chamber falls", ge=0.0)
+
+    @model_validator(mode="after")
+    def _tank_is_liquid(self) -> Self:
+        if self.vapour_pressure >= self.tank_pressure:
+            raise ValueError(
+                f"vapour_pressure {self.vapour_pressure:g} Pa must be below "
+                f"tank_pressure {self.tank_pressure:g} Pa"
+            )
+        return self
+
+
+class OrificeThrottle(Model):
+    """Throttle as a turbulent orifice: Q = C_d a(i) sqrt(2 dp / rho), a(i) = a_0 + (a_1 - a_0) i^n."""
+
+    type: Literal["orifice"]
+    discharge: float = quantity("-", "C_d, discharge coefficient", gt=0.0, le=1.0)
+    density: float = quantity("kg/m3", "rho, density of the oil", gt=0.0)
+    closed_area: float = quantity("m2", "a_0, area at current 0: leakage", gt=0.0)
+    open_area: float = quantity("m2", "a_1, area at current 1", gt=0.0)
+    exponent: float = quantity("-", "n, shape of the area over the current", gt=0.0, le=10.0)
+
+    @model_validator(mode="after")
+    def _opens(self) -> Self:
+        if self.open_area < self.closed_area:
+            raise ValueError(
+                f"open_area {self.open_area:g} m2 must not be below closed_area {self.closed_area:g} m2"
+            )
+        return self
+
+
+class TableThrottle(Model):
+    """Adjustable throttle as a measured characteristic field: flow over pressure drop and current."""
+
+    type: Literal["table"]
+    file: str = Field(
+        description="CSV file: currents (-) in the first row, pressure drops (Pa) in the first column, flows "
+        "(m3/s) in the rest; a relative path counts from the YAML file that names it"
+    )
+
+
+Throttle = Annotated[OrificeThrottle | TableThrottle, Field(discriminator="type")]
+
+
+class SpringValve(Model):
+    """A relief or check valve by eq. (22) to (24)."""
+
+    opening: float = quantity("Pa", "p_o, pressure drop at which it begins to open", gt=0.0)
+    full: float = quantity("Pa", "p_s, pressure drop at which it is fully open", gt=0.0)
+    nominal_flow: float = quantity("m3/s", "Q_N, flow of the open valve at its nominal drop", gt=0.0)
+    nominal_drop: float = quantity("Pa", "dp_N, nominal pressure drop", gt=0.0)
+
+    @model_validator(mode="after")
+    def _opens_gradually(self) -> Self:
+        if self.full <= self.opening:
+            raise ValueError(f"full {self.full:g} Pa must be above opening {self.opening:g} Pa")
+        return self
+
+
+class ValveDynamics(Model):
+    """From the commanded to the acting current of the throttle: driver delay, first-order lag, rate limit."""
+
+    delay: float = quantity("s", "Delay of the driver", ge=0.0, le=0.2)
+    lag: float = quantity("s", "Time constant", ge=0.0, le=1.0)
+    rate: float = quantity("1/s", "Largest rate of the acting current", gt=0.0)
+
+
+class SaydDamperConfig(Model):
+    """The semi-active yaw damper: the six-state hydraulic model of the paper's section 2.2."""
+
+    type: Literal["sayd"]
+    name: str
+    description: str = ""
+    current: float = quantity("-", "Valve current before any command: 0 closed, 1 open", ge=0.0, le=1.0)
+    failsafe_current: float = quantity(
+        "-", "Current that the unpowered valve's opening corresponds to", ge=0.0, le=1.0
+    )
+    rod_mass: float = quantity("kg", "m_1, piston rod, on the bogie's side", gt=0.0)
+    housing_mass: float = quantity("kg", "m_2, housing, on the carbody's side", gt=0.0)
+    bogie_mount: MountConfig
+    carbody_mount: MountConfig
+    friction: FrictionConfig
+    cylinder: CylinderConfig
+    oil: OilConfig
+    throttle: Throttle
+    rectifier: SpringValve = Field(description="Each of the rectifier's four check valves")
+    relief: SpringValve = Field(description="Relief valves from chamber A and B to the tank")
+    suction: SpringValve = Field(description="Check valves from the tank to chamber A and B")
+    valve: ValveDynamics
+    step: float = quantity("s", "Longest step of the hydraulics' integration", gt=0.0, le=1e-3)
+
+
+DamperConfig = Annotated[PassiveDamperConfig | SaydDamperConfig, Field(discriminator="type")]
+
+
+def load_sayd(name_or_path: str) -> SaydDamperConfig:
+    """Read a semi-active damper: a packaged name or a path to a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        Unknown name, unreadable file, or a key that cannot be used.
+    """
+    data, source = read_config("damper", name_or_path)
+    if not isinstance(data, dict) or data.get("type") != "sayd":
+        raise ConfigError(f"{source}: expected a damper of type 'sayd'")
+    return validate(SaydDamperConfig, with_resolved_table(data, Path(source).parent), source)
+
+
+def with_resolved_table(content: dict[str, object], folder: Path) -> dict[str, object]:
+    """Copy of a damper's raw content whose throttle table is looked for beside the YAML that names it."""
+    throttle = content.get("throttle")
+    if not isinstance(throttle, dict) or not isinstance(throttle.get("file"), str):
+        return content
+    return content | {"throttle": throttle | {"file": str(folder / throttle["file"])}}

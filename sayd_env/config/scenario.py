@@ -12,7 +12,7 @@ from pydantic import Field
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.base import Model, quantity
 from sayd_env.config.contact import ContactConfig
-from sayd_env.config.damper import PassiveDamperConfig
+from sayd_env.config.damper import DamperConfig, with_resolved_table
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin
 from sayd_env.config.loader import (
@@ -65,7 +65,7 @@ class Scenario(Model):
     """Everything a run needs but its speed and its seed."""
 
     vehicle: VehicleConfig
-    damper: PassiveDamperConfig
+    damper: DamperConfig
     wheel: WheelProfileConfig
     rail: RailProfileConfig
     track: TrackConfig
@@ -207,6 +207,8 @@ def _placed(key: str, value: Any, folder: Path) -> Any:
 
 def _with_data_files(key: str, content: dict[str, Any], folder: Path) -> Any:
     """Content whose data files are looked for beside the YAML file that names them."""
+    if key == "damper":
+        return with_resolved_table(content, folder)
     if key == "track":
         return with_resolved_path(content, folder)
     return with_resolved_files(content, folder) if key in ("wheel", "rail") else content

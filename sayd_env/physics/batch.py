@@ -107,7 +107,7 @@ def _vehicle_of(typing_context: Any, values: Any, starts: Any, vehicle: Any) -> 
 vehicle_of: Any = intrinsic(_vehicle_of)
 
 
-@kernel(parallel=True, announce="the simulator of many vehicles (first use, about 5 s)")
+@kernel(parallel=True, announce="the simulator of many vehicles (first use, about 15 s)")
 def advance_batch(
     plant: Plant,
     plant_starts: Index,
@@ -133,13 +133,14 @@ def advance_batch(
         Receives the number of samples taken: fewer if a state is no longer finite.
     """
     for i in numba.prange(signals.shape[0]):
-        none = np.empty((0, 2 * LANES))
+        none = np.empty((0, LANES))
         done[i] = advance(
             vehicle_of(plant, plant_starts, i),
             vehicle_of(state, state_starts, i),
             vehicle_of(work, work_starts, i),
             substeps[i],
             signals[i],
+            none,
             none,
             none,
         )

@@ -12,8 +12,10 @@ from typing import Any
 
 import numba
 from numba.core import config, event
+from numba.core.compiler import Compiler
 
 numba_config: Any = config  # its settings are made at run time
+njit: Any = numba.njit  # its annotations leave out the option that switches reference counts off
 _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
 
 
@@ -42,11 +44,21 @@ def cache_directory() -> Path:
 CACHE_DIRECTORY = cache_directory()
 
 
+class _DistinctArrays(Compiler):
+    """Numba's compiler, with LLVM told that array arguments do not overlap."""
+
+    def define_pipelines(self) -> Any:
+        self.state.flags.noalias = True
+        return super().define_pipelines()  # type: ignore[no-untyped-call]
+
+
 def kernel(
     function: Callable[..., Any] | None = None,
     *,
     parallel: bool = False,
     inline: bool = False,
+    distinct: bool = False,
+    allocates: bool = True,
     announce: str | None = None,
 ) -> Any:
     """Compile a function: cached on disk, IEEE arithmetic (no fast-math), NumPy's division by zero.
@@ -59,6 +71,12 @@ def kernel(
         Allow `numba.prange` loops.
     inline : bool
         Merge the function into its callers, so that a loop that calls it can become vector instructions.
+    distinct : bool
+        The function's arrays never overlap in memory. A loop that reads a table at computed places becomes
+        vector instructions only if the compiler may rely on that; arrays that overlap give wrong results.
+    allocates : bool
+        Whether the function, or one that it calls, makes arrays. If not, arrays need no reference counts,
+        which for a tuple of fifty arrays cost more than many a kernel.
     announce : str, optional
         What is compiled and how long it takes, for `announced_compilation`: worth saying of kernels that take
         seconds.
@@ -68,8 +86,14 @@ def kernel(
         previous = numba_config.CACHE_DIR
         numba_config.CACHE_DIR = str(CACHE_DIRECTORY)
         try:
-            dispatcher = numba.njit(
-                cache=True, error_model="numpy", nogil=True, parallel=parallel, forceinline=inline
+            dispatcher = njit(
+                cache=True,
+                error_model="numpy",
+                nogil=True,
+                parallel=parallel,
+                forceinline=inline,
+                pipeline_class=_DistinctArrays if distinct else Compiler,
+                _nrt=allocates,
             )(f)
         finally:
             numba_config.CACHE_DIR = previous

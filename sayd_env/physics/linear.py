@@ -20,7 +20,8 @@ import numpy.typing as npt
 from scipy.linalg import eig, eigvals, lstsq
 from scipy.optimize import brentq, linear_sum_assignment
 
-from sayd_env.config import StudyError
+from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
@@ -122,7 +123,8 @@ def linearise(model: VehicleModel, speed: float, amplitude: float | None) -> Lin
     Raises
     ------
     ConfigError
-        A speed outside the vehicle's range.
+        A speed outside the vehicle's range, or semi-active dampers, whose hydraulics have no linear part that
+        would say anything about the whole.
     DataError
         An amplitude outside the contact table.
     StudyError
@@ -135,6 +137,10 @@ def linearise(model: VehicleModel, speed: float, amplitude: float | None) -> Lin
     depends, and these rates. Newton's method with the state matrix itself, from pure rolling; directions
     without stiffness stay where they are.
     """
+    if not isinstance(model.scenario.damper, PassiveDamperConfig):
+        raise ConfigError(
+            f"damper '{model.scenario.damper.name}': the linear analysis needs passive yaw dampers"
+        )
     table = model.table if amplitude is None else linearised(model.table, amplitude)
     track = realise(NoIrregularityConfig(type="none"), 1.0, 0)
     plant, work = model.plant(speed, track, table), model.work()

@@ -282,9 +282,9 @@ class _Builder:
     def add_gravity(self, wheelsets: list[Instance]) -> Array:
         """Static loads, their gravity (geometric) stiffness, and the wheel loads (N).
 
-        A weight-carrying spring's static force P acts at its ends, which move with their bodies, so a rotation
-        theta of a body changes the moment about its centre by (theta x r) x P (pendulum terms). The force
-        follows the mean rotation of both ends: a body on a canted base slides down as m g theta demands.
+        A weight-carrying spring's static force P acts at its ends, which move with their bodies, so a
+        rotation theta of a body changes the moment about its centre by (theta x r) x P (pendulum terms). The
+        force follows the mean rotation of both ends: a body on a canted base slides down by m g theta / k.
         """
         weight = np.zeros(self.n)
         vertical = np.zeros((self.n, self.n))

@@ -79,6 +79,18 @@ class Plant(NamedTuple):
     """(p, m) dv / d(F + k h / 2 v) behind each point, m/(N s)."""
     damper_stiffness: Array
     """(m,) series stiffness, N/m."""
+    sayd_start: Column
+    """(2 d + 1,) where the d semi-active dampers' ends begin: those on bogies, then those on the carbody."""
+    sayd_column: Column
+    """(entries,) the degrees of freedom that move them."""
+    sayd_value: Array
+    """(entries,) by how much."""
+    sayd_constant: Array
+    """Constants of the semi-active dampers, as in `sayd_env.physics.sayd`; empty without them."""
+    sayd_table: Array
+    """Their flow through throttle and rectifier, flat; empty without them."""
+    sayd_substeps: float
+    """Steps of their hydraulics in a time step."""
     stop_g: Array
     """(s, n) connection vectors of the stops."""
     stop_shift: Array
@@ -110,6 +122,10 @@ class State(NamedTuple):
     """(m,) velocity of each Maxwell damper's viscous part, m/s."""
     force: Array
     """(m,) damper forces on the elements' b ends, pulling when positive, N."""
+    sayd: Array
+    """States, forces and valves of the semi-active dampers, as in `sayd_env.physics.sayd`; may be empty."""
+    sayd_line: Array
+    """Their commands of the last steps, on the way through the valve drivers."""
     clock: Array
     """(2,) time (s) and position of the vehicle's centre along the track (m)."""
 
@@ -125,6 +141,8 @@ class Work(NamedTuple):
     """(n, 2) displacements and velocities side by side, as the product with K and C reads them."""
     shift: Array
     """(m,) elongations at the end of the step."""
+    sayd_inputs: Array
+    """Motion of the semi-active dampers' ends, as in `sayd_env.physics.sayd`; may be empty."""
     rail: Array
     """(w, 8) irregularity under each wheelset: four values and their four slopes."""
     lane_in: Array

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import StudyError
+from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.vehicle import MaxwellLaw
+from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.multibody import ForceElement
+from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import damper_curves
 from sayd_env.physics.step import step_dampers
 
@@ -18,6 +22,7 @@ Array = npt.NDArray[np.float64]
 
 _MAX_CYCLES = 1000
 _STEADY = 1e-9  # change of the force from cycle to cycle over its peak
+_STEADY_SAYD = 1e-6  # the same of the semi-active damper, whose valves open and close
 
 
 class Rig(NamedTuple):
@@ -93,3 +98,83 @@ def steady_cycle(law: MaxwellLaw, amplitude: float, frequency: float, points: in
             return Cycle(np.r_[elongation[-1], elongation], np.r_[force[-1], force])
         before = force.copy()
     raise StudyError(f"the damper has no steady cycle at {amplitude * 1e3:g} mm and {frequency:g} Hz")
+
+
+@kernel
+def _drive_sayds(
+    step: float,
+    substeps: int,
+    constant: Array,
+    table: Array,
+    inputs: Array,
+    state: Array,
+    motion: Array,
+    force: Array,
+) -> None:
+    """Force F_1 of all dampers (t, LANES) at positions and velocities (t, 2) of their ends on the bogie."""
+    for t in range(motion.shape[0]):
+        for i in range(LANES):
+            inputs[sayd.OLD_RATE_1 * LANES + i] = inputs[sayd.RATE_1 * LANES + i]
+            inputs[sayd.END_1 * LANES + i] = motion[t, 0]
+            inputs[sayd.RATE_1 * LANES + i] = motion[t, 1]
+        sayd.integrate(step, substeps, constant, table, inputs, state)
+        for i in range(LANES):
+            force[t, i] = state[sayd.FORCE_1 * LANES + i]
+
+
+def steady_sayd_cycles(
+    config: SaydDamperConfig, amplitude: float, frequency: float, currents: Sequence[float], points: int
+) -> tuple[Cycle, ...]:
+    """Move semi-active dampers of different constant currents sinusoidally until their forces repeat.
+
+    Parameters
+    ----------
+    config : SaydDamperConfig
+        The damper; the end on the carbody is held.
+    amplitude : float
+        Amplitude of the elongation, m.
+    frequency : float
+        Hz.
+    currents : sequence of float
+        Acting currents, 0 to 1.
+    points : int
+        Vehicle steps in a cycle; the hydraulics divide them further.
+
+    Returns
+    -------
+    tuple of Cycle
+        One for each current.
+
+    Raises
+    ------
+    StudyError
+        The force still changes after 1000 cycles.
+    DataError
+        A throttle table that cannot be used.
+    """
+    step = 1.0 / (frequency * points)
+    arrays = sayd.sayd_arrays(config, step)
+    phase = 2.0 * np.pi * np.arange(1, points + 1) / points
+    speed = 2.0 * np.pi * frequency * amplitude
+    motion = np.stack([amplitude * np.sin(phase), speed * np.cos(phase)], axis=1)
+    cycles: list[Cycle] = []
+    for first in range(0, len(currents), LANES):
+        acting = np.array(currents[first : first + LANES])
+        count = len(acting)
+        state, inputs = sayd.rest(config), np.zeros(sayd.INPUTS * LANES)
+        lanes = slice(sayd.CURRENT * LANES, sayd.CURRENT * LANES + count)
+        old = slice(sayd.OLD_CURRENT * LANES, sayd.OLD_CURRENT * LANES + count)
+        state[lanes], inputs[old] = acting, acting
+        inputs[sayd.RATE_1 * LANES : sayd.OLD_RATE_1 * LANES] = speed
+        force, before = np.zeros((points, LANES)), np.full((points, LANES), np.inf)
+        for _ in range(_MAX_CYCLES):
+            _drive_sayds(step, arrays.substeps, arrays.constant, arrays.table, inputs, state, motion, force)
+            change = np.max(np.abs(force - before)[:, :count], axis=0)
+            if np.all(change <= _STEADY_SAYD * np.max(np.abs(force[:, :count]), axis=0)):
+                break
+            before = force.copy()
+        else:
+            raise StudyError(f"the damper has no steady cycle at {amplitude * 1e3:g} mm and {frequency:g} Hz")
+        x = np.r_[motion[-1, 0], motion[:, 0]]
+        cycles += [Cycle(x, np.r_[force[-1, i], force[:, i]]) for i in range(count)]
+    return tuple(cycles)

@@ -13,7 +13,9 @@ import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
 from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.physics import sayd
 from sayd_env.physics.contact.geometry import ContactTable, contact_table
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import LANES, Plant, State, Work
@@ -45,6 +47,8 @@ class Telemetry:
     """The same of the vertical force, N."""
     motion: Array
     """(t, n) or (0, n) displacements of all degrees of freedom, m and rad."""
+    sayds: Array
+    """(t, STATES, d) or (0, STATES, d) states of the semi-active dampers by the rows of `physics.sayd`."""
 
 
 class VehicleModel:
@@ -68,6 +72,10 @@ class VehicleModel:
             raise ConfigError(
                 f"{scenario.vehicle.name}: {len(self.multibody.wheelset_x)} wheelsets; at most {LANES // 2}"
             )
+        if len(self.multibody.yaw_dampers) > LANES:
+            raise ConfigError(
+                f"{scenario.vehicle.name}: {len(self.multibody.yaw_dampers)} yaw dampers; at most {LANES}"
+            )
         if np.any(self.multibody.wheelset_dofs < 0):
             raise ConfigError(
                 f"{scenario.vehicle.name}: wheel-rail contact needs all six degrees of freedom of a wheelset"
@@ -82,8 +90,10 @@ class VehicleModel:
 
     @cached_property
     def dampers(self) -> tuple[ForceElement, ...]:
-        """All Maxwell elements: the yaw dampers first, then the others of the vehicle."""
+        """All Maxwell elements: the yaw dampers first, if passive, then the others of the vehicle."""
         law = self.scenario.damper
+        if not isinstance(law, PassiveDamperConfig):
+            return self.multibody.dampers
         yaw = [
             ForceElement(name, bogie - car, np.array(law.curve), law.series_stiffness)
             for name, bogie, car in self.multibody.yaw_dampers
@@ -156,6 +166,9 @@ class VehicleModel:
         linear = _sparse_rows(b.stiffness, damping)
         connection = _sparse_rows(np.array([e.connection for e in self.dampers]).reshape(-1, b.n))
         maxwell = damper_curves(self.dampers, h)
+        sayds = self._sayds(h)
+        ends = [] if sayds is None else [x for i in (1, 2) for x in (d[i] for d in b.yaw_dampers)]
+        sayd_ends = _sparse_rows(np.array(ends).reshape(-1, b.n))
         shift, stop = _curves(b.stops)
         approach, hunt_crossley = self._static_contact(table)
         return Plant(
@@ -187,6 +200,12 @@ class VehicleModel:
             damper_knot=maxwell.knot,
             damper_slope=maxwell.slope,
             damper_stiffness=maxwell.stiffness,
+            sayd_start=sayd_ends.start,
+            sayd_column=sayd_ends.column,
+            sayd_value=sayd_ends.values[0],
+            sayd_constant=np.zeros(0) if sayds is None else sayds.constant,
+            sayd_table=np.zeros(0) if sayds is None else sayds.table,
+            sayd_substeps=0.0 if sayds is None else float(sayds.substeps),
             stop_g=np.array([e.connection for e in b.stops]).reshape(-1, b.n),
             stop_shift=shift,
             stop_force=stop,
@@ -205,27 +224,50 @@ class VehicleModel:
         approach = (normal / table.c_hertz[node]) ** (2.0 / 3.0) / cosine
         return approach, self.scenario.contact_damping / normal
 
-    def state(self) -> State:
-        """The state at rest under the static load, the first wheelset at the start of the irregularities."""
+    def _sayds(self, h: float) -> sayd.SaydArrays | None:
+        """Constants of the semi-active dampers at a time step (s), None with passive ones."""
+        damper = self.scenario.damper
+        return None if isinstance(damper, PassiveDamperConfig) else sayd.sayd_arrays(damper, h)
+
+    def state(self, speed: float) -> State:
+        """The state at rest under the static load, the first wheelset at the start of the irregularities.
+
+        The speed (m/s) decides how many steps of commands the valve drivers hold back.
+        """
         n, m = self.multibody.n, len(self.dampers)
-        clock = np.array([0.0, -float(np.max(self.multibody.wheelset_x))])
-        return State(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m), np.zeros(m), clock)
+        damper, sayds, line = self.scenario.damper, np.zeros(0), np.zeros(0)
+        if not isinstance(damper, PassiveDamperConfig):
+            sayds = sayd.rest(damper)
+            line = np.full(sayd.line_length(damper, self.step(speed)[0]) * LANES, damper.current)
+        return State(
+            q=np.zeros(n),
+            v=np.zeros(n),
+            a=np.zeros(n),
+            elongation=np.zeros(m),
+            piston=np.zeros(m),
+            force=np.zeros(m),
+            sayd=sayds,
+            sayd_line=line,
+            clock=np.array([0.0, -float(np.max(self.multibody.wheelset_x))]),
+        )
 
     def work(self) -> Work:
         """Scratch memory for one vehicle."""
         n, m, w = self.multibody.n, len(self.dampers), len(self.multibody.wheelset_x)
+        passive = isinstance(self.scenario.damper, PassiveDamperConfig)
         lanes = np.zeros(ROWS_IN * LANES)
         lanes[LIFT * LANES : (LIFT + 1) * LANES] = (
             1.0  # wheels that the vehicle does not have stay in the air
         )
         return Work(
-            np.zeros(n),
-            np.zeros(n),
-            np.zeros((n, 2)),
-            np.zeros(m),
-            np.zeros((w, 8)),
-            lanes,
-            np.zeros(ROWS_OUT * LANES),
+            f=np.zeros(n),
+            velocity=np.zeros(n),
+            motion=np.zeros((n, 2)),
+            shift=np.zeros(m),
+            sayd_inputs=np.zeros(0 if passive else sayd.INPUTS * LANES),
+            rail=np.zeros((w, 8)),
+            lane_in=lanes,
+            lane_out=np.zeros(ROWS_OUT * LANES),
         )
 
 
@@ -267,7 +309,7 @@ class Simulator:
         self.speed = speed
         self.track = model.realisation(seed) if track is None else track
         self.plant = model.plant(speed, self.track, table)
-        self.state = model.state()
+        self.state = model.state(speed)
         self.work = model.work()
 
     @property
@@ -280,20 +322,64 @@ class Simulator:
         """What to tell of a run that ended early."""
         when = f"after {self.state.clock[0]:.2f} s"
         if np.all(np.isfinite(self.state.q)):
-            return f"derailment at {self.speed * 3.6:g} km/h {when}: a wheel has climbed beyond the contact table"
+            return f"derailment at {self.speed * 3.6:g} km/h {when}: a wheel has left the contact table"
         return (
             f"the simulation at {self.speed * 3.6:g} km/h diverged {when}; a smaller numerics.step may help"
         )
 
-    def advance(self, samples: int, *, wheels: bool = False, motion: bool = False) -> Telemetry:
+    def command(self, currents: npt.ArrayLike) -> None:
+        """Set the commanded valve currents of the semi-active dampers; they hold until the next command.
+
+        Parameters
+        ----------
+        currents : array_like, shape (d,) or ()
+            Commands from 0 (closed) to 1 (open), in the order of `Multibody.yaw_dampers`.
+
+        Raises
+        ------
+        ConfigError
+            Passive dampers, a wrong number of currents, or a current that is not a number from 0 to 1.
+        """
+        rows = self._valves()
+        rows[sayd.COMMAND] = checked_currents(currents, rows.shape[1])
+
+    def power(self, on: npt.ArrayLike) -> None:
+        """Switch the power of the valves on or off; without it a valve goes to its fail-safe opening.
+
+        Parameters
+        ----------
+        on : array_like of bool, shape (d,) or ()
+
+        Raises
+        ------
+        ConfigError
+            Passive dampers or a wrong number of values.
+        """
+        rows = self._valves()
+        values = np.asarray(on, dtype=bool)
+        if values.shape not in ((), (rows.shape[1],)):
+            raise ConfigError(f"power: found shape {values.shape}, expected {rows.shape[1]} values")
+        rows[sayd.POWERED] = values
+
+    def _valves(self) -> Array:
+        """View of the semi-active dampers' states, (STATES, d)."""
+        if self.state.sayd.size == 0:
+            name = self.model.scenario.damper.name
+            raise ConfigError(f"damper '{name}' has no valve: commands need a damper of type sayd")
+        return self.state.sayd.reshape(sayd.STATES, LANES)[:, : len(self.model.multibody.yaw_dampers)]
+
+    def advance(
+        self, samples: int, *, wheels: bool = False, motion: bool = False, sayds: bool = False
+    ) -> Telemetry:
         """Run on for a number of samples and return their signals.
 
         Parameters
         ----------
         samples : int
             Number of samples at the scenario's sample rate.
-        wheels, motion : bool
-            Also record the wheel-rail forces and the displacements of all degrees of freedom.
+        wheels, motion, sayds : bool
+            Also record the wheel-rail forces, the displacements of all degrees of freedom, and the states of
+            the semi-active dampers.
 
         Raises
         ------
@@ -306,7 +392,8 @@ class Simulator:
         signals = np.empty((samples, self.channels))
         forces = np.empty((samples if wheels else 0, 2 * LANES))
         motions = np.empty((samples if motion else 0, self.model.multibody.n))
-        done = advance(self.plant, self.state, self.work, substeps, signals, forces, motions)
+        dampers = np.empty((samples if sayds else 0, self.state.sayd.size))
+        done = advance(self.plant, self.state, self.work, substeps, signals, forces, motions, dampers)
         if done < samples:
             raise StudyError(self.divergence())
         return Telemetry(
@@ -317,12 +404,35 @@ class Simulator:
             wheel_lateral=forces[:, : 2 * w],
             wheel_vertical=forces[:, LANES : LANES + 2 * w],
             motion=motions,
+            sayds=dampers.reshape(len(dampers), dampers.shape[1] // LANES, LANES)[
+                :, :, : len(self.model.multibody.yaw_dampers)
+            ],
         )
 
-    def run(self, distance: float, *, wheels: bool = False, motion: bool = False) -> Telemetry:
+    def run(
+        self, distance: float, *, wheels: bool = False, motion: bool = False, sayds: bool = False
+    ) -> Telemetry:
         """Run over a distance (m) and return the signals."""
         samples = math.ceil(distance / self.speed * self.model.scenario.assessment.sample_rate)
-        return self.advance(samples, wheels=wheels, motion=motion)
+        return self.advance(samples, wheels=wheels, motion=motion, sayds=sayds)
+
+
+def checked_currents(currents: npt.ArrayLike, count: int) -> Array:
+    """Commands for `count` valves, each a number from 0 to 1.
+
+    Raises
+    ------
+    ConfigError
+        Anything else: nothing that is not a valid current reaches the hydraulics.
+    """
+    values = np.asarray(currents, dtype=float)
+    if values.shape not in ((), (count,)):
+        raise ConfigError(f"valve currents: found shape {values.shape}, expected {count} values")
+    wrong = ~((values >= 0.0) & (values <= 1.0))
+    if np.any(wrong):
+        found = np.atleast_1d(values)[np.atleast_1d(wrong)][0]
+        raise ConfigError(f"valve currents: found {found:g}, expected finite numbers from 0 to 1")
+    return values
 
 
 def threads(workers: int | None) -> ThreadPoolExecutor:

@@ -8,13 +8,15 @@ Scheme: explicit Newmark (beta = 0, gamma = 1/2) with one evaluation of the forc
 
 The velocity in the forces is predicted; the diagonal D of the damping matrix (the strongly damped track
 sections) is treated implicitly, which costs a division. Maxwell dampers use the trapezoidal rule, solved
-exactly on their piecewise-linear curves. All of it is second order in h.
+exactly on their piecewise-linear curves; semi-active dampers take steps of their own between the same
+instants (`sayd_env.physics.sayd`). All of it is second order in h.
 """
 
 from __future__ import annotations
 
 import math
 
+from sayd_env.physics import sayd
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.polach import polach
 from sayd_env.physics.kernel import kernel
@@ -32,7 +34,7 @@ SLOPE = 4
     OFFSET,  # lateral offset of the wheelset from the track's centre at rail level, m
     LIFT,  # height of the unloaded wheelset over the track plane at the centre, m
     TILT,  # roll of the wheelset against the track plane, times side
-    YAW,  # of the wheelset against its rail
+    YAW,  # against the mean track: the slope of its alignment is left out
     SLIP_X,  # longitudinal slip velocity of the axle's centre, m/s
     YAW_RATE,
     SPIN_RATE,  # pitch rate over the nominal one, rad/s
@@ -66,7 +68,7 @@ SLOPE = 4
 ) = range(13)
 
 
-@kernel
+@kernel(allocates=False)
 def read_track(plant: Plant, position: float, work: Work) -> None:
     """Irregularities under each wheelset and their slopes along the track."""
     c, rail = plant.irregularity, work.rail
@@ -80,7 +82,7 @@ def read_track(plant: Plant, position: float, work: Work) -> None:
             rail[j, SLOPE + k] = d0 * c[i, k] + d1 * c[i + 1, k] + d2 * c[i + 2, k] + d3 * c[i + 3, k]
 
 
-@kernel
+@kernel(allocates=False)
 def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
     """Position and velocity of each wheel against its rail, into `work.lane_in`."""
     lane = work.lane_in
@@ -100,7 +102,7 @@ def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
             lane[OFFSET * LANES + i] = offset
             lane[LIFT * LANES + i] = q[w[2]] - q[s[1]] - rail[VERTICAL] - plane * offset - plant.approach[j]
             lane[TILT * LANES + i] = side * (q[w[3]] - plane)
-            lane[YAW * LANES + i] = q[w[5]] - rail[SLOPE + ALIGNMENT] - 0.5 * side * rail[SLOPE + GAUGE]
+            lane[YAW * LANES + i] = q[w[5]]
             lane[SLIP_X * LANES + i] = v[w[0]]
             lane[YAW_RATE * LANES + i] = v[w[5]]
             lane[SPIN_RATE * LANES + i] = v[w[4]]
@@ -115,7 +117,7 @@ def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
             lane[LOAD_FACTOR * LANES + i] = plant.contact_damping[j]
 
 
-@kernel
+@kernel(allocates=False)
 def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop body, as the physics reads
     """Normal and creep forces of all wheels, from `work.lane_in` into `work.lane_out`.
 
@@ -226,7 +228,7 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         out[STORED * LANES + i] = 0.4 * elastic * pressed
 
 
-@kernel
+@kernel(allocates=False)
 def add_contact(plant: Plant, work: Work) -> None:
     """Add the wheels' resultants, less the static loads, to the generalised forces."""
     out, f = work.lane_out, work.f
@@ -246,7 +248,7 @@ def add_contact(plant: Plant, work: Work) -> None:
         f[s[2]] += out[MOMENT_TRACK * LANES + left] + out[MOMENT_TRACK * LANES + right]
 
 
-@kernel
+@kernel(allocates=False)
 def add_suspension(plant: Plant, q: Array, v: Array, work: Work) -> None:
     """Add -K q - C v (C without its diagonal), row by row over the entries that are not zero."""
     start, column, value, motion = plant.linear_start, plant.linear_column, plant.linear_value, work.motion
@@ -262,7 +264,7 @@ def add_suspension(plant: Plant, q: Array, v: Array, work: Work) -> None:
         work.f[i] -= elastic + viscous
 
 
-@kernel
+@kernel(allocates=False)
 def add_stops(plant: Plant, q: Array, f: Array) -> None:
     """Add the lateral stops' forces."""
     for s in range(plant.stop_g.shape[0]):
@@ -278,7 +280,7 @@ def add_stops(plant: Plant, q: Array, f: Array) -> None:
             f[j] -= g[j] * force
 
 
-@kernel
+@kernel(allocates=False)
 def _curve(x: Array, y: Array, at: float) -> float:
     """Piecewise-linear interpolation for at >= 0, the last segment going on."""
     p = 0
@@ -287,7 +289,7 @@ def _curve(x: Array, y: Array, at: float) -> float:
     return float(y[p] + (at - x[p]) * (y[p + 1] - y[p]) / (x[p + 1] - x[p]))
 
 
-@kernel
+@kernel(allocates=False)
 def damper_elongations(plant: Plant, q: Array, shift: Array) -> None:
     """Elongation of each Maxwell damper, g.q."""
     start, column, value = plant.damper_start, plant.damper_column, plant.damper_value
@@ -298,7 +300,7 @@ def damper_elongations(plant: Plant, q: Array, shift: Array) -> None:
         shift[k] = total
 
 
-@kernel
+@kernel(allocates=False)
 def step_dampers(plant: Plant, state: State, work: Work) -> None:
     """Advance the Maxwell dampers by the trapezoidal rule, exactly on their piecewise-linear curves.
 
@@ -322,7 +324,7 @@ def step_dampers(plant: Plant, state: State, work: Work) -> None:
         elongation[k] = shift[k]
 
 
-@kernel
+@kernel(allocates=False)
 def add_dampers(plant: Plant, force: Array, f: Array) -> None:
     """Add -g F of the Maxwell dampers to the generalised forces."""
     start, column, value = plant.damper_start, plant.damper_column, plant.damper_value
@@ -331,7 +333,43 @@ def add_dampers(plant: Plant, force: Array, f: Array) -> None:
             f[column[e]] -= value[e] * force[k]
 
 
-@kernel
+@kernel(inline=True, allocates=False)
+def step_sayds(plant: Plant, state: State, work: Work) -> None:
+    """Advance the semi-active dampers over the step that ends at state.q with the velocities work.velocity.
+
+    `state.v` still holds the velocities at the step's start.
+    """
+    start, column, value = plant.sayd_start, plant.sayd_column, plant.sayd_value
+    inputs, count = work.sayd_inputs, (plant.sayd_start.shape[0] - 1) // 2
+    for r in range(2 * count):
+        position, velocity, before = 0.0, 0.0, 0.0
+        for e in range(start[r], start[r + 1]):
+            j = column[e]
+            position += value[e] * state.q[j]
+            velocity += value[e] * work.velocity[j]
+            before += value[e] * state.v[j]
+        place = sayd.END_1 * LANES + r if r < count else sayd.END_2 * LANES + r - count
+        inputs[place] = position
+        inputs[LANES + place] = velocity
+        inputs[2 * LANES + place] = before
+    sayd.move_valves(plant.sayd_constant, state.sayd_line, inputs, state.sayd)
+    sayd.integrate(
+        plant.step, int(plant.sayd_substeps), plant.sayd_constant, plant.sayd_table, inputs, state.sayd
+    )
+
+
+@kernel(allocates=False)
+def add_sayds(plant: Plant, state: State, f: Array) -> None:
+    """Add the semi-active dampers' reactions: -F_1 on the bogie, -F_2 on the carbody."""
+    start, column, value = plant.sayd_start, plant.sayd_column, plant.sayd_value
+    count = (start.shape[0] - 1) // 2
+    for r in range(2 * count):
+        force = state.sayd[sayd.FORCE_1 * LANES + r if r < count else sayd.FORCE_2 * LANES + r - count]
+        for e in range(start[r], start[r + 1]):
+            f[column[e]] -= value[e] * force
+
+
+@kernel(inline=True, allocates=False)
 def contact(plant: Plant, q: Array, v: Array, position: float, work: Work) -> None:
     """Track and contact: from the vehicle's motion to the wheels' forces in `work`."""
     read_track(plant, position, work)
@@ -339,7 +377,7 @@ def contact(plant: Plant, q: Array, v: Array, position: float, work: Work) -> No
     wheel_forces(plant, work)
 
 
-@kernel
+@kernel(allocates=False)
 def step(plant: Plant, state: State, work: Work) -> None:
     """Advance one vehicle by the plant's time step."""
     h = plant.step
@@ -362,6 +400,9 @@ def step(plant: Plant, state: State, work: Work) -> None:
     damper_elongations(plant, q, work.shift)
     step_dampers(plant, state, work)
     add_dampers(plant, state.force, f)
+    if state.sayd.shape[0] > 0:
+        step_sayds(plant, state, work)
+        add_sayds(plant, state, f)
 
     for i in range(n):
         f[i] *= plant.mobility[i]
@@ -371,9 +412,11 @@ def step(plant: Plant, state: State, work: Work) -> None:
         a[i] = f[i]
 
 
-@kernel
+@kernel(allocates=False)
 def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work: Work, out: Array) -> None:
     """Time derivative of (q, v, F) for a general integrator: the same forces as `step`.
+
+    Semi-active dampers have states of their own and are left out.
 
     Parameters
     ----------
@@ -405,7 +448,7 @@ def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work:
         out[2 * n + k] = plant.damper_stiffness[k] * (work.shift[k] - piston)
 
 
-@kernel
+@kernel(allocates=False)
 def record(plant: Plant, state: State, work: Work, row: Array) -> None:
     """Write the assessed signals of this instant.
 
@@ -422,10 +465,10 @@ def record(plant: Plant, state: State, work: Work, row: Array) -> None:
         out = work.lane_out
         row[w + j] = -(out[FORCE_Y * LANES + 2 * j] + out[FORCE_Y * LANES + 2 * j + 1])
     for k in range(row.shape[0] - 2 * w):
-        row[2 * w + k] = state.force[k]
+        row[2 * w + k] = state.sayd[sayd.FORCE_1 * LANES + k] if state.sayd.shape[0] > 0 else state.force[k]
 
 
-@kernel
+@kernel(allocates=False)
 def record_wheels(work: Work, row: Array) -> None:
     """Write lateral and vertical force of each wheel on the rail (two rows of LANES)."""
     for i in range(LANES):
@@ -433,7 +476,7 @@ def record_wheels(work: Work, row: Array) -> None:
         row[LANES + i] = work.lane_out[FORCE_Z * LANES + i]
 
 
-@kernel
+@kernel(allocates=False)
 def largest_shift(plant: Plant, work: Work) -> float:
     """Largest shift of a wheel towards its flange, m: beyond the contact table it has climbed the rail."""
     largest = 0.0
@@ -442,9 +485,22 @@ def largest_shift(plant: Plant, work: Work) -> float:
     return largest
 
 
-@kernel(announce="the simulator (first start, about 10 s)")
+@kernel(allocates=False)
+def _copy(values: Array, row: Array) -> None:
+    for i in range(values.shape[0]):
+        row[i] = values[i]
+
+
+@kernel(allocates=False, announce="the simulator (first start, about 10 s)")
 def advance(
-    plant: Plant, state: State, work: Work, substeps: int, signals: Array, wheels: Array, motion: Array
+    plant: Plant,
+    state: State,
+    work: Work,
+    substeps: int,
+    signals: Array,
+    wheels: Array,
+    motion: Array,
+    sayds: Array,
 ) -> int:
     """Advance by as many samples as `signals` has rows, `substeps` steps each.
 
@@ -460,6 +516,8 @@ def advance(
         Receives the wheel forces of `record_wheels`, unless it is empty.
     motion : ndarray, shape (samples or 0, n)
         Receives the displacements q, unless it is empty.
+    sayds : ndarray, shape (samples or 0, sayd.STATES * LANES)
+        Receives the states of the semi-active dampers, unless it is empty.
 
     Returns
     -------
@@ -475,7 +533,9 @@ def advance(
         if wheels.shape[0] > 0:
             record_wheels(work, wheels[t])
         if motion.shape[0] > 0:
-            motion[t, :] = state.q
+            _copy(state.q, motion[t])
+        if sayds.shape[0] > 0:
+            _copy(state.sayd, sayds[t])
         if not math.isfinite(signals[t, 0] + state.v[0]) or largest_shift(plant, work) >= widest:
             return t
     return int(signals.shape[0])

@@ -60,17 +60,14 @@ class Evaluation:
     place: tuple[float, ...]
     """In the unit cube of the parameters' ranges."""
     cost: float
-    """Sum of the squared penalties."""
+    """Sum of the squared residuals."""
     penalties: dict[str, float]
     measures: dict[str, float]
 
     @property
     def residuals(self) -> list[float]:
-        """What the least-squares search makes small."""
-        if not self.measures:
-            return [WORST] * len(ROWS)
-        signed = [(self.measures[key] - target) / scale for key, target, scale in TARGETS]
-        return [*signed, *(v for row, v in self.penalties.items() if row not in ("P2", "P5", "P8"))]
+        """What the search makes small."""
+        return residuals_of(self.penalties, self.measures) if self.measures else [WORST] * len(ROWS)
 
 
 @dataclass(frozen=True)
@@ -245,7 +242,15 @@ def _evaluate(
     except StudyError:
         return Evaluation(stage, place, DIVERGED, {}, {})
     penalties, measures = penalties_of(new, worn, model_limits(models[0]))
-    return Evaluation(stage, place, sum(p**2 for p in penalties.values()), penalties, measures)
+    cost = float(np.sum(np.square(residuals_of(penalties, measures))))
+    return Evaluation(stage, place, cost, penalties, measures)
+
+
+def residuals_of(penalties: dict[str, float], measures: dict[str, float]) -> list[float]:
+    """Distances of the critical speeds from their targets, and the other rows' penalties."""
+    signed = [(measures[key] - target) / scale for key, target, scale in TARGETS]
+    others = [value for row, value in penalties.items() if row not in ("P2", "P5", "P8")]
+    return [*np.clip(signed, -WORST, WORST).tolist(), *others]
 
 
 def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, float], dict[str, float]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import Telemetry, VehicleModel
 from sayd_env.stability import (
@@ -202,8 +203,10 @@ def _row(model: VehicleModel, bounds: Limits, speed: float, seed: int) -> Row:
     force = signals.damper_force[first:last]
     j_acceleration = _acceleration_cost(model, signals, speed, bounds)[first:last].mean()
     j_force = float(np.mean(force**2)) / scenario.cost.force_reference**2 if force.size else 0.0
+    damper = scenario.damper
+    valve = damper.current if isinstance(damper, SaydDamperConfig) else None
     return Row(
-        policy="passive",
+        policy="passive" if valve is None else "constant",
         speed_kmh=speed * KMH,
         wear=scenario.wear,
         friction=scenario.friction,
@@ -215,6 +218,8 @@ def _row(model: VehicleModel, bounds: Limits, speed: float, seed: int) -> Row:
         track_shift_ratio=peak[w:].max() / bounds.track_shift_force,
         force_rms_n=float(np.sqrt(np.mean(force**2))) if force.size else 0.0,
         force_peak_n=float(np.max(np.abs(force))) if force.size else 0.0,
+        valve_mean=valve,
+        valve_travel_per_km=None if valve is None else 0.0,
     )
 
 

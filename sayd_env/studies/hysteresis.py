@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.config.damper import PassiveDamperConfig
-from sayd_env.physics.rig import Cycle, steady_cycle
+from sayd_env.config import ConfigError
+from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
+from sayd_env.physics.rig import Cycle, steady_cycle, steady_sayd_cycles
+from sayd_env.physics.sayd import steady_force
 from sayd_env.studies.output import Progress, silent
 
 if TYPE_CHECKING:
@@ -28,6 +30,10 @@ AMPLITUDES = (1e-3, 2e-3, 4e-3)
 FREQUENCIES = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 """Frequencies of the paper's figure 3 (Hz)."""
 
+CURRENTS = (0.0, 0.25, 0.5, 1.0)
+"""Valve currents of a semi-active damper's loops."""
+
+_FIELD_VELOCITIES = np.linspace(0.0, 0.3, 61)  # m/s, beyond the fastest of the paper's loops
 _POINTS = 2000  # time steps in a cycle: the trapezoidal rule is then good to (pi / 1000)^2 / 3
 _KILO, _MILLI = 1e-3, 1e3
 
@@ -43,8 +49,8 @@ class Loop:
     current: float | None
     """Valve current, 0 to 1; None for a passive damper."""
     cycle: Cycle
-    force_limit: float | None
-    """Force of the force-velocity curve at the cycle's peak velocity (N), where there is such a curve."""
+    force_limit: float
+    """Force of the quasi-static force-velocity curve at the cycle's peak velocity, N."""
 
     @property
     def force_peak(self) -> float:
@@ -86,15 +92,37 @@ class Loop:
 
 
 @dataclass(frozen=True)
+class Field:
+    """Quasi-static force-velocity curves over the valve current."""
+
+    current: tuple[float, ...]
+    velocity: Array
+    """(v,) m/s."""
+    force: Array
+    """(currents, v) N."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the keys of ``field``."""
+        return {
+            "current": list(self.current),
+            "velocity_m_per_s": self.velocity.tolist(),
+            "force_n": self.force.tolist(),
+        }
+
+
+@dataclass(frozen=True)
 class HysteresisResult:
     """All loops of a damper."""
 
-    damper: PassiveDamperConfig
+    damper: PassiveDamperConfig | SaydDamperConfig
     loops: tuple[Loop, ...]
+    field: Field | None
+    """Characteristic field of a semi-active damper."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``--json``."""
-        return {"damper": self.damper.name, "loops": [loop.as_dict() for loop in self.loops]}
+        field = {} if self.field is None else {"field": self.field.as_dict()}
+        return {"damper": self.damper.name, "loops": [loop.as_dict() for loop in self.loops], **field}
 
     def tables(self) -> dict[str, Table]:
         """Return the figures of the loops, and the loops themselves."""
@@ -106,7 +134,18 @@ class HysteresisResult:
             for x, f in zip(loop.cycle.elongation[::every], loop.cycle.force[::every], strict=True)
         ]
         header = ("amplitude_mm", "frequency_hz", "current", "displacement_mm", "force_n")
-        return {"figures": (list(rows[0]), [list(row.values()) for row in rows]), "loops": (header, samples)}
+        tables: dict[str, Table] = {
+            "figures": (list(rows[0]), [list(row.values()) for row in rows]),
+            "loops": (header, samples),
+        }
+        if self.field is not None:
+            points = [
+                (current, v, f)
+                for current, forces in zip(self.field.current, self.field.force, strict=True)
+                for v, f in zip(self.field.velocity, forces, strict=True)
+            ]
+            tables["field"] = (("current", "velocity_m_per_s", "force_n"), points)
+        return tables
 
     def plots(self) -> dict[str, Plot]:
         """Return the loops (figure 3 of the paper) and the force-velocity curve (figure 2)."""
@@ -133,7 +172,7 @@ class HysteresisResult:
                 f"{loop.frequency:g}",
                 "-" if loop.current is None else f"{loop.current:g}",
                 f"{loop.force_peak * _KILO:.2f}",
-                "-" if loop.force_limit is None else f"{loop.force_limit * _KILO:.2f}",
+                f"{loop.force_limit * _KILO:.2f}",
                 f"{loop.energy:.2f}",
                 f"{abs(loop.stiffness) * 1e-6:.3f}",
             )
@@ -157,9 +196,15 @@ class HysteresisResult:
 
     def _draw_curve(self, figure: Figure) -> None:
         axes = figure.subplots()
-        right = np.array(self.damper.curve)
-        both = np.vstack([-right[:0:-1], right])
-        axes.plot(both[:, 0], both[:, 1] * _KILO, marker="o", markersize=3)
+        if isinstance(self.damper, PassiveDamperConfig):
+            right = np.array(self.damper.curve)
+            both = np.vstack([-right[:0:-1], right])
+            axes.plot(both[:, 0], both[:, 1] * _KILO, marker="o", markersize=3)
+        if self.field is not None:
+            v = np.r_[-self.field.velocity[:0:-1], self.field.velocity]
+            for current, force in zip(self.field.current, self.field.force, strict=True):
+                axes.plot(v, np.r_[-force[:0:-1], force] * _KILO, label=f"current {current:g}")
+            axes.legend()
         axes.set(xlabel="velocity (m/s)", ylabel="force (kN)", title=f"damper {self.damper.name}")
         axes.grid(visible=True)
 
@@ -168,10 +213,11 @@ def hysteresis(
     scenario: Scenario,
     amplitudes: Sequence[float] = AMPLITUDES,
     frequencies: Sequence[float] = FREQUENCIES,
+    currents: Sequence[float] | None = None,
     *,
     progress: Progress = silent,
 ) -> HysteresisResult:
-    """Move a scenario's yaw damper sinusoidally on a test rig, one end held.
+    """Move a scenario's yaw damper sinusoidally on a test rig, the end on the carbody held.
 
     Parameters
     ----------
@@ -179,23 +225,52 @@ def hysteresis(
         Its damper is used.
     amplitudes, frequencies : sequence of float
         Grid of amplitudes (m) and frequencies (Hz).
+    currents : sequence of float, optional
+        Valve currents of a semi-active damper, 0 to 1; `CURRENTS` by default.
     progress : Progress
-        Told after each loop.
+        Told after each motion.
 
     Raises
     ------
+    ConfigError
+        Currents for a damper without a valve, or outside 0 to 1.
     StudyError
         A force that does not become periodic.
     """
     damper = scenario.damper
+    if isinstance(damper, PassiveDamperConfig) and currents is not None:
+        raise ConfigError(f"damper '{damper.name}' has no valve: currents need a damper of type sayd")
+    chosen = CURRENTS if currents is None else tuple(currents)
+    for current in chosen:
+        if not 0.0 <= current <= 1.0:
+            raise ConfigError(f"current {current:g}: expected a number from 0 to 1")
     grid = [(amplitude, frequency) for amplitude in amplitudes for frequency in frequencies]
-    loops = []
-    for amplitude, frequency in grid:
-        cycle = steady_cycle(damper, amplitude, frequency, _POINTS)
-        limit = curve_force(damper, 2.0 * math.pi * frequency * amplitude)
-        loops.append(Loop(amplitude, frequency, None, cycle, limit))
-        progress(len(loops), len(grid))
-    return HysteresisResult(damper, tuple(loops))
+    loops: list[Loop] = []
+    for done, (amplitude, frequency) in enumerate(grid, start=1):
+        if isinstance(damper, PassiveDamperConfig):
+            loops.append(_passive_loop(damper, amplitude, frequency))
+        else:
+            loops += _sayd_loops(damper, amplitude, frequency, chosen)
+        progress(done, len(grid))
+    if isinstance(damper, PassiveDamperConfig):
+        return HysteresisResult(damper, tuple(loops), None)
+    force = steady_force(damper, _FIELD_VELOCITIES, np.array(chosen)[:, None])
+    return HysteresisResult(damper, tuple(loops), Field(chosen, _FIELD_VELOCITIES, force))
+
+
+def _passive_loop(damper: PassiveDamperConfig, amplitude: float, frequency: float) -> Loop:
+    cycle = steady_cycle(damper, amplitude, frequency, _POINTS)
+    limit = curve_force(damper, 2.0 * math.pi * frequency * amplitude)
+    return Loop(amplitude, frequency, None, cycle, limit)
+
+
+def _sayd_loops(
+    damper: SaydDamperConfig, amplitude: float, frequency: float, currents: tuple[float, ...]
+) -> list[Loop]:
+    cycles = steady_sayd_cycles(damper, amplitude, frequency, currents, _POINTS)
+    limits = steady_force(damper, 2.0 * math.pi * frequency * amplitude, np.array(currents))
+    triples = zip(currents, cycles, limits, strict=True)
+    return [Loop(amplitude, frequency, i, cycle, float(limit)) for i, cycle, limit in triples]
 
 
 def curve_force(damper: PassiveDamperConfig, velocity: float) -> float:

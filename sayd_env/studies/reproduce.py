@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from sayd_env.config import ConfigError
+from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
 from sayd_env.studies.claims import NEW_SPEEDS, WORN_SPEEDS, Claim, passive_claims
 from sayd_env.studies.conicity import conicity, plot_conicity
 from sayd_env.studies.critical_speed import draw_trends, model_limits
-from sayd_env.studies.hysteresis import HysteresisResult, curve_force, hysteresis
+from sayd_env.studies.hysteresis import HysteresisResult, hysteresis
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.sweep import Sweep, runs_table, sweep
 
@@ -119,7 +120,16 @@ def reproduce(
         Threads.
     progress : Progress
         Told after each run.
+
+    Raises
+    ------
+    ConfigError
+        A scenario without passive yaw dampers.
+    StudyError
+        A run that diverged.
     """
+    if not isinstance(scenario.damper, PassiveDamperConfig):
+        raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
     total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS))
     done_before = 0
@@ -143,17 +153,15 @@ def _report(progress: Progress, before: int, total: int, done: float, _: float, 
 
 def damper_claim(result: HysteresisResult) -> Claim:
     """Row P11: loops that dissipate, with a force below the curve at the peak velocity."""
-    damper = result.damper
-    excess = [
-        loop.force_peak / curve_force(damper, 2.0 * math.pi * loop.frequency * loop.amplitude)
-        for loop in result.loops
-    ]
+    excess = [loop.force_peak / loop.force_limit for loop in result.loops]
     least = min(loop.energy for loop in result.loops)
     holds = least > 0.0 and max(excess) <= 1.0
+    damper = result.damper
+    assert isinstance(damper, PassiveDamperConfig)  # `reproduce` has refused any other
     stiffness = [loop.zero_force_slope / damper.series_stiffness for loop in result.loops]
     measured = (
-        f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.1f} % of the curve; slope at zero "
-        f"force {min(stiffness):.2f} to {max(stiffness):.2f} of the series stiffness"
+        f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.1f} % of the curve; "
+        f"slope at zero force {min(stiffness):.2f} to {max(stiffness):.2f} of the series stiffness"
     )
     return Claim(
         "P11",

@@ -139,7 +139,9 @@ def test_stack_and_back(fleet: list[Simulator]) -> None:
     for state, view in zip(states, unstack(values, starts), strict=True):
         for name in state._fields:
             np.testing.assert_array_equal(getattr(view, name), getattr(state, name))
-            assert np.shares_memory(getattr(view, name), getattr(values, name))
+            # Passive dampers leave the semi-active ones' arrays empty, and nothing is shared there.
+            shared = np.shares_memory(getattr(view, name), getattr(values, name))
+            assert shared or getattr(values, name).size == 0
 
 
 @pytest.fixture

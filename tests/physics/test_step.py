@@ -20,7 +20,7 @@ SPEED = 300.0 / 3.6
 @pytest.fixture(scope="module")
 def model() -> VehicleModel:
     """The packaged vehicle on a short run."""
-    return VehicleModel(load_scenario(overrides=["assessment.run_in=100", "assessment.length=500"]))
+    return VehicleModel(load_scenario("estimates", ["assessment.run_in=100", "assessment.length=500"]))
 
 
 def signals(run: Telemetry) -> np.ndarray:

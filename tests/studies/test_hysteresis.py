@@ -139,3 +139,56 @@ def test_bad_grids_are_refused(
 ) -> None:
     assert main(["hysteresis", *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_semi_active_loops_over_current() -> None:
+    """Each loop dissipates, an open valve less; no force passes the field by more than friction and inertia.
+
+    A closed damper at 1 mm and 10 Hz works on its oil and mounts: what the loop stores is their stiffness.
+    """
+    scenario = load_scenario(overrides=["damper=sayd"])
+    found = hysteresis(scenario, [1e-3, 4e-3], [1.0, 10.0], (0.0, 0.25, 1.0))
+    assert [loop.current for loop in found.loops] == [0.0, 0.25, 1.0] * 4
+    for loop in found.loops:
+        assert loop.energy > 0.0
+        assert loop.force_peak < 1.02 * loop.force_limit + 100.0
+    slow = [loop.energy for loop in found.loops if (loop.amplitude, loop.frequency) == (4e-3, 1.0)]
+    assert slow == sorted(slow, reverse=True)
+    # 2 E A / (V / A) in series with two mounts of 30 MN/m: 8.6 MN/m, nearly all of it in phase.
+    closed = next(x for x in found.loops if (x.amplitude, x.frequency, x.current) == (1e-3, 10.0, 0.0))
+    assert closed.stiffness.real == pytest.approx(8.6e6, rel=0.03)
+
+
+def test_semi_active_field_rises_with_velocity_and_falls_with_current() -> None:
+    found = hysteresis(load_scenario(overrides=["damper=sayd"]), [1e-3], [1.0])
+    assert found.field is not None
+    force = found.field.force
+    assert force.shape == (4, len(found.field.velocity))
+    assert np.all(np.diff(force, axis=1) > 0.0)
+    assert np.all(np.diff(force[:, 1:], axis=0) < 0.0)
+    assert found.field.as_dict()["current"] == [0.0, 0.25, 0.5, 1.0]
+
+
+def test_command_draws_semi_active_loops(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    grid = ["--amplitudes", "1", "--frequencies", "4", "--current", "0,0.5"]
+    assert main(["hysteresis", "--json", "--damper", "sayd", *grid, "--out", str(tmp_path)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [x["current"] for x in result["loops"]] == [0.0, 0.5]
+    assert len(result["field"]["force_n"]) == 2
+    assert (tmp_path / "field.csv").exists()
+    assert (tmp_path / "loops.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--damper", "sayd", "--current", "0,1.2"], "--current 1.2: expected a number from 0 to 1"),
+        (["--damper", "sayd", "--current", "nan"], "--current nan: expected a number from 0 to 1"),
+        (["--damper", "passive", "--current", "0"], "damper 'passive' has no valve"),
+    ],
+)
+def test_bad_currents_are_refused(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["hysteresis", *arguments]) == 2
+    assert message in capsys.readouterr().err

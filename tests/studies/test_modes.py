@@ -19,7 +19,7 @@ def test_command_gives_the_modes_at_each_speed(tmp_path: Path, capsys: pytest.Ca
     assert main(["modes", "--json", "--speeds", "200,240", "--out", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["amplitude_mm"] == 3.0
-    vehicle = VehicleModel(load_scenario())
+    vehicle = VehicleModel(load_scenario("estimates"))
     for speed in (200.0, 240.0):
         rows = [row for row in result["modes"] if row["speed_kmh"] == pytest.approx(speed)]
         expected = modes_at(vehicle, speed / 3.6, 3e-3)
@@ -39,7 +39,7 @@ def test_damping_changes_sign_at_the_linear_critical_speed(capsys: pytest.Captur
     assert main(["modes", "--json", "--speeds", "250", "--amplitude", "4"]) == 0
     critical = json.loads(capsys.readouterr().out)["linear_critical_speed_kmh"]
     assert critical is not None
-    vehicle = VehicleModel(load_scenario())
+    vehicle = VehicleModel(load_scenario("estimates"))
     least = [
         min(
             m.damping_ratio

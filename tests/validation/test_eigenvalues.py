@@ -41,7 +41,7 @@ def isotropic(model: VehicleModel) -> VehicleModel:
 @pytest.fixture(scope="module", params=["C22 = C11", "Kalker"])
 def vehicle(request: pytest.FixtureRequest) -> tuple[VehicleModel, float, float]:
     """A vehicle, its linear critical speed, and by how much frequency and growth may differ (of omega)."""
-    model = VehicleModel(load_scenario(overrides=["track=smooth"]))
+    model = VehicleModel(load_scenario("estimates", ["track=smooth"]))
     model, tolerance = (model, 0.01) if request.param == "Kalker" else (isotropic(model), 3e-4)
     critical = linear_critical_speed(model, AMPLITUDE, np.arange(100.0, 501.0, 50.0) / 3.6)
     assert critical is not None
@@ -82,7 +82,7 @@ def peaks(time: Array, signal: Array) -> tuple[Array, Array]:
     return time[at] + shift * (time[1] - time[0]), middle - 0.25 * (left - right) * shift
 
 
-@pytest.mark.parametrize("factor", [0.6, 0.85, 1.0, 1.15, 1.4])
+@pytest.mark.parametrize("factor", [0.6, 0.85, 1.0, 1.15, 1.3])
 def test_growth_and_frequency(vehicle: tuple[VehicleModel, float, float], factor: float) -> None:
     model, critical, tolerance = vehicle
     mode = hunting(model, factor * critical)

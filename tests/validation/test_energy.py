@@ -148,7 +148,7 @@ def test_energy_balance_on_irregular_track(wear: float, kmh: float) -> None:
     The one part of the contact that has no potential is the Hertz coefficient's change with the shift: it
     stays below 0.5 % of the heat.
     """
-    scenario = load_scenario(overrides=[f"wear={wear}"])
+    scenario = load_scenario("estimates", [f"wear={wear}"])
     coarse, fine = (residual(scenario, kmh, 1.5, h) for h in (5e-4, 2.5e-4))
     assert coarse["heat"] > 1e3
     assert abs(coarse["residual"]) < 2e-3 * coarse["heat"]

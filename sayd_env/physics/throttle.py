@@ -1,0 +1,205 @@
+"""The adjustable throttle: its characteristic field, and the one of throttle and rectifier together.
+
+The flow from chamber to chamber passes a check valve, the throttle and a second check valve, one behind the
+other; four check valves send it through the throttle in the same direction whichever chamber it leaves. A
+series of resistances is one resistance, so the compiled damper reads one table.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import RegularGridInterpolator
+
+from sayd_env.config import DataError, read_text
+from sayd_env.config.damper import OrificeThrottle, SpringValve, TableThrottle
+
+Array = npt.NDArray[np.float64]
+
+CURRENTS = 129
+"""Nodes over the current of the compiled table, from 0 to 1."""
+ROOTS = 129
+"""Nodes over the warped pressure drop of the compiled table."""
+DROP_SCALE = 2.0e4
+"""Pressure drop (Pa) at which `warped` goes over from linear to a square root."""
+LARGEST_DROP = 1.2e7
+"""Largest pressure drop (Pa) of the table; beyond it the flow goes on with the square root."""
+ROOT_STEP = LARGEST_DROP / math.sqrt(LARGEST_DROP + DROP_SCALE) / (ROOTS - 1)
+"""Distance of nodes over the warped pressure drop, Pa^0.5."""
+
+_SERIES_POINTS = 4000  # points of the series' curve from which the table is read
+
+
+def warped(drop: Array) -> Array:
+    """Abscissa of the compiled table: a square root with a finite slope at 0.
+
+    `drop` is what a pressure drop has above the check valves' opening drop (Pa, >= 0).
+    """
+    return np.asarray(drop / np.sqrt(drop + DROP_SCALE))
+
+
+def spring_valve_flow(valve: SpringValve, drop: npt.ArrayLike) -> Array:
+    """Flow (m3/s) through a relief or check valve at a pressure drop (Pa), eq. (24)."""
+    dp = np.asarray(drop, dtype=float)
+    q_n, p_o, p_s, dp_n = valve.nominal_flow, valve.opening, valve.full, valve.nominal_drop
+    partial = q_n * math.sqrt(p_s / dp_n) * (dp - p_o) / (p_s - p_o)
+    wide = q_n * np.sqrt(np.maximum(dp, p_s) / dp_n)
+    return np.where(dp < p_o, 0.0, np.where(dp <= p_s, partial, wide))
+
+
+def spring_valve_drop(valve: SpringValve, flow: npt.ArrayLike) -> Array:
+    """Pressure drop (Pa) over a check or relief valve at a flow >= 0 (m3/s), the inverse of eq. (24).
+
+    A valve that is about to open has no flow and the drop p_o.
+    """
+    q = np.asarray(flow, dtype=float)
+    q_n, p_o, p_s, dp_n = valve.nominal_flow, valve.opening, valve.full, valve.nominal_drop
+    q_s = q_n * math.sqrt(p_s / dp_n)
+    return np.where(q <= q_s, p_o + (p_s - p_o) * q / q_s, dp_n * (q / q_n) ** 2)
+
+
+@dataclass(frozen=True)
+class ThrottleField:
+    """Characteristic field of a throttle: flow over current and pressure drop."""
+
+    current: Array
+    """(c,) rising from 0 to 1."""
+    drop: Array
+    """(p,) pressure drops, rising from 0, Pa."""
+    flow: Array
+    """(c, p) flows, m3/s."""
+
+    def at(self, current: npt.ArrayLike, drop: npt.ArrayLike) -> Array:
+        """Flow (m3/s) at currents and pressure drops >= 0 (Pa) that broadcast against each other.
+
+        Linear over the current and over the root of the pressure drop, in which an orifice is linear; the
+        last slope goes on.
+        """
+        i, dp = np.broadcast_arrays(np.asarray(current, dtype=float), np.asarray(drop, dtype=float))
+        field = RegularGridInterpolator(
+            (self.current, np.sqrt(self.drop)), self.flow, bounds_error=False, fill_value=None
+        )
+        return np.asarray(field(np.stack([i, np.sqrt(dp)], axis=-1)))
+
+
+def throttle_field(throttle: OrificeThrottle | TableThrottle) -> ThrottleField:
+    """Characteristic field of a configured throttle.
+
+    Raises
+    ------
+    DataError
+        A table file that cannot be used.
+    """
+    if isinstance(throttle, TableThrottle):
+        return read_throttle_table(Path(throttle.file))
+    current = np.linspace(0.0, 1.0, CURRENTS)
+    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * current**throttle.exponent
+    drop = np.array([0.0, LARGEST_DROP])  # linear over the root of the drop: two points are exact
+    flow = throttle.discharge * area[:, None] * np.sqrt(2.0 * drop / throttle.density)
+    return ThrottleField(current, drop, flow)
+
+
+def series_table(throttle: OrificeThrottle | TableThrottle, check: SpringValve) -> Array:
+    """Flow of throttle and two check valves in series, as the compiled damper reads it.
+
+    Returns
+    -------
+    ndarray, shape (CURRENTS, ROOTS)
+        Flow (m3/s) at currents that divide 0 to 1 evenly, over pressure drops above the check valves' opening
+        whose `warped` values are ROOT_STEP apart.
+
+    Raises
+    ------
+    DataError
+        A table file that cannot be used.
+    """
+    field = throttle_field(throttle)
+    # Dense where the check valves begin to open; the root makes even steps of an orifice's flow.
+    drop = np.linspace(0.0, math.sqrt(LARGEST_DROP), _SERIES_POINTS) ** 2
+    nodes = ROOT_STEP * np.arange(ROOTS)
+    table = np.zeros((CURRENTS, ROOTS))
+    for k, current in enumerate(np.linspace(0.0, 1.0, CURRENTS)):
+        flow = field.at(current, drop)
+        over = drop + 2.0 * (spring_valve_drop(check, flow) - check.opening)
+        table[k] = np.interp(nodes, warped(over), flow)
+    return table
+
+
+def read_throttle_table(path: Path) -> ThrottleField:
+    """Read a measured characteristic field.
+
+    Parameters
+    ----------
+    path : Path
+        CSV: in the first row a label, then the currents (-), rising from 0 to 1; in each further row a
+        pressure drop (Pa), rising from 0, then the flows (m3/s) at these currents. Lines that begin with
+        ``#`` are comments.
+
+    Raises
+    ------
+    DataError
+        Not numeric, not finite, ragged or too few values; currents or pressure drops that do not rise; a flow
+        that does not rise with the pressure drop or falls with the current.
+    """
+    lines = read_text(path, "throttle table").splitlines()
+    kept = [(n, line) for n, line in enumerate(lines, start=1) if line.strip() and line.lstrip()[0] != "#"]
+    rows = list(csv.reader(line for _, line in kept))
+    if len(rows) < 3 or len(rows[0]) < 3:
+        raise DataError(
+            f"{path}: found {max(len(rows) - 1, 0)} pressure drops and "
+            f"{max(len(rows[0]) - 1, 0) if rows else 0} currents, at least 2 of each are needed"
+        )
+    numbers = [n for n, _ in kept]
+    current = _numbers(path, numbers[0], rows[0][1:])
+    body = []
+    for number, row in zip(numbers[1:], rows[1:], strict=True):
+        if len(row) != len(rows[0]):
+            raise DataError(f"{path}: line {number}: found {len(row)} values, expected {len(rows[0])}")
+        body.append(_numbers(path, number, row))
+    values = np.array(body)
+    field = ThrottleField(current, values[:, 0].copy(), values[:, 1:].T.copy())
+    _check(path, numbers, field)
+    return field
+
+
+def _numbers(path: Path, line: int, texts: list[str]) -> Array:
+    values = []
+    for text in texts:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise DataError(f"{path}: line {line}: found {text.strip()!r}, expected a finite number")
+        values.append(value)
+    return np.array(values)
+
+
+def _check(path: Path, lines: list[int], field: ThrottleField) -> None:
+    """Refuse what no throttle does; one message for the first fault."""
+    current, drop, flow = field.current, field.drop, field.flow
+    if current[0] != 0.0 or current[-1] != 1.0 or np.any(np.diff(current) <= 0.0):
+        shown = ", ".join(f"{i:g}" for i in current)
+        raise DataError(f"{path}: line {lines[0]}: currents must rise from 0 to 1, found {shown}")
+    if drop[0] != 0.0 or np.any(flow[:, 0] != 0.0):
+        raise DataError(f"{path}: line {lines[1]}: the first row must be pressure drop 0 with no flow")
+    for k in np.flatnonzero(np.diff(drop) <= 0.0)[:1]:
+        raise DataError(
+            f"{path}: line {lines[k + 2]}: pressure drops must rise: {drop[k + 1]:g} Pa follows "
+            f"{drop[k]:g} Pa"
+        )
+    for i, k in np.argwhere(np.diff(flow, axis=1) <= 0.0)[:1]:
+        raise DataError(
+            f"{path}: line {lines[k + 2]}: the flow must rise with the pressure drop: at current "
+            f"{current[i]:g} {flow[i, k + 1]:g} m3/s follows {flow[i, k]:g} m3/s"
+        )
+    for i, k in np.argwhere(np.diff(flow, axis=0) < 0.0)[:1]:
+        raise DataError(
+            f"{path}: line {lines[k + 1]}: the flow must not fall with the current: {flow[i + 1, k]:g} m3/s "
+            f"at current {current[i + 1]:g} after {flow[i, k]:g} m3/s at {current[i]:g}"
+        )

@@ -1,0 +1,134 @@
+"""The throttle's characteristic field: closed forms, files put in from outside, and files refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sayd_env.config import ConfigError, DataError
+from sayd_env.config.damper import OrificeThrottle, SaydDamperConfig, SpringValve, TableThrottle, load_sayd
+from sayd_env.config.scenario import load_scenario
+from sayd_env.physics.sayd import rectified_flow, steady_force
+from sayd_env.physics.throttle import (
+    read_throttle_table,
+    series_table,
+    spring_valve_drop,
+    spring_valve_flow,
+    throttle_field,
+)
+
+CHECK = SpringValve(opening=0.2e5, full=0.5e5, nominal_flow=6.667e-4, nominal_drop=5e5)
+
+
+def orifice(current: float) -> float:
+    """Q / sqrt(dp) of the packaged throttle, C_d a sqrt(2 / rho)."""
+    throttle = load_sayd("sayd").throttle
+    assert isinstance(throttle, OrificeThrottle)
+    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * current**throttle.exponent
+    return throttle.discharge * area * math.sqrt(2.0 / throttle.density)
+
+
+@pytest.mark.parametrize("current", [0.0, 0.25, 0.5, 1.0])
+def test_field_is_the_orifice_equation(current: float) -> None:
+    drop = np.array([1e3, 1e5, 3e6, 2e7])
+    flow = throttle_field(load_sayd("sayd").throttle).at(current, drop)
+    np.testing.assert_allclose(flow, orifice(current) * np.sqrt(drop), rtol=1e-9)
+
+
+def test_spring_valve_has_the_three_branches_of_equation_24() -> None:
+    q_s = 6.667e-4 * math.sqrt(0.1)
+    expected = [0.0, 0.0, 0.5 * q_s, q_s, 6.667e-4]
+    np.testing.assert_allclose(spring_valve_flow(CHECK, [-1e5, 0.2e5, 0.35e5, 0.5e5, 5e5]), expected)
+    flow = np.linspace(1e-6, 1e-3, 50)
+    np.testing.assert_allclose(spring_valve_flow(CHECK, spring_valve_drop(CHECK, flow)), flow)
+
+
+@pytest.mark.parametrize("current", [0.0, 0.1, 0.5, 1.0])
+def test_rectifier_adds_two_check_valves_in_series(current: float) -> None:
+    """At a given flow the drops of orifice and check valves add up; the flow is odd in the whole drop."""
+    config = load_sayd("sayd")
+    flow = orifice(current) * np.sqrt(np.array([2e4, 1e5, 1e6, 5e6]))
+    drop = (flow / orifice(current)) ** 2 + 2.0 * spring_valve_drop(config.rectifier, flow)
+    table = series_table(config.throttle, config.rectifier).ravel()
+    np.testing.assert_allclose(rectified_flow(config, table, drop, current), flow, rtol=2e-3)
+    np.testing.assert_allclose(
+        rectified_flow(config, table, -drop, current), -rectified_flow(config, table, drop, current)
+    )
+    assert rectified_flow(config, table, 2.0 * config.rectifier.opening, current) == 0.0
+
+
+def write_table(path: Path, currents: np.ndarray, drops: np.ndarray, flows: np.ndarray) -> Path:
+    rows = [["drop \\ current", *map(repr, currents.tolist())]]
+    rows += [[repr(float(dp)), *map(repr, q.tolist())] for dp, q in zip(drops, flows, strict=True)]
+    path.write_text("# measured\n" + "\n".join(",".join(row) for row in rows) + "\n")
+    return path
+
+
+def test_a_measured_table_takes_the_formulas_place(tmp_path: Path) -> None:
+    """The orifice written out as a table gives the orifice's forces."""
+    config = load_sayd("sayd")
+    currents, drops = np.linspace(0.0, 1.0, 129), np.linspace(0.0, 1.2e7, 40)
+    flows = np.sqrt(drops)[:, None] * np.array([orifice(i) for i in currents])
+    path = write_table(tmp_path / "throttle.csv", currents, drops, flows)
+    throttle = TableThrottle(type="table", file=str(path))
+    measured = config.model_copy(update={"throttle": throttle})
+    velocity, current = np.array([0.005, 0.05, 0.2]), np.array([[0.0], [0.3], [1.0]])
+    np.testing.assert_allclose(
+        steady_force(measured, velocity, current), steady_force(config, velocity, current), rtol=2e-3
+    )
+
+
+def test_a_table_is_looked_for_beside_the_file_that_names_it(tmp_path: Path) -> None:
+    flows = np.array([[0.0, 0.0], [1e-5, 2e-4]])
+    write_table(tmp_path / "throttle.csv", np.array([0.0, 1.0]), np.array([0.0, 1e7]), flows)
+    packaged = Path("configs/damper/sayd.yaml")
+    text = (Path(__file__).parents[2] / packaged).read_text()
+    head, tail = text.split("throttle:\n  type: orifice\n")
+    tail = tail[tail.index("rectifier:") :]
+    (tmp_path / "mine.yaml").write_text(head + "throttle: {type: table, file: throttle.csv}\n" + tail)
+    damper = load_scenario(overrides=[f"damper={tmp_path / 'mine.yaml'}"]).damper
+    assert isinstance(damper, SaydDamperConfig)
+    np.testing.assert_allclose(throttle_field(damper.throttle).at([0.0, 1.0], 1e7), [1e-5, 2e-4])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x,0,1\n0,0,0\n1e5,2e-5,1e-4\n2e5,1e-5,2e-4\n", "line 4: the flow must rise with the pressure drop"),
+        ("x,0,1\n0,0,0\n1e5,2e-5,1e-5\n", "line 3: the flow must not fall with the current"),
+        ("x,0,1\n0,0,0\n2e5,1e-5,1e-4\n1e5,2e-5,2e-4\n", "line 4: pressure drops must rise"),
+        ("x,0,0.9\n0,0,0\n1e5,1e-5,1e-4\n", "line 1: currents must rise from 0 to 1"),
+        ("x,0,1\n1e4,0,0\n1e5,1e-5,1e-4\n", "line 2: the first row must be pressure drop 0"),
+        ("x,0,1\n0,0,0\n1e5,nan,1e-4\n", "line 3: found 'nan', expected a finite number"),
+        ("x,0,1\n0,0,0\n1e5,1e-4\n", "line 3: found 2 values, expected 3"),
+        ("x,0,1\n", "at least 2 of each"),
+        ("", "at least 2 of each"),
+    ],
+)
+def test_bad_tables_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(DataError, match=message):
+        read_throttle_table(path)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        ("damper.cylinder.area=-1e-4", "damper.cylinder.area: found -0.0001"),
+        ("damper.throttle.open_area=1e-9", "open_area 1e-09 m2 must not be below closed_area 1e-07 m2"),
+        ("damper.current=1.5", "damper.current: found 1.5"),
+        ("damper.current=.nan", "damper.current: found nan"),
+        ("damper.relief.full=1e6", r"full 1e\+06 Pa must be above opening 6e\+06 Pa"),
+        ("damper.friction.stiction=10", "stiction 10 N must not be below the sliding friction 100 N"),
+        ("damper.oil.vapour_pressure=2e5", "vapour_pressure 200000 Pa must be below"),
+        ("damper.piston=1", "unknown key 'damper.piston'"),
+    ],
+)
+def test_bad_dampers_are_refused(assignment: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        load_scenario(overrides=["damper=sayd", assignment])
+    assert "\n" not in str(caught.value)
