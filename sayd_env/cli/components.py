@@ -18,6 +18,8 @@ def conicity(
     track: options.Track = None,
     config: options.Config = None,
     assignments: options.Set = None,
+    seed: options.NoSeed = 0,
+    workers: options.NoWorkers = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
@@ -64,6 +66,8 @@ def hysteresis(
     ] = None,
     config: options.Config = None,
     assignments: options.Set = None,
+    seed: options.NoSeed = 0,
+    workers: options.NoWorkers = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:

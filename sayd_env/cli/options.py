@@ -186,6 +186,21 @@ Workers = Annotated[
         help="Threads (default: all cores); results do not change.",
     ),
 ]
+NoSeed = Annotated[
+    int,
+    typer.Option(
+        "--seed", metavar="S", parser=whole("--seed", 0, LARGEST_SEED), help="Accepted; nothing here is random."
+    ),
+]
+NoWorkers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers",
+        metavar="N",
+        parser=whole("--workers", 1, MAX_WORKERS),
+        help="Accepted; this is one short computation.",
+    ),
+]
 Out = Annotated[
     Path | None,
     typer.Option(

@@ -31,6 +31,7 @@ def bench(
     track: options.Track = None,
     config: options.Config = None,
     assignments: options.Set = None,
+    seed: options.NoSeed = 0,
     workers: options.Workers = None,
     out: options.Out = None,
     as_json: options.Json = False,

@@ -34,6 +34,8 @@ def assess(
     run_in: Annotated[float, typer.Option(metavar="M", help="Distance left out at the start.")] = 0.0,
     config: options.Config = None,
     assignments: options.Set = None,
+    seed: options.NoSeed = 0,
+    workers: options.NoWorkers = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
@@ -76,6 +78,8 @@ def modes(
     track: options.Track = None,
     config: options.Config = None,
     assignments: options.Set = None,
+    seed: options.NoSeed = 0,
+    workers: options.NoWorkers = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:

@@ -32,8 +32,16 @@ class AssessmentConfig(Model):
     window_length: float = quantity("m", "window of the sliding RMS", gt=0)
     window_step: float = quantity("m", "step of the sliding RMS", gt=0)
 
-    axle_load: float = quantity("N", "static load of one wheelset on the rails, P in eq. 25", gt=0)
-    bogie_mass: float = quantity("kg", "mass of the whole bogie with its wheelsets, m_b in eq. 26", gt=0)
+    axle_load: float = quantity(
+        "N",
+        "static load of one wheelset, P in eq. 25, of a recorded vehicle; a simulated one brings its own",
+        gt=0,
+    )
+    bogie_mass: float = quantity(
+        "kg",
+        "mass of the bogie with its wheelsets, m_b in eq. 26, of a recorded vehicle (simulated: its own)",
+        gt=0,
+    )
     grid_tolerance: float = quantity(
         "m/s", "a critical speed that moves further on another speed grid is sensitive to the grid", gt=0
     )

@@ -14,7 +14,7 @@ class ContactConfig(Model):
     poisson_ratio: float = quantity("-", "Poisson's ratio of wheel and rail", gt=0.0, lt=0.5)
     regularisation: float = quantity(
         "m",
-        "quasi-elastic smoothing depth epsilon of the gap; one fifth of the penetration",
+        "quasi-elastic smoothing depth epsilon of the gap; a fifth to a third of the penetration",
         ge=1e-6,
         le=2e-4,
     )

@@ -170,7 +170,7 @@ class TrackConfig(Model):
     """A track: sections under the wheelsets, gauge, irregularities."""
 
     section: SectionConfig
-    gauge: float = quantity("m", "nominal gauge, 14 mm below the top of the rails", gt=0.5, lt=2)
+    gauge: float = quantity("m", "nominal gauge, at the rail profile's gauge depth", gt=0.5, lt=2)
     irregularity: Annotated[IrregularityConfig, Field(discriminator="type")]
 
 
