@@ -189,7 +189,10 @@ Workers = Annotated[
 NoSeed = Annotated[
     int,
     typer.Option(
-        "--seed", metavar="S", parser=whole("--seed", 0, LARGEST_SEED), help="Accepted; nothing here is random."
+        "--seed",
+        metavar="S",
+        parser=whole("--seed", 0, LARGEST_SEED),
+        help="Accepted; nothing here is random.",
     ),
 ]
 NoWorkers = Annotated[

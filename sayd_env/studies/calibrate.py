@@ -41,7 +41,7 @@ WORST = 8.0
 """Largest penalty of one row: beyond it, further away is no worse, and other rows matter more."""
 ROWS = tuple(f"P{i}" for i in range(1, 11))
 TARGETS = (
-    ("critical_new_kmh", 375.0, 6.0),
+    ("critical_new_kmh", 372.0, 6.0),
     ("critical_worn_kmh", 331.0, 5.0),
     ("critical_force_kmh", 361.0, 5.0),
 )
@@ -278,8 +278,8 @@ def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, flo
     x = measures
     penalties = {
         "P1": _over(x["stable_280"], 0.42, 0.05),
-        "P2": _over(abs(v2 - 375.0), 4.0, 6.0),
-        "P3": _over(abs(x["frequency_hz"] - 4.0), 0.35, 0.15),
+        "P2": _over(abs(v2 - 372.0), 4.0, 6.0),
+        "P3": _over(abs(x["frequency_hz"] - 4.0), 0.3, 0.1),
         "P4": _over(x["ratio_320"], 0.96, 0.04),
         "P5": _over(abs(v5 - 331.0), 4.0, 5.0),
         "P6": _over(1.05, x["ratio_350"], 0.04),
