@@ -41,7 +41,7 @@ WORST = 8.0
 """Largest penalty of one row: beyond it, further away is no worse, and other rows matter more."""
 ROWS = tuple(f"P{i}" for i in range(1, 11))
 TARGETS = (
-    ("critical_new_kmh", 372.0, 6.0),
+    ("critical_new_kmh", 375.0, 6.0),
     ("critical_worn_kmh", 331.0, 5.0),
     ("critical_force_kmh", 361.0, 5.0),
 )
@@ -87,6 +87,29 @@ class CalibrationResult:
     def values(self) -> dict[str, float]:
         """Calibrated value of each parameter, in its unit."""
         return {p.name: p.value(u) for p, u in zip(self.config.parameters, self.best.place, strict=True)}
+
+    def study(self) -> str:
+        """Text of a study file that holds the calibrated numbers, as `configs/study/nominal.yaml` does."""
+        last = self.config.first_seed + max(s.seeds for s in self.config.searches) - 1
+        lines = [
+            "# The paper's conditions: the estimates, with calibrated numbers on top.",
+            "#",
+            "# Written by `sayd calibrate`, which found every number under `set` from rows P1 to P10 of",
+            "# the paper's statements on the passive vehicle, within the ranges that",
+            "# configs/study/calibration.yaml gives with their sources.",
+            f"base: {self.config.base}",
+            "description: the EMU of the paper with passive yaw dampers",
+            "provenance:",
+            "  command: sayd calibrate",
+            f"  track_seeds: {self.config.first_seed} to {last}",
+            f"  evaluations: {len(self.evaluations)}",
+            f"  cost: {self.best.cost:.3g}",
+            "set:",
+        ]
+        for p, u in zip(self.config.parameters, self.best.place, strict=True):
+            lines.append(f"  # {p.name}: {p.value(u):.5g} {p.unit}, from {p.low:g} to {p.high:g}")
+            lines += [f"  {key}: {float(f'{f * p.value(u):.5g}')!r}" for key, f in p.keys.items()]
+        return "\n".join(lines) + "\n"
 
     def as_dict(self) -> dict[str, Any]:
         """Parameters, the assignments that set them, and the rows' penalties at the best point."""
@@ -278,7 +301,7 @@ def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, flo
     x = measures
     penalties = {
         "P1": _over(x["stable_280"], 0.42, 0.05),
-        "P2": _over(abs(v2 - 372.0), 4.0, 6.0),
+        "P2": _over(abs(v2 - 375.0), 4.0, 6.0),
         "P3": _over(abs(x["frequency_hz"] - 4.0), 0.3, 0.1),
         "P4": _over(x["ratio_320"], 0.96, 0.04),
         "P5": _over(abs(v5 - 331.0), 4.0, 5.0),

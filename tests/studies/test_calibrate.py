@@ -126,7 +126,7 @@ def test_the_critical_speed_goes_on_beyond_the_grid(new: float, rows: Rows):
     """A line that would cross at 450 km/h says so, although the grid ends at 400 km/h."""
     penalties, measures = rows(new=new)
     assert measures["critical_new_kmh"] == pytest.approx(new)
-    assert penalties["P2"] == pytest.approx(min((abs(new - 372) - 4) / 6, 8.0))
+    assert penalties["P2"] == pytest.approx(min((abs(new - 375) - 4) / 6, 8.0))
 
 
 def test_a_crossing_below_the_grid_goes_on_as_well(rows: Rows):
