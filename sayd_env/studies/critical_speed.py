@@ -167,11 +167,9 @@ class CriticalSpeedResult:
             return f"above {self.sweep.speeds[-1] * KMH:.0f} km/h (limit not reached)"
         if c.speed is None:
             return f"below {self.sweep.speeds[0] * KMH:.0f} km/h (limit exceeded at the lowest speed)"
-        ends = self.sweep.speeds[[0, -1]] * KMH
-        low, high = (
-            f"{v:.0f}" if np.isfinite(v) else f"beyond {end:.0f}"
-            for v, end in zip(self._over_seeds(name), ends, strict=True)
-        )
+        first, last = self.sweep.speeds[[0, -1]] * KMH
+        beyond = {-np.inf: f"below {first:.0f}", np.inf: f"above {last:.0f}"}
+        low, high = (beyond.get(v, f"{v:.0f}") for v in self._over_seeds(name))
         spread = f" (80 % of the seeds: {low} to {high})"
         grid = ", sensitive to the speed grid" if self.sensitivity[name].sensitive else ""
         return f"[bold]{c.speed * KMH:.0f} km/h[/]{spread}{grid}"

@@ -23,7 +23,7 @@ SHORT = ["assessment.run_in=100", "assessment.length=500", "damper=sayd"]
 
 
 def scenario(*overrides: str) -> Scenario:
-    return load_scenario(overrides=[*SHORT, *overrides])
+    return load_scenario("estimates", [*SHORT, *overrides])
 
 
 @pytest.fixture(scope="module")

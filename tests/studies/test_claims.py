@@ -65,8 +65,8 @@ def test_a_vehicle_like_the_papers_passes_every_row(judge: Callable[..., dict[st
     assert {c.id: c.by for c in claims.values() if c.by == "seed"} == dict.fromkeys(
         ("P1", "P4", "P6", "P9"), "seed"
     )
-    assert claims["P2"].measured == "375 km/h (375 to 375)"
-    assert claims["P8"].measured == "361 km/h (361 to 361)"
+    assert claims["P2"].measured == "375 km/h (bootstraps 375 to 375)"
+    assert claims["P8"].measured == "361 km/h (bootstraps 361 to 361)"
 
 
 @pytest.mark.parametrize(

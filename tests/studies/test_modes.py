@@ -16,7 +16,9 @@ from sayd_env.physics.simulator import VehicleModel
 
 
 def test_command_gives_the_modes_at_each_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["modes", "--json", "--speeds", "200,240", "--out", str(tmp_path)]) == 0
+    assert (
+        main(["modes", "--config", "estimates", "--json", "--speeds", "200,240", "--out", str(tmp_path)]) == 0
+    )
     result = json.loads(capsys.readouterr().out)
     assert result["amplitude_mm"] == 3.0
     vehicle = VehicleModel(load_scenario("estimates"))
@@ -36,7 +38,7 @@ def test_command_gives_the_modes_at_each_speed(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_damping_changes_sign_at_the_linear_critical_speed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["modes", "--json", "--speeds", "250", "--amplitude", "4"]) == 0
+    assert main(["modes", "--config", "estimates", "--json", "--speeds", "250", "--amplitude", "4"]) == 0
     critical = json.loads(capsys.readouterr().out)["linear_critical_speed_kmh"]
     assert critical is not None
     vehicle = VehicleModel(load_scenario("estimates"))

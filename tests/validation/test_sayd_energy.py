@@ -150,7 +150,7 @@ def test_energy_is_accounted_for_in_the_vehicle(current: float) -> None:
     residuals = []
     for step in (5e-4, 2.5e-4):
         settings = ["damper=sayd", f"damper.current={current}", f"numerics.step={step}"]
-        simulator = Simulator(VehicleModel(load_scenario(overrides=settings)), 320.0 / 3.6, 1)
+        simulator = Simulator(VehicleModel(load_scenario("estimates", settings)), 320.0 / 3.6, 1)
         connections = [np.array([d[i] for d in simulator.model.multibody.yaw_dampers]) for i in (1, 2)]
         ends, states = [], []
         for _ in range(round(2.0 / step)):
