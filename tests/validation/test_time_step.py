@@ -168,16 +168,17 @@ def test_two_references_agree(lsoda: Array) -> None:
 
 
 def test_second_order(lsoda: Array) -> None:
-    """The error against LSODA falls to a quarter with half the step.
+    """Signal by signal the error against LSODA falls to a 64th with an eighth of the step.
 
-    The errors of the eight signals, each over its own size, count together: at the finest step a single one
-    comes near the reference's own error.
+    The order is that over three halvings. A single one scatters from 1.74 to 2.21 between signals, with the
+    kinks of contact table and damper curves that fall between two steps; the reference is good to 1e-5.
     """
-    runs = [simulated(LIVE, LIVE_DURATION, h) for h in (5e-4, 2.5e-4, 1.25e-4)]
+    steps = (5e-4, 2.5e-4, 1.25e-4, 6.25e-5)
+    runs = [simulated(LIVE, LIVE_DURATION, h) for h in steps]
     errors = np.array([error(late(run.acceleration, run.track_shift), lsoda) for run in runs])
     assert np.all(errors[0] < 0.03)
-    together = np.sqrt(np.mean(errors**2, axis=1))
-    np.testing.assert_allclose(np.log2(together[:-1] / together[1:]), 2.0, atol=0.25)
+    assert np.all(np.diff(errors, axis=0) < 0.0)
+    np.testing.assert_allclose(np.log2(errors[0] / errors[-1]) / (len(steps) - 1), 2.0, atol=0.25)
 
 
 def generate() -> Iterator[tuple[Case, Array]]:
