@@ -1,120 +1,40 @@
 """Many vehicles in one compiled call: each with its own speed, profiles, track, dampers and state.
 
-A field of all vehicles is one array, their arrays one behind another, so that vehicles may differ in the
-length of a table, a curve or a track. The compiled loop cuts one vehicle's `Plant`, `State` and `Work` out of
-them and hands these to the same `advance` that serves a single vehicle: the results are the same bits, for
-any number of vehicles and threads.
+The compiled loop cuts one vehicle's `Plant`, `State` and `Work` out of their stacks and hands these to the
+same `advance` that serves a single vehicle: the results are the same bits, for any number of vehicles and
+threads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeVar, get_type_hints
+from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
-from numba.core import config, types
-from numba.extending import intrinsic
+from numba.core import config
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.simulator import Simulator
+from sayd_env.physics.stack import Stack, vehicle_of
 from sayd_env.physics.step import advance
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 numba_config: Any = config  # its settings are made at run time
-Fields = TypeVar("Fields", Plant, State, Work)
-
-
-def stack(vehicles: Sequence[Fields]) -> tuple[Any, Index]:
-    """Put the fields of several vehicles one behind another.
-
-    Parameters
-    ----------
-    vehicles : sequence of Plant, State or Work
-        All of one type; the first lengths of their arrays may differ, the others not.
-
-    Returns
-    -------
-    values : Plant, State or Work
-        Each array's rows of all vehicles, or the (v,) values of a number.
-    starts : ndarray, shape (fields, v + 1)
-        The rows of each field at which the vehicles begin.
-
-    Raises
-    ------
-    ConfigError
-        Arrays that do not fit: vehicles of different structure.
-    """
-    kind: Any = type(vehicles[0])
-    columns: dict[str, list[Any]] = {
-        name: [getattr(vehicle, name) for vehicle in vehicles] for name in kind._fields
-    }
-    for name, column in columns.items():
-        if len({np.shape(value)[1:] for value in column}) > 1:
-            raise ConfigError(
-                f"a batch needs vehicles with equal numbers of unknowns, dampers and stops; '{name}' differs"
-            )
-    values = {name: np.concatenate([np.atleast_1d(x) for x in column]) for name, column in columns.items()}
-    lengths = [[len(np.atleast_1d(value)) for value in column] for column in columns.values()]
-    starts = np.zeros((len(lengths), len(vehicles) + 1), dtype=np.int64)
-    np.cumsum(lengths, axis=1, out=starts[:, 1:])
-    return kind(**values), starts
-
-
-def unstack(values: Any, starts: Index) -> list[Any]:
-    """Return the named tuples of all vehicles, made of arrays alone, as views of the stack's."""
-    fields = list(zip(values, starts, strict=True))
-    return [type(values)(*(x[s[i] : s[i + 1]] for x, s in fields)) for i in range(starts.shape[1] - 1)]
-
-
-def _rows(values: Array, starts: Index, field: int, vehicle: int) -> Array:
-    return values[starts[field, vehicle] : starts[field, vehicle + 1]]
-
-
-def _number(values: Array, starts: Index, field: int, vehicle: int) -> float:
-    return float(values[starts[field, vehicle]])
-
-
-def _vehicle_of(typing_context: Any, values: Any, starts: Any, vehicle: Any) -> Any:
-    """Cut one vehicle's named tuple out of a stack, in compiled code (`unstack` is its Python twin).
-
-    A Numba intrinsic, so that a field that somebody adds to `Plant` needs no second list of fields here.
-    """
-    hints = get_type_hints(values.instance_class)
-    numbers = [hints[name] is float for name in values.fields]
-    parts = [types.float64 if number else array for number, array in zip(numbers, values, strict=True)]
-    result: Any = types.BaseTuple.from_types(parts, values.instance_class)  # type: ignore[no-untyped-call]
-
-    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
-        stacked, begin, index = arguments
-        pieces = []
-        for k, part in enumerate(parts):
-            cut = _number if numbers[k] else _rows
-            field = context.get_constant(types.int64, k)
-            inputs = [builder.extract_value(stacked, k), begin, field, index]
-            pieces.append(
-                context.compile_internal(builder, cut, part(values[k], starts, types.int64, vehicle), inputs)
-            )
-        return context.make_tuple(builder, result, pieces)
-
-    return result(values, starts, vehicle), generate
-
-
-vehicle_of: Any = intrinsic(_vehicle_of)
 
 
 @kernel(parallel=True, announce="the simulator of many vehicles (first use, about 15 s)")
 def advance_batch(
     plant: Plant,
-    plant_starts: Index,
+    plant_spans: Index,
     state: State,
-    state_starts: Index,
+    state_spans: Index,
     work: Work,
-    work_starts: Index,
+    work_spans: Index,
     substeps: Index,
     signals: Array,
     done: Index,
@@ -123,8 +43,8 @@ def advance_batch(
 
     Parameters
     ----------
-    plant, plant_starts, state, state_starts, work, work_starts
-        The vehicles, by `stack`. (A parallel loop takes no nested tuples.)
+    plant, plant_spans, state, state_spans, work, work_spans
+        The vehicles, by `Stack`. (A parallel loop takes no nested tuples.)
     substeps : ndarray, shape (v,)
         Steps between two samples of each vehicle.
     signals : ndarray, shape (v, samples, 2 w + d)
@@ -135,9 +55,9 @@ def advance_batch(
     for i in numba.prange(signals.shape[0]):
         none = np.empty((0, LANES))
         done[i] = advance(
-            vehicle_of(plant, plant_starts, i),
-            vehicle_of(state, state_starts, i),
-            vehicle_of(work, work_starts, i),
+            vehicle_of(plant, plant_spans, i),
+            vehicle_of(state, state_spans, i),
+            vehicle_of(work, work_spans, i),
             substeps[i],
             signals[i],
             none,
@@ -185,16 +105,14 @@ class BatchSimulator:
         channels = {s.channels for s in self.simulators}
         if len(channels) > 1:
             raise ConfigError(f"a batch needs equal numbers of signals, found {sorted(channels)}")
-        self.num_threads = _checked_threads(num_threads)
+        self.num_threads = checked_threads(num_threads)
         self._channels = channels.pop()
         self._substeps = np.array([s.model.step(s.speed)[1] for s in self.simulators])
-        self._plant = stack([s.plant for s in self.simulators])
-        self._state = stack([s.state for s in self.simulators])
-        self._work = stack([s.work for s in self.simulators])
-        for simulator, state, work in zip(
-            self.simulators, unstack(*self._state), unstack(*self._work), strict=True
-        ):
-            simulator.state, simulator.work = state, work
+        self._plant = Stack([s.plant for s in self.simulators])
+        self._state = Stack([s.state for s in self.simulators])
+        self._work = Stack([s.work for s in self.simulators])
+        for i, simulator in enumerate(self.simulators):
+            simulator.state, simulator.work = self._state.view(i), self._work.view(i)
 
     def advance(self, samples: int) -> Array:
         """Run all vehicles on for a number of samples.
@@ -223,7 +141,17 @@ class BatchSimulator:
         try:
             # Vehicles differ in their substeps: a thread that is free takes the next one.
             with numba.parallel_chunksize(1):
-                advance_batch(*self._plant, *self._state, *self._work, self._substeps, signals, done)
+                advance_batch(
+                    self._plant.values,
+                    self._plant.spans,
+                    self._state.values,
+                    self._state.spans,
+                    self._work.values,
+                    self._work.spans,
+                    self._substeps,
+                    signals,
+                    done,
+                )
         finally:
             numba.set_num_threads(before)
         for simulator, taken in zip(self.simulators, done, strict=True):
@@ -232,7 +160,14 @@ class BatchSimulator:
         return signals
 
 
-def _checked_threads(wanted: int | None) -> int:
+def checked_threads(wanted: int | None) -> int:
+    """Number of threads for parallel kernels: all cores if none is wanted.
+
+    Raises
+    ------
+    ConfigError
+        Fewer than one, or more than there are.
+    """
     most: int = numba_config.NUMBA_NUM_THREADS
     if wanted is None:
         return most

@@ -20,16 +20,21 @@ _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
 
 
 def source_hash(folder: Path) -> str:
-    """Hash of all Python sources below a folder and of the numba version (16 hexadecimal digits).
+    """Hash of the sources below a folder that hold kernels, and of the numba version (16 hexadecimal digits).
 
     Numba keys its cache by the file of the compiled function alone, so an edit of a function that this one
     calls would go unnoticed. A cache directory named by the hash of all kernel sources cannot be stale. (The
     processor is part of Numba's own index.)
+
+    Counted are all files beside this one and below, whose numbers kernels may take over, and of the rest
+    those that import the decorator.
     """
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(folder.rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode())
-        digest.update(path.read_bytes())
+        content = path.read_bytes()
+        if Path(__file__).parent.name in path.relative_to(folder).parts or b"kernel import kernel" in content:
+            digest.update(path.relative_to(folder).as_posix().encode())
+            digest.update(content)
     return digest.hexdigest()[:16]
 
 
@@ -38,7 +43,7 @@ def cache_directory() -> Path:
     root = os.environ.get("SAYD_CACHE_DIR")
     if root is None:
         root = os.path.join(os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~/.cache")), "sayd")
-    return Path(root) / f"kernels-{source_hash(Path(__file__).parent)}"
+    return Path(root) / f"kernels-{source_hash(Path(__file__).parent.parent)}"
 
 
 CACHE_DIRECTORY = cache_directory()

@@ -93,8 +93,10 @@ Array = npt.NDArray[np.float64]
     CURRENT,  # acting current (-)
     COMMAND,  # commanded current (-)
     POWERED,  # 1 with power, 0 without
+    STUCK,  # current at which the valve is stuck; negative: it moves
+    ATTACHED,  # 1; 0 for a damper that has come off and moves along without force
     STATES,
-) = range(12)
+) = range(14)
 
 # Rows of the inputs of one vehicle step: ends at its end and at its start, and the acting current.
 (
@@ -394,7 +396,7 @@ def integrate(  # noqa: PLR0915 - the method's two stages read best side by side
 
 @kernel(distinct=True, allocates=False)
 def move_valves(constant: Array, line: Array, inputs: Array, state: Array) -> None:
-    """Advance the acting currents over one vehicle step: delay, lag, rate limit, fail-safe.
+    """Advance the acting currents over one vehicle step: delay, lag, rate limit, fail-safe, a stuck valve.
 
     Parameters
     ----------
@@ -425,8 +427,9 @@ def move_valves(constant: Array, line: Array, inputs: Array, state: Array) -> No
         reach = constant[REACH * LANES + i]
         change = change if change < reach else reach
         change = change if change > -reach else -reach
+        stuck = state[STUCK * LANES + i]
         inputs[OLD_CURRENT * LANES + i] = now
-        state[CURRENT * LANES + i] = now + change
+        state[CURRENT * LANES + i] = stuck if stuck >= 0.0 else now + change
 
 
 class SaydArrays(NamedTuple):
@@ -504,7 +507,8 @@ def rest(config: SaydDamperConfig, current: float | None = None) -> Array:
     column = np.zeros(STATES)
     column[PRESSURE_A] = column[PRESSURE_B] = config.oil.tank_pressure
     column[CURRENT] = column[COMMAND] = config.current if current is None else current
-    column[POWERED] = 1.0
+    column[POWERED] = column[ATTACHED] = 1.0
+    column[STUCK] = -1.0
     return np.repeat(column, LANES)
 
 

@@ -365,6 +365,7 @@ def add_sayds(plant: Plant, state: State, f: Array) -> None:
     count = (start.shape[0] - 1) // 2
     for r in range(2 * count):
         force = state.sayd[sayd.FORCE_1 * LANES + r if r < count else sayd.FORCE_2 * LANES + r - count]
+        force *= state.sayd[sayd.ATTACHED * LANES + (r if r < count else r - count)]
         for e in range(start[r], start[r + 1]):
             f[column[e]] -= value[e] * force
 

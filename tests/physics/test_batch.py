@@ -10,9 +10,10 @@ import pytest
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics import kernel as kernel_module
-from sayd_env.physics.batch import BatchSimulator, stack, unstack
+from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.kernel import announced_compilation, kernel
 from sayd_env.physics.simulator import Simulator, VehicleModel
+from sayd_env.physics.stack import Stack
 
 Array = npt.NDArray[np.float64]
 SAMPLES = 400
@@ -135,13 +136,28 @@ def test_vehicles_that_do_not_fit(fleet: list[Simulator]) -> None:
 
 def test_stack_and_back(fleet: list[Simulator]) -> None:
     states = [s.state for s in fleet]
-    values, starts = stack(states)
-    for state, view in zip(states, unstack(values, starts), strict=True):
+    stack = Stack(states)
+    for i, state in enumerate(states):
+        view = stack.view(i)
         for name in state._fields:
             np.testing.assert_array_equal(getattr(view, name), getattr(state, name))
             # Passive dampers leave the semi-active ones' arrays empty, and nothing is shared there.
-            shared = np.shares_memory(getattr(view, name), getattr(values, name))
-            assert shared or getattr(values, name).size == 0
+            shared = np.shares_memory(getattr(view, name), getattr(stack.values, name))
+            assert shared or getattr(stack.values, name).size == 0
+
+
+@pytest.mark.parametrize("change", [-300, 0, 300], ids=["shorter", "as long", "longer"])
+def test_putting_one_vehicle_leaves_the_others(fleet: list[Simulator], change: int) -> None:
+    stack = Stack([s.plant for s in fleet])
+    before = [s.plant for s in fleet]
+    track = fleet[0].plant.irregularity
+    rows = np.vstack([track, track[:change]]) if change > 0 else track[: len(track) + change]
+    new = fleet[1].plant._replace(irregularity=rows + 1.0, speed=33.0)
+    stack.put(1, new)
+    stack.put(0, before[0])
+    for i, expected in enumerate([before[0], new, *before[2:]]):
+        for name in expected._fields:
+            np.testing.assert_array_equal(getattr(stack.view(i), name), getattr(expected, name))
 
 
 @pytest.fixture
