@@ -1,0 +1,1 @@
+"""The environments: sensors, reward, scenario draw and what a policy may know."""

@@ -1,0 +1,99 @@
+"""What a policy may know of an environment: its signals, its valves, its clock and its hardware."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sayd_env.config import ConfigError, nearest
+from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.config.control import OnlineConfig
+from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
+
+BOGIES = ("front", "rear")
+POINTS = ("leading", "trailing")
+DAMPERS = ("left.upper", "left.lower", "right.upper", "right.lower")
+"""Yaw dampers of a bogie, in the order that holds everywhere."""
+
+ACTIONS = {"bogie": 2, "damper": 8, "vehicle": 1}
+"""Number of valve commands of each layout."""
+
+OBSERVED = {
+    "signals": (
+        "lateral_acceleration",
+        "longitudinal_acceleration",
+        "pressure_a",
+        "pressure_b",
+        "stroke",
+        "current",
+        "speed",
+    ),
+    "features": ("acceleration_rms", "force_rms", "dominant_frequency", "current", "command", "speed"),
+}
+"""First part of the names that an observation holds; a history holds signals."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One number of an observation."""
+
+    name: str
+    """Quantity and place, for example ``stroke.front.left.upper``."""
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Interface:
+    """What a policy may know of an environment."""
+
+    observation: str
+    """``signals``, ``history`` or ``features``."""
+    signals: tuple[Signal, ...]
+    """The numbers of one vector, in order."""
+    history: int
+    """Rows of a ``history``, else 1."""
+    valves: str
+    """``bogie``, ``damper`` or ``vehicle``: what has a valve command of its own."""
+    control_period: float
+    """Time from one action to the next, s."""
+    damper: PassiveDamperConfig | SaydDamperConfig
+    acceleration_limit: float
+    """Limit of the bogie frame's lateral acceleration, eq. (26), m/s2."""
+    force_reference: float
+    """F_max of eq. (27), N."""
+    online: OnlineConfig
+    assessment: AssessmentConfig
+
+    @property
+    def actions(self) -> int:
+        """Number of valve commands."""
+        return ACTIONS[self.valves]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of one observation."""
+        width = len(self.signals)
+        return (self.history, width) if self.observation == "history" else (width,)
+
+    def index(self, name: str) -> int:
+        """Position of a signal in an observation's vector.
+
+        Raises
+        ------
+        ConfigError
+            The observation has no such signal; the message says which one has.
+        """
+        names = [signal.name for signal in self.signals]
+        if name in names:
+            return names.index(name)
+        quantity = name.partition(".")[0]
+        holders = [kind for kind, quantities in OBSERVED.items() if quantity in quantities]
+        mine = "features" if self.observation == "features" else "signals"
+        if holders and mine not in holders:
+            hint = "'signals' or 'history'" if holders == ["signals"] else "'features'"
+            raise ConfigError(f"observation '{self.observation}' has no signal '{name}'; {hint} has it")
+        raise ConfigError(
+            f"observation '{self.observation}' has no signal '{name}'{nearest(name, names)}; "
+            f"its quantities: {', '.join(sorted({other.partition('.')[0] for other in names}))}"
+        )
