@@ -26,7 +26,7 @@ from sayd_env.config.loader import read_text
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
-from sayd_env.studies.claims import PassiveMeasures
+from sayd_env.studies.claims_passive import PassiveMeasures
 from sayd_env.studies.critical_speed import model_limits
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.sweep import Sweep, sweep

@@ -24,7 +24,7 @@ from sayd_env.stability import (
     limits,
     thinned_grids,
 )
-from sayd_env.studies.claims import NEW_SPEEDS, WORN_SPEEDS
+from sayd_env.studies.claims_passive import NEW_SPEEDS, WORN_SPEEDS
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.sweep import Sweep, runs_table, simulate, sweep
 

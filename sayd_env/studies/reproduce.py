@@ -12,10 +12,11 @@ from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
-from sayd_env.studies.claims import NEW_SPEEDS, WORN_SPEEDS, Claim, passive_claims
+from sayd_env.studies.claims_passive import NEW_SPEEDS, WORN_SPEEDS, passive_claims
 from sayd_env.studies.conicity import conicity, plot_conicity
 from sayd_env.studies.critical_speed import draw_trends, model_limits
 from sayd_env.studies.hysteresis import HysteresisResult, hysteresis
+from sayd_env.studies.judging import Claim, once
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.sweep import Sweep, runs_table, sweep
 
@@ -163,18 +164,11 @@ def damper_claim(result: HysteresisResult) -> Claim:
         f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.1f} % of the curve; "
         f"slope at zero force {min(stiffness):.2f} to {max(stiffness):.2f} of the series stiffness"
     )
-    return Claim(
-        "P11",
-        "once",
-        "hysteresis: loops dissipate, peak force <= curve at peak velocity",
-        measured,
-        float(holds),
-        holds,
-    )
+    return once("P11", "hysteresis: loops dissipate, peak force <= curve at peak velocity", measured, holds)
 
 
 def model_claim(model: VehicleModel) -> Claim:
     """Row C2: counted from the assembled model."""
     n, d = model.multibody.n, len(model.multibody.yaw_dampers)
     holds = n == DEGREES_OF_FREEDOM and d == YAW_DAMPERS
-    return Claim("C2", "once", "62 degrees of freedom, 8 yaw dampers", f"{n} and {d}", float(holds), holds)
+    return once("C2", "62 degrees of freedom, 8 yaw dampers", f"{n} and {d}", holds)

@@ -11,7 +11,7 @@ import pytest
 from sayd_env.cli import main
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.studies.claims import WORN_SPEEDS, passive_claims
+from sayd_env.studies.claims_passive import WORN_SPEEDS, passive_claims
 from sayd_env.studies.hysteresis import hysteresis
 from sayd_env.studies.reproduce import ReproduceResult, damper_claim, model_claim, reproduce
 from sayd_env.studies.sweep import assessed_run

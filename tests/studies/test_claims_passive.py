@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from sayd_env.stability import Limits
-from sayd_env.studies.claims import NEW_SPEEDS, WORN_SPEEDS, Claim, PassiveMeasures, passive_claims
+from sayd_env.studies.claims_passive import NEW_SPEEDS, WORN_SPEEDS, PassiveMeasures, passive_claims
+from sayd_env.studies.judging import Claim
 from sayd_env.studies.sweep import Sweep
 
 NEW = [280, 310, 340, 370, 400]

@@ -1,59 +1,20 @@
-"""What the paper shows about the passive vehicle, as measurements with a verdict (rows P1 to P10).
-
-A row judged by `seed` holds if at least 80 % of the track seeds pass it. A row judged by `median` holds if
-the median over the seeds passes and at least 80 % of 1,000 bootstraps over the seeds pass.
-"""
+"""What the paper shows about the passive vehicle, as measurements with a verdict (rows P1 to P10)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.stability import Limits, critical_speed, grid_sensitivity, thinned_grids
+from sayd_env.studies.judging import Array, Claim, Seeds, by_median, by_seed, by_selection, spread, within
 from sayd_env.studies.sweep import Sweep
-
-Array = npt.NDArray[np.float64]
-Seeds = npt.NDArray[np.int64]
 
 NEW_SPEEDS = tuple(v / 3.6 for v in (280, 310, 340, 370, 400))
 """Speed grid of figure 8, m/s."""
 WORN_SPEEDS = tuple(v / 3.6 for v in (320, 350, 370, 395, 420, 445))
 """Speed grid of figure 10, m/s."""
-SHARE = 0.8
-"""Share of seeds or bootstraps that must pass."""
-BOOTSTRAPS = 1000
 KMH = 3.6
 GRID_TOLERANCE = 8.0 / KMH
 """A critical speed that moves further (m/s) on another speed grid is reported as sensitive."""
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One statement of the paper, measured."""
-
-    id: str
-    by: str
-    """``seed``, ``median`` or ``once``."""
-    expected: str
-    measured: str
-    """What came out, with its spread."""
-    fraction: float
-    """Share of the seeds, or of the bootstraps, that pass."""
-    holds: bool
-
-    def as_dict(self) -> dict[str, object]:
-        """Keys of ``sayd reproduce --json``."""
-        return {
-            "id": self.id,
-            "by": self.by,
-            "expected": self.expected,
-            "measured": self.measured,
-            "fraction": self.fraction,
-            "holds": self.holds,
-        }
 
 
 class PassiveMeasures:
@@ -153,69 +114,68 @@ def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
         Limits of EN 14363.
     """
     m = PassiveMeasures(new, worn, limits)
-    spread = m.frequency_spread(m.all)
+    apart, stable, low = m.frequency_spread(m.all), m.stable_280(), m.ratios_320()
+    above, trailing = m.lowest_ratio_above(), m.trailing_ratio()
     return [
-        _by_seed("P1", "new, 280 km/h: a_max < 0.5 of the limit", m.stable_280(), lambda r: r < 0.5),
-        _by_median(
+        by_seed("P1", "new, 280 km/h: a_max < 0.5 of the limit", stable < 0.5, spread(stable)),
+        by_median(
             "P2",
             "new: critical speed 365 to 385 km/h",
             "km/h",
-            m,
+            m.count,
             m.critical_new,
-            _within(365, 385),
+            within(365, 385),
             note=_grid_note(new, new.acceleration, limits.acceleration),
         ),
-        _by_median(
+        by_median(
             "P3",
             "new: 3.5 to 4.5 Hz at the critical speed",
             "Hz",
-            m,
+            m.count,
             m.frequency_at_critical,
-            _within(3.5, 4.5),
+            within(3.5, 4.5),
         ),
-        _by_seed("P4", "worn, 320 km/h: both ratios < 1", m.ratios_320(), lambda r: r < 1.0),
-        _by_median(
+        by_seed("P4", "worn, 320 km/h: both ratios < 1", low < 1.0, spread(low)),
+        by_median(
             "P5",
             "worn: critical speed 322 to 340 km/h",
             "km/h",
-            m,
+            m.count,
             m.critical_worn,
-            _within(322, 340),
+            within(322, 340),
             note=_grid_note(worn, worn.acceleration, limits.acceleration),
         ),
-        _by_seed(
-            "P6", "worn, >= 350 km/h: acceleration ratio > 1", m.lowest_ratio_above(), lambda r: r > 1.0
-        ),
-        _by_median(
+        by_seed("P6", "worn, >= 350 km/h: acceleration ratio > 1", above > 1.0, spread(above)),
+        by_median(
             "P7",
             "worn: a_max and Y_max rise with speed",
             "smallest rise",
-            m,
+            m.count,
             m.smallest_rise,
             lambda x: x > 0.0,
         ),
-        _by_median(
+        by_median(
             "P8",
             "worn: track shift force crosses in (350, 370] km/h, after P5",
             "km/h",
-            m,
+            m.count,
             m.critical_worn_force,
             lambda v: 350.0 < v <= 370.0,
             also=lambda seeds: m.critical_worn_force(seeds) > m.critical_worn(seeds),
             note=_grid_note(worn, worn.track_shift, limits.track_shift_force),
         ),
-        _by_seed(
+        by_seed(
             "P9",
             "worn, >= 350 km/h: trailing > 1.1 leading track shift force",
-            m.trailing_ratio(),
-            lambda r: r > 1.1,
+            trailing > 1.1,
+            spread(trailing),
         ),
-        _judged(
+        by_selection(
             "P10",
             "worn: one rising frequency at >= 350 km/h (spread <= 0.3 Hz), scatter at 320 km/h",
-            f"spread {np.max(spread[m.high]):.2f} Hz at >= 350, {spread[m.low]:.2f} Hz at 320 km/h, "
+            f"spread {np.max(apart[m.high]):.2f} Hz at >= 350, {apart[m.low]:.2f} Hz at 320 km/h, "
             f"smallest rise {m.frequency_rise(m.all):+.2f} Hz",
-            m,
+            m.count,
             m.one_frequency,
         ),
     ]
@@ -233,50 +193,3 @@ def _grid_note(grid: Sweep, values: Array, limit: float, tolerance: float = GRID
     reference = critical_speed(grid.speeds, peak, limit)
     moved = grid_sensitivity(reference, thinned_grids(grid.speeds, peak, limit), tolerance)
     return ", sensitive to the speed grid" if moved.sensitive else ""
-
-
-def _within(low: float, high: float) -> Callable[[float], bool]:
-    return lambda value: low <= value <= high
-
-
-def _by_seed(
-    id_: str, expected: str, values: Array, passes: Callable[[Array], npt.NDArray[np.bool_]]
-) -> Claim:
-    fraction = float(np.mean(passes(values)))
-    measured = f"{np.median(values):.2f} ({np.min(values):.2f} to {np.max(values):.2f})"
-    return Claim(id_, "seed", expected, measured, fraction, fraction >= SHARE)
-
-
-def _by_median(
-    id_: str,
-    expected: str,
-    unit: str,
-    m: PassiveMeasures,
-    statistic: Callable[[Seeds], float],
-    passes: Callable[[float], bool],
-    also: Callable[[Seeds], bool] = lambda seeds: True,
-    note: str = "",
-) -> Claim:
-    draws = _bootstrap(m.count)
-    values = np.array([statistic(seeds) for seeds in draws])
-    finite = values[np.isfinite(values)]
-    low, high = np.quantile(finite, (0.1, 0.9)) if finite.size else (np.nan, np.nan)
-    digits = 0 if unit == "km/h" else 3
-    measured = (
-        f"{statistic(m.all):.{digits}f} {unit} (bootstraps {low:.{digits}f} to {high:.{digits}f}){note}"
-    )
-    fraction = float(np.mean([passes(v) and also(s) for v, s in zip(values, draws, strict=True)]))
-    holds = bool(passes(statistic(m.all)) and also(m.all) and fraction >= SHARE)
-    return Claim(id_, "median", expected, measured, fraction, holds)
-
-
-def _judged(
-    id_: str, expected: str, measured: str, m: PassiveMeasures, passes: Callable[[Seeds], bool]
-) -> Claim:
-    fraction = float(np.mean([passes(seeds) for seeds in _bootstrap(m.count)]))
-    return Claim(id_, "median", expected, measured, fraction, bool(passes(m.all) and fraction >= SHARE))
-
-
-def _bootstrap(count: int) -> Sequence[Seeds]:
-    """Resampled selections of seeds, the same for every row."""
-    return list(np.random.default_rng(0).integers(0, count, (BOOTSTRAPS, count)))
