@@ -1,0 +1,163 @@
+"""Vehicles under control, many at once: each lane is one vehicle on its track with its sensors and its cost.
+
+The Python face of the compiled control loop. A lane's results are the same bits alone and among others, for
+any number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import ConfigError
+from sayd_env.envs.loop import (
+    DAMPERS,
+    FEATURES,
+    LOG,
+    RUNNING,
+    SIGNALS,
+    TERMS,
+    run_lanes,
+    run_lanes_in_parallel,
+)
+from sayd_env.envs.vehicle import Lane, LoopSettings
+from sayd_env.physics.batch import checked_threads
+from sayd_env.physics.stack import Stack
+from sayd_env.stability.online import Band
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+_NO_LOG = 0
+
+
+class Lanes:
+    """v vehicles in lockstep: one compiled call for a control period of all.
+
+    Parameters
+    ----------
+    settings : LoopSettings
+        Control period, filters and limits, the same for all.
+    band : Band
+        Constants of the on-line filter.
+    lanes : sequence of Lane
+        The vehicles, by `make_lane`: any speeds, profiles, tracks, dampers' numbers; one structure.
+    num_threads : int, optional
+        Threads; 1 runs the lanes one after another without numba's threads. Default: all cores for several
+        lanes, one for a single lane. The results do not depend on it.
+
+    Attributes
+    ----------
+    signals : ndarray, shape (v, SIGNALS)
+        Means of the sensors' readings over the last control period.
+    features : ndarray, shape (v, FEATURES)
+        What a controller computes on board of them, if the settings ask for it.
+    terms : ndarray, shape (v, TERMS)
+        Cost of the last period, by the places of `sayd_env.envs.loop`.
+    rewards : ndarray, shape (v,)
+        Minus the mean of the bogies' J of the last period.
+    status : ndarray, shape (v,)
+        RUNNING, or how a vehicle's run ended; such a lane stands still until it gets a new vehicle.
+    """
+
+    def __init__(
+        self, settings: LoopSettings, band: Band, lanes: Sequence[Lane], num_threads: int | None = None
+    ) -> None:
+        if not lanes:
+            raise ConfigError("a batch needs at least one vehicle")
+        count = len(lanes)
+        self.settings = settings
+        self.band = band
+        self.num_threads = 1 if count == 1 and num_threads is None else checked_threads(num_threads)
+        self._lanes = list(lanes)
+        self.plant = Stack([lane.plant for lane in lanes])
+        self.state = Stack([lane.state for lane in lanes])
+        self.work = Stack([lane.work for lane in lanes])
+        self.loop = Stack([lane.loop for lane in lanes])
+        self.memory = Stack([lane.memory for lane in lanes])
+        self.passed = Stack([lane.passed for lane in lanes])
+        self.felt = Stack([lane.felt for lane in lanes])
+        self._clock = np.array([settings.samples, settings.per_second, *(lane.substeps for lane in lanes)])
+        self.command = np.zeros((count, DAMPERS))
+        self._noise = np.zeros((count, settings.samples, SIGNALS))
+        self._silent = np.zeros((count, 0, SIGNALS))
+        self.signals = np.zeros((count, SIGNALS))
+        self.features = np.zeros((count, FEATURES))
+        self.terms = np.zeros((count, TERMS))
+        self.rewards = np.zeros(count)
+        self.status = np.zeros(count, dtype=np.int64)
+        self._one_period = np.ones(count, dtype=np.int64)
+        self._no_log = np.zeros((count, 0, LOG))
+
+    def __len__(self) -> int:
+        return len(self._lanes)
+
+    def put(self, i: int, lane: Lane) -> None:
+        """Replace the vehicle of a lane; `run_in` must follow before it is stepped."""
+        self._lanes[i] = lane
+        for name in ("plant", "state", "work", "loop", "memory", "passed", "felt"):
+            getattr(self, name).put(i, getattr(lane, name))
+        self._clock[2 + i] = lane.substeps
+        self.status[i] = RUNNING
+
+    def run_in(self, which: Sequence[int], *, log: bool = False) -> list[Array]:
+        """Run lanes with fresh vehicles to their step 0, with their initial commands.
+
+        Parameters
+        ----------
+        which : sequence of int
+            The lanes; the others stand still.
+        log : bool
+            Return the true signals.
+
+        Returns
+        -------
+        list of ndarray, each of shape (samples of the run-in or 0, LOG)
+        """
+        periods = np.zeros(len(self), dtype=np.int64)
+        for i in which:
+            periods[i] = self._lanes[i].run_in
+            self.command[i] = self._lanes[i].current
+        rows = self._no_log
+        if log:
+            rows = np.zeros((len(self), int(periods.max()) * self.settings.samples, LOG))
+        self._run(periods, self._silent, rows)
+        return [rows[i, : periods[i] * self.settings.samples if log else 0] for i in which]
+
+    def step(self, commands: npt.ArrayLike, *, log: Array | None = None) -> None:
+        """Run all lanes that are still running over one control period.
+
+        Parameters
+        ----------
+        commands : array_like, shape (v, DAMPERS)
+            Valve commands from 0 to 1, checked by the caller.
+        log : ndarray, shape (v, samples, LOG), optional
+            Receives the true signals.
+        """
+        self.command[:] = commands
+        noisy = False
+        for i, lane in enumerate(self._lanes):
+            if lane.noise is not None:
+                lane.noise.standard_normal(out=self._noise[i])
+                noisy = True
+        active = np.where(self.status == RUNNING, 1, 0) if self.status.any() else self._one_period
+        self._run(active, self._noise if noisy else self._silent, self._no_log if log is None else log)
+
+    def _run(self, periods: Index, noise: Array, log: Array) -> None:
+        stacks = (self.plant, self.state, self.work, self.loop, self.memory, self.passed, self.felt)
+        tuples = [x for stack in stacks for x in (stack.values, stack.spans)]
+        outputs = (self.signals, self.features, self.terms, self.rewards, log, self.status)
+        if self.num_threads == 1:
+            run_lanes(*tuples, self.band, self._clock, periods, self.command, noise, *outputs)
+            return
+        before = numba.get_num_threads()
+        numba.set_num_threads(self.num_threads)
+        try:
+            # Vehicles differ in their steps: a thread that is free takes the next one.
+            with numba.parallel_chunksize(1):
+                run_lanes_in_parallel(*tuples, self.band, self._clock, periods, self.command, noise, *outputs)
+        finally:
+            numba.set_num_threads(before)

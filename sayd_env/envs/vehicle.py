@@ -1,0 +1,293 @@
+"""From a vehicle's model to what the control loop needs of it: signals' rows, limits, sensors, filters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import ConfigError
+from sayd_env.config.control import OnlineConfig
+from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.sensors import SensorConfig, SensorsConfig
+from sayd_env.envs import loop as places
+from sayd_env.envs.loop import BODY_ROWS, DAMPERS, POINTS, SIGNALS, Loop, LoopState
+from sayd_env.physics import sayd
+from sayd_env.physics.plant import LANES, Plant, State, Work
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.physics.track.realisation import TrackRealisation
+from sayd_env.stability import Limits, limits
+from sayd_env.stability.online import Band, BandState, band, band_state
+
+Array = npt.NDArray[np.float64]
+
+KINDS = (
+    ("lateral_acceleration", places.LATERAL, places.LONGITUDINAL),
+    ("longitudinal_acceleration", places.LONGITUDINAL, places.PRESSURE_A),
+    ("pressure", places.PRESSURE_A, places.STROKE),
+    ("stroke", places.STROKE, places.CURRENT),
+    ("current", places.CURRENT, places.SPEED),
+    ("speed", places.SPEED, places.SIGNALS),
+)
+"""Kind of sensor, and the signals from one place to another that it gives."""
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """What all vehicles of a batch have in common.
+
+    Raises
+    ------
+    ConfigError
+        A control period that is not a whole number of samples, or of which a second has no whole number.
+    """
+
+    online: OnlineConfig
+    control_period: float = 0.01
+    """s."""
+    sample_rate: float = 1000.0
+    """Hz."""
+    run_in: float = 500.0
+    """Distance before step 0, m."""
+    features: bool = False
+    """Compute the features too."""
+    quotient_limit: float = math.inf
+    """Y/Q beyond which a wheel is about to climb the rail."""
+    quotient_duration: float = 0.0
+    """How long it may stay there, s."""
+    tank_pressure: float = 1.0e5
+    """What the pressure sensors of passive dampers read, Pa."""
+
+    def __post_init__(self) -> None:
+        period, second = self.control_period, self.sample_rate
+        whole = math.isfinite(period) and period > 0.0 and abs(period * second - self.samples) < 1e-9
+        if not whole or self.samples < 1 or round(second) % self.samples:
+            raise ConfigError(
+                f"control_period: found {period:g} s; expected a multiple of {1e3 / second:g} ms of which a "
+                "second has a whole number, such as 0.001, 0.002, 0.005, 0.01, 0.02, 0.05 or 0.1 s"
+            )
+
+    @property
+    def samples(self) -> int:
+        """Samples in a control period."""
+        return round(self.control_period * self.sample_rate)
+
+    @property
+    def per_second(self) -> int:
+        """Samples in a second."""
+        return round(self.sample_rate)
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """What is wrong with the sensors of one vehicle, added to what their configuration says."""
+
+    bias: Array | None = None
+    """(SIGNALS,) in the signals' units."""
+    noise: Array | None = None
+    """(SIGNALS,) factors of the noise."""
+
+
+@dataclass(frozen=True)
+class Lane:
+    """One vehicle, ready to run."""
+
+    plant: Plant
+    state: State
+    work: Work
+    loop: Loop
+    memory: LoopState
+    passed: BandState
+    felt: BandState
+    substeps: int
+    run_in: int
+    """Control periods before step 0."""
+    current: float
+    """Command during the run-in."""
+    noise: np.random.Generator | None
+    """Source of the sensors' noise; None if there is none."""
+
+
+def model_limits(model: VehicleModel) -> Limits:
+    """Limits of EN 14363 for a vehicle, from its axle load and the mass of its bogie."""
+    return limits(2.0 * float(np.max(model.multibody.wheel_load)), model.multibody.bogie_mass)
+
+
+def make_lane(
+    model: VehicleModel,
+    speed: float,
+    track: TrackRealisation,
+    sensors: SensorsConfig,
+    settings: LoopSettings,
+    *,
+    band_constants: Band,
+    current: float | None = None,
+    errors: SensorErrors | None = None,
+    noise: np.random.Generator | None = None,
+) -> Lane:
+    """Put a vehicle with its sensors on a track.
+
+    Parameters
+    ----------
+    model : VehicleModel
+        A vehicle with two bogies, four measuring points and eight yaw dampers.
+    speed : float
+        m/s.
+    track : TrackRealisation
+    sensors : SensorsConfig
+    settings : LoopSettings
+    band_constants : Band
+        Constants of the on-line filter at the sample rate.
+    current : float, optional
+        Valve command during the run-in; the damper's own by default.
+    errors : SensorErrors, optional
+    noise : Generator, optional
+        Source of the sensors' noise.
+
+    Raises
+    ------
+    ConfigError
+        A vehicle of another structure, a speed outside its range, another sample rate.
+    """
+    check_vehicle(model, settings)
+    damper = model.scenario.damper
+    semi_active = isinstance(damper, SaydDamperConfig)
+    if current is None:
+        current = damper.current if isinstance(damper, SaydDamperConfig) else 0.0
+    state = model.state(speed)
+    if semi_active:
+        state.sayd[sayd.CURRENT * LANES : (sayd.COMMAND + 1) * LANES] = current
+        state.sayd_line[:] = current
+    run_in = math.ceil(settings.run_in / speed / settings.control_period - 1e-9)
+    loop = loop_constants(model, sensors, settings)
+    assessment = model.scenario.assessment
+
+    def filters() -> BandState:
+        return band_state(
+            band_constants, settings.sample_rate, assessment, speed, channels=POINTS, groups=places.BOGIES
+        )
+
+    return Lane(
+        plant=model.plant(speed, track),
+        state=state,
+        work=model.work(),
+        loop=loop,
+        memory=loop_state(sensors, settings, run_in, errors or SensorErrors()),
+        passed=filters(),
+        felt=filters(),
+        substeps=model.step(speed)[1],
+        run_in=run_in,
+        current=current,
+        noise=noise if np.any(loop.noise > 0.0) else None,
+    )
+
+
+def check_vehicle(model: VehicleModel, settings: LoopSettings) -> None:
+    """Refuse a vehicle that the control loop does not fit.
+
+    Raises
+    ------
+    ConfigError
+        See `make_lane`.
+    """
+    body, rate = model.multibody, model.scenario.assessment.sample_rate
+    if len(body.measuring_points) != POINTS or len(body.yaw_dampers) != DAMPERS:
+        raise ConfigError(
+            f"{model.scenario.vehicle.name}: {len(body.measuring_points)} measuring points and "
+            f"{len(body.yaw_dampers)} yaw dampers; the environment needs {POINTS} and {DAMPERS}"
+        )
+    if rate != settings.sample_rate:
+        raise ConfigError(
+            f"assessment.sample_rate: found {rate:g} Hz; the environment needs {settings.sample_rate:g} Hz"
+        )
+
+
+def on_line_band(model: VehicleModel, settings: LoopSettings) -> Band:
+    """Constants of the on-line filter for vehicles of one assessment."""
+    return band(settings.online, model.scenario.assessment, settings.sample_rate)
+
+
+def loop_constants(model: VehicleModel, sensors: SensorsConfig, settings: LoopSettings) -> Loop:
+    """Constants of a vehicle's sensors, cost and limits."""
+    damper, cost = model.scenario.damper, model.scenario.cost
+    dt = 1.0 / settings.sample_rate
+    each = sensors_by_signal(sensors)
+    return Loop(
+        longitudinal=longitudinal_rows(model),
+        body=body_rows(model),
+        area=damper.cylinder.area if isinstance(damper, SaydDamperConfig) else 0.0,
+        tank=damper.oil.tank_pressure if isinstance(damper, SaydDamperConfig) else settings.tank_pressure,
+        per_acceleration=1.0 / model_limits(model).acceleration,
+        per_force=1.0 / cost.force_reference,
+        acceleration_weight=cost.acceleration_weight,
+        force_weight=cost.force_weight,
+        quotient_limit=settings.quotient_limit if math.isfinite(settings.quotient_limit) else 1e300,
+        quotient_samples=settings.quotient_duration * settings.sample_rate,
+        features=float(settings.features),
+        low=np.array([s.low for s in each]),
+        high=np.array([s.high for s in each]),
+        noise=np.array([s.noise for s in each]),
+        share=np.array([_share(s.bandwidth, dt) for s in each]),
+        resolution=np.array([s.resolution for s in each]),
+        hold=np.array([float(max(1, round(s.sampling / dt))) for s in each]),
+    )
+
+
+def _share(bandwidth: float | None, dt: float) -> float:
+    """Share of the way that a first-order sensor goes in a sample (exact for a value held over it)."""
+    return 1.0 if bandwidth is None else -math.expm1(-2.0 * math.pi * bandwidth * dt)
+
+
+def sensors_by_signal(sensors: SensorsConfig) -> list[SensorConfig]:
+    """The sensor of each signal."""
+    return [getattr(sensors, kind) for kind, first, last in KINDS for _ in range(first, last)]
+
+
+def longitudinal_rows(model: VehicleModel) -> Array:
+    """Rows that give the longitudinal motion of the frames at the dampers' mounts, shape (4, n).
+
+    Front and rear bogie, left and right side; each the mean of the side's two mounts.
+    """
+    ends = np.array([bogie for _, bogie, _ in model.multibody.yaw_dampers])
+    return np.ascontiguousarray(ends.reshape(4, 2, -1).mean(axis=1))
+
+
+def body_rows(model: VehicleModel) -> Array:
+    """Rows that give the motion of the carbody's floor along x, y and z, shape (BODY_ROWS, n).
+
+    Above the front bogie, mid-way and above the rear bogie; zeros where the vehicle does not say how high its
+    floor is.
+    """
+    body, height = model.multibody, model.scenario.vehicle.floor_height
+    if height is None or "carbody" not in body.instances:
+        return np.zeros((BODY_ROWS, body.n))
+    pivots = body.wheelset_x.reshape(places.BOGIES, -1).mean(axis=1)
+    stations = (pivots[0], float(pivots.mean()), pivots[1])
+    return np.array(
+        [body.point("carbody", np.array([x, 0.0, height]), axis) for x in stations for axis in np.eye(3)]
+    )
+
+
+def loop_state(
+    sensors: SensorsConfig, settings: LoopSettings, run_in: int, errors: SensorErrors
+) -> LoopState:
+    """Sensors and counters at the start of a run-in of so many control periods."""
+    bias = np.array([s.bias for s in sensors_by_signal(sensors)])
+    return LoopState(
+        counter=np.array([-run_in * settings.samples, 0]),
+        filtered=np.zeros(SIGNALS),
+        reading=np.zeros(SIGNALS),
+        total=np.zeros(SIGNALS),
+        gain=np.ones(SIGNALS),
+        bias=bias if errors.bias is None else bias + errors.bias,
+        spread=np.ones(SIGNALS) if errors.noise is None else errors.noise.copy(),
+        frozen=np.zeros(SIGNALS),
+        squares=np.zeros((settings.per_second // settings.samples, POINTS + DAMPERS)),
+        climbing=np.zeros(LANES),
+        true=np.zeros(SIGNALS),
+        row=np.zeros(2 * POINTS + DAMPERS),
+        passed=np.zeros(POINTS),
+        felt=np.zeros(POINTS),
+    )
