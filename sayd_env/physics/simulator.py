@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,9 @@ import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
 from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import PassiveDamperConfig
+from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics import sayd
 from sayd_env.physics.contact.geometry import ContactTable, contact_table
@@ -88,8 +90,7 @@ class VehicleModel:
     def table(self) -> ContactTable:
         """Contact table of all wheels."""
         s = self.scenario
-        wheel, rail = wheel_profile(s.wheel, s.wear), rail_profile(s.rail)
-        return contact_table(wheel, rail, s.track.gauge, s.contact, s.vehicle.wheel_radius)
+        return _contact_table(s.wheel, s.wear, s.rail, s.track.gauge, s.contact, s.vehicle.wheel_radius)
 
     @cached_property
     def dampers(self) -> tuple[ForceElement, ...]:
@@ -418,6 +419,19 @@ class Simulator:
         """Run over a distance (m) and return the signals."""
         samples = math.ceil(distance / self.speed * self.model.scenario.assessment.sample_rate)
         return self.advance(samples, wheels=wheels, motion=motion, sayds=sayds)
+
+
+@lru_cache(maxsize=64)
+def _contact_table(
+    wheel: WheelProfileConfig,
+    wear: float,
+    rail: RailProfileConfig,
+    gauge: float,
+    contact: ContactConfig,
+    radius: float,
+) -> ContactTable:
+    """Contact table of wheels on rails; many vehicles of a study share it."""
+    return contact_table(wheel_profile(wheel, wear), rail_profile(rail), gauge, contact, radius)
 
 
 def checked_currents(currents: npt.ArrayLike, count: int) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -118,7 +119,19 @@ def series_table(throttle: OrificeThrottle | TableThrottle, check: SpringValve) 
     DataError
         A table file that cannot be used.
     """
-    field = throttle_field(throttle)
+    if isinstance(throttle, TableThrottle):  # its file may change
+        return _series_table(throttle_field(throttle), check)
+    return _orifice_series_table(throttle, check)
+
+
+@lru_cache(maxsize=64)
+def _orifice_series_table(throttle: OrificeThrottle, check: SpringValve) -> Array:
+    table = _series_table(throttle_field(throttle), check)
+    table.setflags(write=False)  # shared by all who ask
+    return table
+
+
+def _series_table(field: ThrottleField, check: SpringValve) -> Array:
     # Dense where the check valves begin to open; the root makes even steps of an orifice's flow.
     drop = np.linspace(0.0, math.sqrt(LARGEST_DROP), _SERIES_POINTS) ** 2
     nodes = ROOT_STEP * np.arange(ROOTS)
