@@ -1,0 +1,138 @@
+"""Laws of random numbers, as data.
+
+Every law makes its number from one uniform number u in [0, 1) by the inverse of its distribution function, so
+that a law which is exchanged for another one leaves all other draws as they are.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+from scipy.special import ndtr, ndtri
+
+from sayd_env.config.base import Model, Number
+
+Array = npt.NDArray[np.float64]
+
+
+class FixedLaw(Model):
+    """Always the same number."""
+
+    law: Literal["fixed"]
+    value: Number = Field(description="The number")
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest number that can come."""
+        return self.value, self.value
+
+    def at(self, u: npt.ArrayLike) -> Array:
+        """Numbers that belong to uniform ones u in [0, 1), of the same shape."""
+        return np.full(np.shape(u), self.value)
+
+
+class UniformLaw(Model):
+    """All numbers between two limits alike, or those of a grid between them."""
+
+    law: Literal["uniform"]
+    low: Number = Field(description="Smallest number")
+    high: Number = Field(description="Largest number")
+    step: Annotated[Number, Field(gt=0.0)] | None = Field(
+        None, description="Distance of the grid's numbers; null: no grid"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> UniformLaw:
+        if self.low > self.high:
+            raise ValueError(f"low ({self.low:g}) must not exceed high ({self.high:g})")
+        width = self.high - self.low
+        if self.step is not None and abs(round(width / self.step) * self.step - width) > 1e-9 * width:
+            raise ValueError(
+                f"high - low ({width:g}) must be a whole number of steps, found step {self.step:g}"
+            )
+        return self
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest number that can come."""
+        return self.low, self.high
+
+    def at(self, u: npt.ArrayLike) -> Array:
+        """Numbers that belong to uniform ones u in [0, 1), of the same shape."""
+        if self.step is None:
+            return self.low + np.asarray(u) * (self.high - self.low)
+        count = round((self.high - self.low) / self.step) + 1
+        values = self.low + self.step * np.minimum(np.floor(np.asarray(u) * count), count - 1)
+        return np.asarray(np.round(values, 12))  # 0.15, as one would write it
+
+
+class NormalLaw(Model):
+    """The normal distribution, cut off at two limits."""
+
+    law: Literal["normal"]
+    mean: Number = Field(description="Mean before the cut")
+    deviation: Annotated[Number, Field(gt=0.0)] = Field(description="Standard deviation before the cut")
+    low: Number = Field(description="Smallest number")
+    high: Number = Field(description="Largest number")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> NormalLaw:
+        if not self.low < self.high:
+            raise ValueError(f"low ({self.low:g}) must be below high ({self.high:g})")
+        if not self.low <= self.mean <= self.high:
+            raise ValueError(f"mean ({self.mean:g}) must lie between low ({self.low:g}) and high")
+        return self
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest number that can come."""
+        return self.low, self.high
+
+    def at(self, u: npt.ArrayLike) -> Array:
+        """Numbers that belong to uniform ones u in [0, 1), of the same shape."""
+        first = ndtr((self.low - self.mean) / self.deviation)
+        last = ndtr((self.high - self.mean) / self.deviation)
+        values = self.mean + self.deviation * ndtri(first + np.asarray(u) * (last - first))
+        return np.asarray(np.clip(values, self.low, self.high))
+
+
+class ChoiceLaw(Model):
+    """One of several numbers."""
+
+    law: Literal["choice"]
+    values: tuple[Number, ...] = Field(min_length=1, description="The numbers")
+    weights: tuple[Annotated[Number, Field(ge=0.0)], ...] | None = Field(
+        None, description="How often each comes, against the others (-); alike when absent"
+    )
+
+    @model_validator(mode="after")
+    def _weighted(self) -> ChoiceLaw:
+        if self.weights is not None and len(self.weights) != len(self.values):
+            raise ValueError(f"{len(self.values)} values need as many weights, found {len(self.weights)}")
+        if self.weights is not None and sum(self.weights) == 0.0:
+            raise ValueError("at least one weight must be positive")
+        return self
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest number that can come."""
+        return min(self.values), max(self.values)
+
+    def at(self, u: npt.ArrayLike) -> Array:
+        """Numbers that belong to uniform ones u in [0, 1), of the same shape."""
+        weights = self.weights or (1.0,) * len(self.values)
+        return np.array(self.values)[chosen(weights, u)]
+
+
+Law = Annotated[FixedLaw | UniformLaw | NormalLaw | ChoiceLaw, Field(discriminator="law")]
+
+
+def chosen(weights: tuple[float, ...], u: npt.ArrayLike) -> npt.NDArray[np.intp]:
+    """Places that belong to uniform numbers u in [0, 1), each as often as its weight says, of u's shape."""
+    steps = np.cumsum(weights)
+    places = np.searchsorted(steps, np.asarray(u) * steps[-1], side="right")
+    last = np.flatnonzero(weights)[-1]  # u times the sum may round up to the sum
+    return np.asarray(np.minimum(places, last))
