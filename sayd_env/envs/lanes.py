@@ -31,8 +31,6 @@ from sayd_env.stability.online import Band
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-_NO_LOG = 0
-
 
 class Lanes:
     """v vehicles in lockstep: one compiled call for a control period of all.
@@ -127,7 +125,13 @@ class Lanes:
         self._run(periods, self._silent, rows)
         return [rows[i, : periods[i] * self.settings.samples if log else 0] for i in which]
 
-    def step(self, commands: npt.ArrayLike, *, log: Array | None = None) -> None:
+    def step(
+        self,
+        commands: npt.ArrayLike,
+        *,
+        log: Array | None = None,
+        active: npt.NDArray[np.bool_] | None = None,
+    ) -> None:
         """Run all lanes that are still running over one control period.
 
         Parameters
@@ -136,6 +140,8 @@ class Lanes:
             Valve commands from 0 to 1, checked by the caller.
         log : ndarray, shape (v, samples, LOG), optional
             Receives the true signals.
+        active : ndarray of bool, shape (v,), optional
+            Lanes that run; all by default.
         """
         self.command[:] = commands
         noisy = False
@@ -143,8 +149,10 @@ class Lanes:
             if lane.noise is not None:
                 lane.noise.standard_normal(out=self._noise[i])
                 noisy = True
-        active = np.where(self.status == RUNNING, 1, 0) if self.status.any() else self._one_period
-        self._run(active, self._noise if noisy else self._silent, self._no_log if log is None else log)
+        periods = self._one_period
+        if active is not None or self.status.any():
+            periods = np.where((self.status == RUNNING) & (True if active is None else active), 1, 0)
+        self._run(periods, self._noise if noisy else self._silent, self._no_log if log is None else log)
 
     def _run(self, periods: Index, noise: Array, log: Array) -> None:
         stacks = (self.plant, self.state, self.work, self.loop, self.memory, self.passed, self.felt)

@@ -132,8 +132,6 @@ class LoopState(NamedTuple):
     """(SIGNALS,) 1; 0 for a dead sensor."""
     bias: Array
     """(SIGNALS,)."""
-    spread: Array
-    """(SIGNALS,) factor of the noise."""
     frozen: Array
     """(SIGNALS,) 1 for a sensor that repeats its last reading, else 0."""
     squares: Array
@@ -201,7 +199,7 @@ def sense(loop: Loop, memory: LoopState, noise: Array, sample: int) -> None:
         memory.filtered[k] += loop.share[k] * (memory.true[k] - memory.filtered[k])
         value = memory.gain[k] * memory.filtered[k] + memory.bias[k]
         if noisy:
-            value += memory.spread[k] * loop.noise[k] * noise[sample, k]
+            value += loop.noise[k] * noise[sample, k]
         value = max(loop.low[k], min(loop.high[k], value))
         quantum = loop.resolution[k]
         if quantum > 0.0:

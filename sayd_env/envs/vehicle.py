@@ -11,6 +11,7 @@ import numpy.typing as npt
 from sayd_env.config import ConfigError
 from sayd_env.config.control import OnlineConfig
 from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.sensors import SIGNALS as SENSED
 from sayd_env.config.sensors import SensorConfig, SensorsConfig
 from sayd_env.envs import loop as places
 from sayd_env.envs.loop import BODY_ROWS, DAMPERS, POINTS, SIGNALS, Loop, LoopState
@@ -22,16 +23,6 @@ from sayd_env.stability import Limits, limits
 from sayd_env.stability.online import Band, BandState, band, band_state
 
 Array = npt.NDArray[np.float64]
-
-KINDS = (
-    ("lateral_acceleration", places.LATERAL, places.LONGITUDINAL),
-    ("longitudinal_acceleration", places.LONGITUDINAL, places.PRESSURE_A),
-    ("pressure", places.PRESSURE_A, places.STROKE),
-    ("stroke", places.STROKE, places.CURRENT),
-    ("current", places.CURRENT, places.SPEED),
-    ("speed", places.SPEED, places.SIGNALS),
-)
-"""Kind of sensor, and the signals from one place to another that it gives."""
 
 
 @dataclass(frozen=True)
@@ -82,12 +73,12 @@ class LoopSettings:
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """What is wrong with the sensors of one vehicle, added to what their configuration says."""
+    """What is wrong with the sensors of one vehicle, beside what their configuration says."""
 
-    bias: Array | None = None
-    """(SIGNALS,) in the signals' units."""
-    noise: Array | None = None
-    """(SIGNALS,) factors of the noise."""
+    bias: Array
+    """(SIGNALS,) added to the sensors' own, in the signals' units."""
+    noise: Array
+    """(SIGNALS,) factors of the sensors' noise."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +135,7 @@ def make_lane(
         Valve command during the run-in; the damper's own by default.
     errors : SensorErrors, optional
     noise : Generator, optional
-        Source of the sensors' noise.
+        Source of the sensors' noise; None for sensors without noise, and none of them will get any.
 
     Raises
     ------
@@ -161,7 +152,10 @@ def make_lane(
         state.sayd[sayd.CURRENT * LANES : (sayd.COMMAND + 1) * LANES] = current
         state.sayd_line[:] = current
     run_in = math.ceil(settings.run_in / speed / settings.control_period - 1e-9)
-    loop = loop_constants(model, sensors, settings)
+    each = sensors_by_signal(sensors)
+    bias, spread = np.array([s.bias for s in each]), np.array([s.noise for s in each])
+    if errors is not None:
+        bias, spread = bias + errors.bias, spread * errors.noise
     assessment = model.scenario.assessment
 
     def filters() -> BandState:
@@ -173,14 +167,14 @@ def make_lane(
         plant=model.plant(speed, track),
         state=state,
         work=model.work(),
-        loop=loop,
-        memory=loop_state(sensors, settings, run_in, errors or SensorErrors()),
+        loop=loop_constants(model, sensors, settings)._replace(noise=spread),
+        memory=loop_state(settings, run_in, bias),
         passed=filters(),
         felt=filters(),
         substeps=model.step(speed)[1],
         run_in=run_in,
         current=current,
-        noise=noise if np.any(loop.noise > 0.0) else None,
+        noise=noise,
     )
 
 
@@ -228,7 +222,7 @@ def loop_constants(model: VehicleModel, sensors: SensorsConfig, settings: LoopSe
         features=float(settings.features),
         low=np.array([s.low for s in each]),
         high=np.array([s.high for s in each]),
-        noise=np.array([s.noise for s in each]),
+        noise=np.zeros(SIGNALS),
         share=np.array([_share(s.bandwidth, dt) for s in each]),
         resolution=np.array([s.resolution for s in each]),
         hold=np.array([float(max(1, round(s.sampling / dt))) for s in each]),
@@ -242,7 +236,7 @@ def _share(bandwidth: float | None, dt: float) -> float:
 
 def sensors_by_signal(sensors: SensorsConfig) -> list[SensorConfig]:
     """The sensor of each signal."""
-    return [getattr(sensors, kind) for kind, first, last in KINDS for _ in range(first, last)]
+    return [sensors.of(signal) for signal in SENSED]
 
 
 def longitudinal_rows(model: VehicleModel) -> Array:
@@ -270,19 +264,15 @@ def body_rows(model: VehicleModel) -> Array:
     )
 
 
-def loop_state(
-    sensors: SensorsConfig, settings: LoopSettings, run_in: int, errors: SensorErrors
-) -> LoopState:
+def loop_state(settings: LoopSettings, run_in: int, bias: Array) -> LoopState:
     """Sensors and counters at the start of a run-in of so many control periods."""
-    bias = np.array([s.bias for s in sensors_by_signal(sensors)])
     return LoopState(
         counter=np.array([-run_in * settings.samples, 0]),
         filtered=np.zeros(SIGNALS),
         reading=np.zeros(SIGNALS),
         total=np.zeros(SIGNALS),
         gain=np.ones(SIGNALS),
-        bias=bias if errors.bias is None else bias + errors.bias,
-        spread=np.ones(SIGNALS) if errors.noise is None else errors.noise.copy(),
+        bias=bias.copy(),
         frozen=np.zeros(SIGNALS),
         squares=np.zeros((settings.per_second // settings.samples, POINTS + DAMPERS)),
         climbing=np.zeros(LANES),

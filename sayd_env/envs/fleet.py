@@ -1,0 +1,357 @@
+"""A fleet: vehicles that run episodes side by side, as an environment's configuration says.
+
+What single environment, batch environment and rollout evaluator share: from an episode that was drawn to
+vehicles under control, from policies' actions to valve commands, from signals to observations, rewards and
+ends. It knows no Gymnasium.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import ConfigError
+from sayd_env.config.control import OnlineConfig, load_online
+from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.fault import SensorNoisy
+from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.config.sensors import SIGNALS as SENSED
+from sayd_env.config.sensors import UNITS
+from sayd_env.envs.draw import Episode, episode_scenario
+from sayd_env.envs.faults import FaultSchedule
+from sayd_env.envs.interface import ACTIONS, BOGIES, Interface, Signal
+from sayd_env.envs.interface import DAMPERS as OF_A_BOGIE
+from sayd_env.envs.interface import POINTS as OF_A_FRAME
+from sayd_env.envs.lanes import Lanes
+from sayd_env.envs.loop import CLIMBED, DAMPERS, NOT_FINITE, OVERLOADED, RUNNING
+from sayd_env.envs.vehicle import Lane, LoopSettings, SensorErrors, make_lane, model_limits, on_line_band
+from sayd_env.physics.simulator import RUN_OUT, VehicleModel
+from sayd_env.physics.track.realisation import TrackRealisation, realise
+
+Array = npt.NDArray[np.float64]
+Observation = npt.NDArray[np.float32]
+Flags = npt.NDArray[np.bool_]
+
+ENDINGS = {
+    CLIMBED: "derailment: a wheel has climbed over its rail",
+    OVERLOADED: "derailment risk: Y/Q stayed beyond its limit",
+    NOT_FINITE: "non-finite: the simulation diverged",
+}
+"""What a lane's status means."""
+
+
+class Fleet:
+    """Vehicles that run episodes.
+
+    Parameters
+    ----------
+    config : EnvironmentConfig
+        What the episodes are.
+    count : int
+        Number of vehicles.
+    scenario : Scenario, optional
+        The scenario in place of the one that the configuration names.
+    num_threads : int, optional
+        Threads, as in `Lanes`.
+
+    Raises
+    ------
+    ConfigError
+        A configuration that does not fit together.
+
+    Attributes
+    ----------
+    interface : Interface
+        What a policy may know.
+    elapsed : ndarray, shape (count,)
+        Control periods of each vehicle's episode so far.
+    """
+
+    def __init__(
+        self,
+        config: EnvironmentConfig,
+        count: int,
+        *,
+        scenario: Scenario | None = None,
+        num_threads: int | None = None,
+    ) -> None:
+        if count < 1:
+            raise ConfigError(f"found {count} vehicles; expected at least 1")
+        self.config = config
+        self.count = count
+        self.scenario = environment_scenario(config) if scenario is None else scenario
+        self.settings = loop_settings(config, self.scenario)
+        self.interface = make_interface(config, self.scenario, self.settings.online)
+        self.steps = round(config.episode_s / config.control_period)
+        self.elapsed = np.zeros(count, dtype=np.int64)
+        self.episodes: list[Episode | None] = [None] * count
+        self._model = VehicleModel(self.scenario)
+        self._band = on_line_band(self._model, self.settings)
+        self._num_threads = num_threads
+        self._lanes: Lanes | None = None
+        self._faults: list[FaultSchedule | None] = [None] * count
+        self._low = np.array([signal.low for signal in self.interface.signals])
+        self._high = np.array([signal.high for signal in self.interface.signals])
+        self._history = np.zeros((count, *self.interface.shape), dtype=np.float32)
+
+    @property
+    def lanes(self) -> Lanes:
+        """The vehicles under control.
+
+        Raises
+        ------
+        ConfigError
+            Before the first reset.
+        """
+        if self._lanes is None:
+            raise ConfigError("step before reset: call reset first")
+        return self._lanes
+
+    def reset(self, which: Sequence[int], episodes: Sequence[Episode], *, log: bool = False) -> list[Array]:
+        """Begin episodes: build the vehicles and run them in.
+
+        Parameters
+        ----------
+        which : sequence of int
+            Vehicles that begin; at the first call all of them.
+        episodes : sequence of Episode
+            One for each of these.
+        log : bool
+            Return the true signals of the run-in, as `Lanes.run_in` does.
+
+        Raises
+        ------
+        ConfigError
+            An episode that cannot be, such as a speed beyond the vehicle's.
+        """
+        built = [self._lane(episode) for episode in episodes]
+        if self._lanes is None:
+            if sorted(which) != list(range(self.count)):
+                raise ConfigError("the first reset must be one of all vehicles")
+            ordered = [built[list(which).index(i)] for i in range(self.count)]
+            self._lanes = Lanes(self.settings, self._band, ordered, self._num_threads)
+        else:
+            for i, lane in zip(which, built, strict=True):
+                self._lanes.put(i, lane)
+        logs = self._lanes.run_in(which, log=log)
+        for i, episode in zip(which, episodes, strict=True):
+            self.episodes[i] = episode
+            self.elapsed[i] = 0
+            self._faults[i] = FaultSchedule(episode.faults) if episode.faults else None
+            self._strike(i)
+        self._observe(which, fresh=True)
+        return logs
+
+    def _lane(self, episode: Episode) -> Lane:
+        model = self._model_of(episode)
+        return make_lane(
+            model,
+            episode.speed,
+            self._track(model, episode),
+            self.config.sensors,
+            self.settings,
+            band_constants=self._band,
+            current=episode.initial_current,
+            errors=SensorErrors(episode.sensor_bias, episode.sensor_noise),
+            noise=self._noise(episode),
+        )
+
+    def _model_of(self, episode: Episode) -> VehicleModel:
+        scenario = episode_scenario(self.scenario, episode)
+        return self._model if scenario is self.scenario else VehicleModel(scenario)
+
+    def _track(self, model: VehicleModel, episode: Episode) -> TrackRealisation:
+        """The episode's track: as long as an assessed run, so that its length does not change it."""
+        assessment = model.scenario.assessment
+        assessed = assessment.run_in + (assessment.length or 0.0)
+        needed = self.config.run_in + episode.speed * (self.config.episode_s + self.config.control_period)
+        length = assessed * max(1, math.ceil(needed / assessed)) + RUN_OUT
+        return realise(model.scenario.track.irregularity, length, episode.track_seed)
+
+    def _noise(self, episode: Episode) -> np.random.Generator | None:
+        """Source of the noise of an episode's sensors, if any of them has or gets some."""
+        noisy = any(self.config.sensors.of(signal).noise > 0.0 for signal in SENSED)
+        noisy = noisy or any(isinstance(fault, SensorNoisy) for fault in episode.faults)
+        return np.random.default_rng(episode.stream("noise")) if noisy else None
+
+    def step(
+        self, actions: npt.ArrayLike, *, log: Array | None = None, active: Flags | None = None
+    ) -> tuple[Observation, Array, Flags, Flags]:
+        """Run all vehicles over one control period.
+
+        Parameters
+        ----------
+        actions : array_like, shape (count, A)
+            Valve commands, checked by `checked_actions`.
+        log : ndarray, shape (count, samples, LOG), optional
+            Receives the true signals.
+        active : ndarray of bool, shape (count,), optional
+            Vehicles that run; all by default.
+
+        Returns
+        -------
+        observations : ndarray of float32, shape (count, *interface.shape)
+            A new array.
+        rewards : ndarray, shape (count,)
+            Minus the mean of the bogies' J over the period, and minus the charge for a termination.
+        terminated, truncated : ndarray of bool, shape (count,)
+        """
+        lanes = self.lanes
+        running = lanes.status == RUNNING
+        if active is not None:
+            running &= active
+        lanes.step(self._commands(actions), log=log, active=active)
+        self.elapsed += running
+        terminated = lanes.status != RUNNING
+        truncated = (self.elapsed >= self.steps) & ~terminated
+        rewards = np.where(running, lanes.rewards, 0.0)
+        for i in map(int, np.flatnonzero(terminated & running)):
+            remaining = self.config.episode_s - self.elapsed[i] * self.config.control_period
+            known = rewards[i] if math.isfinite(rewards[i]) else 0.0
+            rewards[i] = known - self.config.termination_cost * remaining
+        for i, schedule in enumerate(self._faults):
+            if schedule is not None and running[i]:
+                self._strike(i)
+        self._observe(range(self.count), fresh=False)
+        return self.observations(), rewards, terminated, truncated
+
+    def observations(self) -> Observation:
+        """What the vehicles observe, a new array of shape (count, *interface.shape)."""
+        return self._history.copy()
+
+    def ending(self, i: int) -> str:
+        """Why a vehicle's episode was terminated."""
+        return ENDINGS[int(self.lanes.status[i])]
+
+    def _commands(self, actions: npt.ArrayLike) -> Array:
+        values = np.asarray(actions, dtype=np.float64)
+        return np.repeat(values, DAMPERS // ACTIONS[self.config.valves], axis=1)
+
+    def _strike(self, i: int) -> None:
+        """Let the faults happen whose time has come."""
+        schedule = self._faults[i]
+        if schedule is not None:
+            schedule.apply(self.elapsed[i] * self.config.control_period, self.lanes, i)
+
+    def _observe(self, which: Sequence[int], *, fresh: bool) -> None:
+        """Take over the last signals of some vehicles; those of a fresh one fill its whole history."""
+        lanes = self.lanes
+        newest = lanes.features if self.settings.features else lanes.signals
+        rows = slice(None) if len(which) == self.count else np.asarray(which, dtype=np.intp)
+        values = np.clip(newest[rows], self._low, self._high).astype(np.float32)
+        if self.config.observation != "history":
+            self._history[rows] = values
+        elif fresh:
+            self._history[rows] = values[:, None]
+        else:
+            self._history[rows, :-1] = self._history[rows, 1:]
+            self._history[rows, -1] = values
+
+
+def environment_scenario(config: EnvironmentConfig, overrides: Sequence[str] = ()) -> Scenario:
+    """Scenario of an environment: its study with its kind of yaw dampers.
+
+    Parameters
+    ----------
+    config : EnvironmentConfig
+        The environment.
+    overrides : sequence of str
+        ``key=value`` assignments for the scenario, applied last.
+
+    Raises
+    ------
+    ConfigError
+        See `load_scenario`.
+    """
+    scenario = load_scenario(config.study)
+    if scenario.damper.type != config.damper or overrides:
+        kind = () if scenario.damper.type == config.damper else (f"damper={config.damper}",)
+        scenario = load_scenario(config.study, (*kind, *overrides))
+    return scenario
+
+
+def loop_settings(config: EnvironmentConfig, scenario: Scenario) -> LoopSettings:
+    """What the vehicles of an environment have in common."""
+    return LoopSettings(
+        online=load_online(),
+        control_period=config.control_period,
+        sample_rate=scenario.assessment.sample_rate,
+        run_in=config.run_in,
+        features=config.observation == "features",
+        quotient_limit=config.derailment.quotient,
+        quotient_duration=config.derailment.duration,
+    )
+
+
+def make_interface(config: EnvironmentConfig, scenario: Scenario, online: OnlineConfig) -> Interface:
+    """What a policy may know of an environment."""
+    features = config.observation == "features"
+    return Interface(
+        observation=config.observation,
+        signals=feature_list(config, scenario) if features else signal_list(config),
+        history=config.history if config.observation == "history" else 1,
+        valves=config.valves,
+        control_period=config.control_period,
+        damper=scenario.damper,
+        acceleration_limit=model_limits(VehicleModel(scenario)).acceleration,
+        force_reference=scenario.cost.force_reference,
+        online=online,
+        assessment=scenario.assessment,
+    )
+
+
+def signal_list(config: EnvironmentConfig) -> tuple[Signal, ...]:
+    """The signals of an observation, with the sensors' ranges."""
+    return tuple(_sensed(config, name, name) for name in SENSED)
+
+
+def feature_list(config: EnvironmentConfig, scenario: Scenario) -> tuple[Signal, ...]:
+    """The features of an observation, with the ranges that follow from those of the sensors."""
+    sensors, assessment = config.sensors, scenario.assessment
+    area = scenario.damper.cylinder.area if isinstance(scenario.damper, SaydDamperConfig) else 0.0
+    acceleration = max(abs(sensors.lateral_acceleration.low), abs(sensors.lateral_acceleration.high))
+    force = area * (sensors.pressure.high - sensors.pressure.low)
+    dampers = [f"{bogie}.{place}" for bogie in BOGIES for place in OF_A_BOGIE]
+    points = [f"{bogie}.{place}" for bogie in BOGIES for place in OF_A_FRAME]
+    low, high = assessment.frequency_min, assessment.frequency_max
+    return (
+        # A band-pass filter may overshoot the range of what it is given.
+        *(Signal(f"acceleration_rms.{place}", "m/s2", 0.0, 2.0 * acceleration) for place in points),
+        *(Signal(f"force_rms.{place}", "N", 0.0, max(force, 1.0)) for place in dampers),
+        *(Signal(f"dominant_frequency.{bogie}", "Hz", low, high) for bogie in BOGIES),
+        *(_sensed(config, f"current.{place}", f"current.{place}") for place in dampers),
+        *(Signal(f"command.{place}", "-", 0.0, 1.0) for place in dampers),
+        _sensed(config, "speed", "speed"),
+    )
+
+
+def _sensed(config: EnvironmentConfig, name: str, signal: str) -> Signal:
+    sensor = config.sensors.of(signal)
+    return Signal(name, UNITS[SENSED[signal]], sensor.low, sensor.high)
+
+
+def checked_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Valve commands of the right shape, each a number from 0 to 1.
+
+    Raises
+    ------
+    ConfigError
+        Anything else; the message names the value and what is allowed.
+    """
+    try:
+        values = np.asarray(actions, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ConfigError(f"action: found {actions!r}; expected numbers of shape {shape}") from None
+    if values.shape != shape:
+        raise ConfigError(f"action: found shape {values.shape}; expected {shape}")
+    inside = (values >= 0.0) & (values <= 1.0)
+    if not inside.all():
+        place = tuple(int(i) for i in np.argwhere(~inside)[0])
+        raise ConfigError(
+            f"action: found {values[place]:g} at {list(place)}; expected finite numbers from 0 to 1"
+        )
+    return values

@@ -1,0 +1,157 @@
+"""The rollout evaluator: policies run episodes, and everything about them is kept for who judges them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import StudyError
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.scenario import Scenario
+from sayd_env.envs.draw import Episode
+from sayd_env.envs.fleet import Fleet, checked_actions
+from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, LOG, RUNNING, TERMS
+from sayd_env.physics.simulator import RUN_OUT
+
+Array = npt.NDArray[np.float64]
+
+
+class Policy(Protocol):
+    """What acts: a reference controller, a learned policy, a model of Stable-Baselines3."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any | None = None,
+        episode_start: Any | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:
+        """Actions for observations of N vehicles, and the state for the next call."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """One episode of a policy, t samples and n control periods long."""
+
+    episode: Episode
+    control_period: float
+    """s."""
+    sample_rate: float
+    """Hz."""
+    run_in: int
+    """Samples before step 0."""
+    true: Array
+    """(t, LOG) true signals from the start of the run-in, by the columns of `sayd_env.envs.loop`."""
+    actions: npt.NDArray[np.float32]
+    """(n, A) valve commands."""
+    rewards: Array
+    """(n,) minus the mean of the bogies' J, by the on-line filter, without a charge for a termination."""
+    terms: Array
+    """(n, TERMS) cost of each period."""
+    ending: str | None
+    """Why the run ended early; None if it did not."""
+
+    def cost(self, seconds: float | None = None) -> tuple[float, float]:
+        """Means over the first seconds of (psi_y / y_lim)^2 and (psi_F / F_max)^2, on-line filter.
+
+        Parameters
+        ----------
+        seconds : float, optional
+            How much of the run; by default its whole seconds.
+        """
+        seconds = math.floor(len(self.terms) * self.control_period + 1e-9) if seconds is None else seconds
+        rows = self.terms[: round(seconds / self.control_period)]
+        sums = rows.sum(axis=0) / seconds
+        parts = (sums[start : start + BOGIES].mean() for start in (COST_ACCELERATION, COST_FORCE))
+        acceleration, force = parts
+        return float(acceleration), float(force)
+
+
+def assessed_steps(config: EnvironmentConfig, scenario: Scenario, speed: float) -> int:
+    """Control periods from step 0 to the end of an assessed run at a speed (m/s), and a little beyond."""
+    length = scenario.assessment.length or 0.0
+    return math.ceil((length + RUN_OUT) / speed / config.control_period) - 1
+
+
+def roll_out(
+    fleet: Fleet, policy: Policy, episodes: Sequence[Episode], steps: Sequence[int]
+) -> list[Rollout]:
+    """Run one episode with each vehicle of a fleet.
+
+    Parameters
+    ----------
+    fleet : Fleet
+        As many vehicles as episodes.
+    policy : Policy
+        Acts on the observations of all.
+    episodes : sequence of Episode
+    steps : sequence of int
+        Control periods of each; the episode's own end by time does not count.
+
+    Raises
+    ------
+    ConfigError
+        An episode that cannot be, or an action that is not allowed.
+    StudyError
+        A run whose numbers did not stay finite.
+    """
+    count, samples = fleet.count, fleet.settings.samples
+    run_in = fleet.reset(range(count), episodes, log=True)
+    before = [len(rows) for rows in run_in]
+    true = [np.empty((first + n * samples, LOG)) for first, n in zip(before, steps, strict=True)]
+    for rows, head in zip(true, run_in, strict=True):
+        rows[: len(head)] = head
+    most, shape = max(steps), (count, fleet.interface.actions)
+    actions = np.zeros((most, *shape), dtype=np.float32)
+    rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
+    log = np.empty((count, samples, LOG))
+    length = np.array(steps)
+    observation, state = fleet.observations(), None
+    start = np.ones(count, dtype=np.bool_)
+    for n in range(most):
+        action, state = policy.predict(observation, state, start, deterministic=True)
+        start[:] = False
+        actions[n] = checked_actions(action, shape)
+        active = (length > n) & (fleet.lanes.status == RUNNING)
+        if not active.any():
+            break
+        observation, _, _, _ = fleet.step(actions[n], log=log, active=active)
+        rewards[n], terms[n] = fleet.lanes.rewards, fleet.lanes.terms
+        for i in np.flatnonzero(active):
+            first = before[i] + n * samples
+            true[i][first : first + samples] = log[i]
+    return [_rollout(fleet, i, before[i], true[i], actions, rewards, terms, steps[i]) for i in range(count)]
+
+
+def _rollout(
+    fleet: Fleet,
+    i: int,
+    before: int,
+    true: Array,
+    actions: npt.NDArray[np.float32],
+    rewards: Array,
+    terms: Array,
+    steps: int,
+) -> Rollout:
+    episode = fleet.episodes[i]
+    assert episode is not None  # the reset has set it
+    ended = int(fleet.lanes.status[i]) != RUNNING
+    taken = int(fleet.elapsed[i]) if ended else steps
+    if ended and not np.all(np.isfinite(terms[:taken, i])):
+        raise StudyError(f"the run of seed {episode.seed} at {episode.speed * 3.6:g} km/h diverged")
+    return Rollout(
+        episode=episode,
+        control_period=fleet.settings.control_period,
+        sample_rate=fleet.settings.sample_rate,
+        run_in=before,
+        true=true[: before + taken * fleet.settings.samples],
+        actions=actions[:taken, i].copy(),
+        rewards=rewards[:taken, i].copy(),
+        terms=terms[:taken, i].copy(),
+        ending=fleet.ending(i) if ended else None,
+    )
