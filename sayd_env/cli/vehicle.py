@@ -135,7 +135,9 @@ def reproduce(
     scenario = scenario_from(config, assignments, friction=friction, track=track)
     job = Job("reproduce", out, as_json)
     with job.progress() as progress:
-        result = study(scenario, range(seed, seed + seeds), workers=workers, progress=progress)
+        folder = None if job.directory is None else job.directory.path / "runs"
+        chosen = range(seed, seed + seeds)
+        result = study(scenario, chosen, workers=workers, progress=progress, folder=folder)
     job.finish(result, config=scenario, seed=seed)
     if strict and result.failed:
         raise StudyError(f"rows that do not hold: {', '.join(result.failed)}")

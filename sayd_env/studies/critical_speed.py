@@ -29,7 +29,6 @@ from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.sweep import Sweep, runs_table, simulate, sweep
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
@@ -193,12 +192,8 @@ class CriticalSpeedResult:
         return np.asarray(np.median(values[:, seeds].max(axis=-1), axis=1))
 
     def _draw_trends(self, figure: Figure) -> None:
-        figure.set_size_inches(8.0, 9.0)
-        axes = figure.subplots(3, 1, sharex=True)
-        draw_trends(axes, self.sweep, self.limits, self.wheelsets)
-        axes[0].set_title(
-            f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}: medians and range of the seeds"
-        )
+        title = f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}"
+        draw_trends(figure, self.sweep, self.limits, self.wheelsets, title)
 
     def _draw_history(self, figure: Figure) -> None:
         h = self.history
@@ -215,13 +210,42 @@ class CriticalSpeedResult:
         axis.legend(loc="upper right")
 
 
-def draw_trends(axes: Sequence[Axes], sweep: Sweep, bounds: Limits, wheelsets: Sequence[str]) -> None:
-    """Draw dominant frequency, track shift force and acceleration over speed, as in figure 10."""
-    panels = (
+def draw_trends(
+    figure: Figure,
+    sweep: Sweep,
+    bounds: Limits,
+    wheelsets: Sequence[str],
+    title: str,
+    *,
+    track_shift: bool = True,
+) -> None:
+    """Draw dominant frequency, track shift force and acceleration over speed, as in figure 10.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        An empty figure.
+    sweep : Sweep
+        Runs over speeds and seeds.
+    bounds : Limits
+        Limits of EN 14363, drawn as dashed lines.
+    wheelsets : sequence of str
+        Their names.
+    title : str
+        What the runs are of.
+    track_shift : bool
+        Whether the track shift force has a panel; without it, as in figure 11.
+    """
+    panels = [
         (sweep.frequency, 1.0, "dominant frequency (Hz)", None),
         (sweep.track_shift, 1e-3, "track shift force, RMS (kN)", bounds.track_shift_force * 1e-3),
         (sweep.acceleration, 1.0, "acceleration, RMS (m/s²)", bounds.acceleration),
-    )
+    ]
+    if not track_shift:
+        del panels[1]
+    figure.set_size_inches(8.0, 3.0 * len(panels))
+    axes = figure.subplots(len(panels), 1, sharex=True)
+    axes[0].set_title(f"{title}: medians and range of the seeds")
     for axis, (values, scale, label, limit) in zip(axes, panels, strict=True):
         for k, name in enumerate(wheelsets):
             series = values[..., k] * scale

@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from pydantic import BaseModel
@@ -55,6 +55,22 @@ class Result(Protocol):
 
     def summary(self, console: Console) -> None:
         """Print what a person wants to see first."""
+
+
+@runtime_checkable
+class Paged(Protocol):
+    """What a result offers beyond `Result` if it has pages for a browser."""
+
+    def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> Mapping[str, str]:
+        """Return HTML by file name without suffix.
+
+        Parameters
+        ----------
+        images : mapping
+            The result's plots as PNG, by their names.
+        document : mapping
+            Content of ``result.json``.
+        """
 
 
 class Progress(Protocol):
@@ -97,7 +113,7 @@ class ResultDirectory:
             raise ConfigError(f"--out {path}: cannot be written ({_reason(error)})") from None
 
     def save(self, result: Result, document: Mapping[str, Any]) -> list[Path]:
-        """Write tables, plots and ``result.json``; return their paths in this order.
+        """Write tables, plots, pages if there are any, and ``result.json``; return their paths in this order.
 
         Parameters
         ----------
@@ -112,7 +128,11 @@ class ResultDirectory:
             When a file cannot be written (a full disk, a removed directory).
         """
         contents = {f"{name}.csv": csv_bytes(*table) for name, table in result.tables().items()}
-        contents |= {f"{name}.png": png_bytes(draw) for name, draw in result.plots().items()}
+        images = {name: png_bytes(draw) for name, draw in result.plots().items()}
+        contents |= {f"{name}.png": image for name, image in images.items()}
+        if isinstance(result, Paged):
+            pages = result.pages(images, document)
+            contents |= {f"{name}.html": text.encode() for name, text in pages.items()}
         contents["result.json"] = json_text(document).encode()
         return self.write(contents)
 

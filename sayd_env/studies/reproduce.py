@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
@@ -12,13 +13,17 @@ from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
+from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.claims_passive import NEW_SPEEDS, WORN_SPEEDS, passive_claims
 from sayd_env.studies.conicity import conicity, plot_conicity
+from sayd_env.studies.controlled import ControlledRuns
+from sayd_env.studies.controlled_figures import controlled_plots
 from sayd_env.studies.critical_speed import draw_trends, model_limits
 from sayd_env.studies.hysteresis import HysteresisResult, hysteresis
 from sayd_env.studies.judging import Claim, once
 from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.sweep import Sweep, runs_table, sweep
+from sayd_env.studies.reproduce_page import reproduce_page
+from sayd_env.studies.sweep import Run, Sweep, runs_table, sweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,6 +47,10 @@ class ReproduceResult:
     limits: Limits
     wheelsets: tuple[str, ...]
     loops: HysteresisResult
+    reused: int = 0
+    """Runs that an earlier start had finished."""
+    controlled: ControlledRuns | None = None
+    """Runs with semi-active dampers."""
 
     @property
     def failed(self) -> list[str]:
@@ -53,24 +62,30 @@ class ReproduceResult:
         return {"claims": [c.as_dict() for c in self.claims], "seeds": list(self.new.seeds)}
 
     def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
-        """Claims, and every run on new and worn wheels."""
+        """Claims, and every run."""
         header = ("id", "by", "expected", "measured", "fraction", "holds")
         claims = [[c.id, c.by, c.expected, c.measured, c.fraction, c.holds] for c in self.claims]
         return {
             "claims": (header, claims),
             "runs_new": runs_table(self.new, self.wheelsets),
             "runs_worn": runs_table(self.worn, self.wheelsets),
+            **({} if self.controlled is None else self.controlled.tables(self.wheelsets)),
         }
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
-        """Counterparts of the paper's figures 1, 2, 3, 8 and 10."""
-        loops = self.loops.plots()
+        """Counterparts of the paper's figures 1, 2, 3, 8 and 10, with controllers 11 to 18, too."""
+        loops, controlled = self.loops.plots(), self.controlled
         return {
             "figure_01_conicity": self._draw_conicity,
             **{f"figure_{'02' if name == 'curve' else '03'}_{name}": draw for name, draw in loops.items()},
             "figure_08_new_wheels": lambda f: self._draw_sweep(f, self.new, "new wheels"),
             "figure_10_worn_wheels": lambda f: self._draw_sweep(f, self.worn, "worn wheels"),
+            **({} if controlled is None else controlled_plots(controlled, self.limits, self.wheelsets)),
         }
+
+    def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> dict[str, str]:
+        """Claims and figures on one page, beside what the paper shows."""
+        return {"report": reproduce_page(self.claims, images, document, len(self.new.seeds))}
 
     def summary(self, console: Console) -> None:
         """Print the table of claims."""
@@ -90,12 +105,11 @@ class ReproduceResult:
             f"{held} of {len(self.claims)} rows hold"
             + (f"; not: {', '.join(self.failed)}" if self.failed else "")
         )
+        if self.reused:
+            console.print(f"{self.reused} runs had been finished by an earlier start and were not repeated")
 
     def _draw_sweep(self, figure: Figure, grid: Sweep, title: str) -> None:
-        figure.set_size_inches(8.0, 9.0)
-        axes = figure.subplots(3, 1, sharex=True)
-        draw_trends(axes, grid, self.limits, self.wheelsets)
-        axes[0].set_title(f"passive yaw dampers, {title}: medians and range of the seeds")
+        draw_trends(figure, grid, self.limits, self.wheelsets, f"passive yaw dampers, {title}")
 
     def _draw_conicity(self, figure: Figure) -> None:
         ends = [self.scenario.model_copy(update={"wear": wear}) for wear in (0.0, 1.0)]
@@ -108,6 +122,7 @@ def reproduce(
     *,
     workers: int | None = None,
     progress: Progress = silent,
+    folder: Path | None = None,
 ) -> ReproduceResult:
     """Measure rows P1 to P11 and C2 of the paper's statements.
 
@@ -121,11 +136,14 @@ def reproduce(
         Threads.
     progress : Progress
         Told after each run.
+    folder : Path, optional
+        Where finished runs are kept: after an interruption the study goes on from there, and with the same
+        inputs nothing is computed twice.
 
     Raises
     ------
     ConfigError
-        A scenario without passive yaw dampers.
+        A scenario without passive yaw dampers, or a folder that cannot be written to.
     StudyError
         A run that diverged.
     """
@@ -135,16 +153,27 @@ def reproduce(
     total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS))
     done_before = 0
     sweeps = []
-    for model, speeds in zip(models, (NEW_SPEEDS, WORN_SPEEDS), strict=True):
+    stores = [_store(folder, model) for model in models]
+    for model, speeds, store in zip(models, (NEW_SPEEDS, WORN_SPEEDS), stores, strict=True):
         report = partial(_report, progress, done_before, total)
-        sweeps.append(sweep(model, speeds, seeds, workers=workers, progress=report))
+        sweeps.append(sweep(model, speeds, seeds, workers=workers, progress=report, store=store))
         done_before += len(seeds) * len(speeds)
     new, worn = sweeps
     limits = model_limits(models[0])
     loops = hysteresis(scenario)
     claims = [*passive_claims(new, worn, limits), damper_claim(loops), model_claim(models[0])]
     names = tuple(name.removeprefix("wheelset.") for name, _ in models[0].multibody.measuring_points)
-    return ReproduceResult(scenario, claims, new, worn, limits, names, loops)
+    kept = [store for store in stores if store is not None]
+    for store in kept:
+        store.forget_former()
+    reused = sum(store.reused for store in kept)
+    return ReproduceResult(scenario, claims, new, worn, limits, names, loops, reused)
+
+
+def _store(folder: Path | None, model: VehicleModel) -> RunStore[Run] | None:
+    """Where the runs of a passive vehicle are kept."""
+    scenario = model.scenario
+    return None if folder is None else RunStore(folder, f"passive-wear-{scenario.wear:g}", Run, scenario)
 
 
 def _report(progress: Progress, before: int, total: int, done: float, _: float, what: str = "") -> None:

@@ -10,8 +10,10 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.physics.simulator import RUN_OUT, Simulator, Telemetry, VehicleModel, threads
 from sayd_env.stability import assess
+from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.output import Progress, silent
 
 Array = npt.NDArray[np.float64]
@@ -59,10 +61,15 @@ def simulate(model: VehicleModel, speed: float, seed: int) -> Telemetry:
 def assessed_run(model: VehicleModel, speed: float, seed: int) -> Run:
     """Simulate and assess one run."""
     signals = simulate(model, speed, seed)
-    settings = model.scenario.assessment
-    both = np.hstack([signals.acceleration, signals.track_shift])
-    result = assess(both, settings.sample_rate, speed, settings)
-    w = signals.acceleration.shape[1]
+    return run_from(signals.acceleration, signals.track_shift, speed, seed, model.scenario.assessment)
+
+
+def run_from(
+    acceleration: Array, track_shift: Array, speed: float, seed: int, settings: AssessmentConfig
+) -> Run:
+    """Assess the signals of a run, both of shape (t, w) and run-in included."""
+    result = assess(np.hstack([acceleration, track_shift]), settings.sample_rate, speed, settings)
+    w = acceleration.shape[1]
     f, peak = result.dominant_frequency, result.maximum
     return Run(speed, seed, f[:w], f[w:], peak[:w], peak[w:])
 
@@ -74,6 +81,7 @@ def sweep(
     *,
     workers: int | None = None,
     progress: Progress = silent,
+    store: RunStore[Run] | None = None,
 ) -> Sweep:
     """Assess a vehicle at every speed on every track realisation.
 
@@ -89,12 +97,30 @@ def sweep(
         Threads; all cores by default. The result does not depend on it.
     progress : Progress
         Told after each run.
+    store : RunStore, optional
+        Where finished runs are kept, and looked for first.
     """
     for speed in speeds:
         model.check_speed(speed)  # refused before any work
     model.table  # noqa: B018 - made once, before the threads ask for it
     cases = [(speed, seed) for seed in seeds for speed in speeds]
-    runs = parallel(lambda case: assessed_run(model, *case), cases, workers, progress)
+
+    def run(case: tuple[float, int]) -> Run:
+        if store is None:
+            return assessed_run(model, *case)
+        return store.remembered(run_name(*case), lambda: assessed_run(model, *case))
+
+    runs = parallel(run, cases, workers, progress)
+    return gathered(runs, speeds, seeds)
+
+
+def run_name(speed: float, seed: int) -> str:
+    """Name of a run in a store, from its speed (m/s) and its seed."""
+    return f"{speed * 3.6:.9g}_kmh_seed_{seed}"
+
+
+def gathered(runs: Sequence[Run], speeds: Sequence[float], seeds: Sequence[int]) -> Sweep:
+    """Put runs on a grid: all speeds (m/s, rising) of the first seed, then those of the next."""
     shape = (len(seeds), len(speeds), -1)
 
     def grid(name: str) -> Array:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +13,8 @@ import pytest
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
+from sayd_env.studies.claims_controlled import required_runs
+from sayd_env.studies.controlled import ControlledRun, ControlledRuns
 from sayd_env.studies.sweep import Sweep
 
 SHORT = ("assessment.run_in=200", "assessment.length=600")
@@ -76,3 +81,97 @@ def short_scenario() -> Scenario:
 def short_model(short_scenario: Scenario) -> VehicleModel:
     """Vehicle of the short scenario."""
     return VehicleModel(short_scenario)
+
+
+def command_of(times: Sequence[float], values: Sequence[float], duration: float = 45.0) -> np.ndarray:
+    """Make commands of both bogies every 10 ms, straight lines between given times (s) and values."""
+    course = np.interp(np.arange(round(duration * 100)) / 100, times, values)
+    return np.repeat(course[:, None], 2, axis=1).astype(np.float32)
+
+
+def make_run(policy: str = "mppt1", kmh: float = 400.0, seed: int = 0, **changes: Any) -> ControlledRun:
+    """Make a run with the given values; the others are plain: a tenth of every limit, 4 Hz, 5 % commanded."""
+    plain: dict[str, Any] = {
+        "frequency": np.full(4, 4.0),
+        "frequency_force": np.full(4, 4.0),
+        "acceleration": np.full(4, 0.1 * LIMITS.acceleration),
+        "track_shift": np.full(4, 0.1 * LIMITS.track_shift_force),
+        "initial_current": 0.0,
+        "force_rms": 3e3,
+        "force_peak": 9e3,
+        "force_power_high": 1e5,
+        "command": command_of([0], [0.05]),
+        "control_period": 0.01,
+        "force_trace": np.zeros(8000, dtype=np.float32),
+        "trace_period": 0.005,
+    }
+    return ControlledRun(policy=policy, speed=kmh / 3.6, seed=seed, **(plain | changes))
+
+
+def square(period: float) -> np.ndarray:
+    """Make commands that change between 0 and 1 twice in a period (s)."""
+    half = round(period * 50)
+    return np.repeat((np.arange(4500) // half % 2)[:, None], 2, axis=1).astype(np.float32)
+
+
+def sine(frequency: float, amplitude: float = 0.5) -> np.ndarray:
+    """Make commands that swing about 0.5."""
+    course = 0.5 + amplitude * np.sin(2 * np.pi * frequency * np.arange(4500) / 100 + 0.1)
+    return np.repeat(course[:, None], 2, axis=1).astype(np.float32)
+
+
+def paper_like(policy: str, kmh: float, initial: float, seed: int) -> dict[str, Any]:
+    """Return values of a run that shows all that the paper shows."""
+    at_300 = kmh < 310
+    if policy == "mppt1":
+        course = command_of([0, 4, 5], [1.0, 0.08, 0.07]) if initial else command_of([0, 10], [0.0, 0.08])
+        return {
+            "frequency": np.array([2.5, 6.0, 9.0, 4.0]) + 0.01 * seed,
+            "command": course,
+            "force_rms": 2.5e3 if at_300 else 3e3,
+        }
+    if policy == "mppt2":
+        course = (
+            command_of([0, 5, 10], [1.0, 0.3, 0.35]) if initial else command_of([0, 5, 10], [0.0, 0.25, 0.35])
+        )
+        return {"command": course, "force_rms": 2e3, "force_power_high": 5e4}
+    if policy == "skyhook-onoff":
+        return {"command": square(0.08), "force_peak": 11e3, "force_power_high": 4e5}
+    share = np.full(4, 0.12 * LIMITS.acceleration)
+    return {"command": sine(6.0), "acceleration": share, "force_power_high": 6e5}
+
+
+def controlled_like_paper(
+    seeds: int = 5, changes: Callable[[ControlledRun], dict[str, Any]] = lambda run: {}
+) -> ControlledRuns:
+    """Make all runs that the rows need, like the paper's but for what `changes` gives for a run."""
+    runs = [
+        make_run(
+            policy,
+            speed * 3.6,
+            seed,
+            initial_current=current,
+            **paper_like(policy, speed * 3.6, current, seed),
+        )
+        for policy, speed, current in required_runs()
+        for seed in range(seeds)
+    ]
+    return ControlledRuns(dataclasses.replace(run, **changes(run)) for run in runs)
+
+
+@pytest.fixture(scope="session")
+def controlled_run() -> Callable[..., ControlledRun]:
+    """Maker of one run of a controlled vehicle."""
+    return make_run
+
+
+@pytest.fixture(scope="session")
+def paper_runs() -> Callable[..., ControlledRuns]:
+    """Maker of all runs of the controlled vehicle, like the paper's."""
+    return controlled_like_paper
+
+
+@pytest.fixture(scope="session")
+def courses() -> SimpleNamespace:
+    """Makers of commands: `line` through points, `square` and `sine`."""
+    return SimpleNamespace(line=command_of, square=square, sine=sine)

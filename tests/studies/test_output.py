@@ -128,6 +128,18 @@ def test_a_result_is_saved_with_tables_plots_and_provenance(tmp_path: Path):
     assert files[1].read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
 
 
+def test_a_page_gets_the_stored_pictures_and_the_record(tmp_path: Path):
+    class Paged(Sine):
+        def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> Mapping[str, str]:
+            return {"report": f"<p>seed {document['seed']}: {sorted(images)}, {len(images['sine'])}</p>"}
+
+    paged = Paged(RESULT.values)
+    files = ResultDirectory(tmp_path).save(paged, document(paged, None, seed=7))
+    assert [path.name for path in files] == ["sine.csv", "sine.png", "report.html", "result.json"]
+    size = (tmp_path / "sine.png").stat().st_size
+    assert (tmp_path / "report.html").read_text() == f"<p>seed 7: ['sine'], {size}</p>"
+
+
 def test_keys_of_the_record_cannot_be_overwritten_by_a_result():
     class Clash(Sine):
         def as_dict(self) -> dict[str, Any]:

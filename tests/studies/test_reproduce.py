@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from sayd_env.cli import main
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.studies import sweep
 from sayd_env.studies.claims_passive import WORN_SPEEDS, passive_claims
+from sayd_env.studies.controlled import ControlledRuns
 from sayd_env.studies.hysteresis import hysteresis
 from sayd_env.studies.reproduce import ReproduceResult, damper_claim, model_claim, reproduce
 from sayd_env.studies.sweep import assessed_run
@@ -49,6 +53,39 @@ def test_progress_goes_on_over_both_sweeps(result: ReproduceResult, told: list[t
     assert told == [(done, 11) for done in range(1, 12)]
 
 
+class Stop(Exception):
+    pass
+
+
+def test_an_interrupted_study_goes_on_without_repeating_runs(
+    result: ReproduceResult, short_scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def stop(done: float, total: float, what: str = "") -> None:
+        if done == 4:
+            raise Stop
+
+    with pytest.raises(Stop):
+        reproduce(short_scenario, [3], workers=1, progress=stop, folder=tmp_path)
+    finished = len(list(tmp_path.glob("*/*.npz")))
+    assert 4 <= finished < 11
+
+    calls = []
+
+    def counted(*arguments: Any) -> Any:
+        calls.append(arguments)
+        return assessed_run(*arguments)
+
+    monkeypatch.setattr(sweep, "assessed_run", counted)
+    second = reproduce(short_scenario, [3], folder=tmp_path)
+    assert (len(calls), second.reused) == (11 - finished, finished)
+    assert second.claims == result.claims
+    third = reproduce(short_scenario, [3], folder=tmp_path)
+    assert (len(calls), third.reused) == (11 - finished, 11)
+    changed = short_scenario.model_copy(update={"friction": 0.3})
+    assert reproduce(changed, [3], folder=tmp_path).reused == 0
+    assert len(calls) == 22 - finished
+
+
 def test_wear_is_0_and_1_in_turn(result: ReproduceResult, short_scenario: Scenario):
     for grid, wear in ((result.new, 0.0), (result.worn, 1.0)):
         model = VehicleModel(short_scenario.model_copy(update={"wear": wear}))
@@ -81,6 +118,20 @@ def test_the_command_writes_claims_and_figures(tmp_path: Path, capsys: pytest.Ca
     assert {"result.json", "claims.csv", "runs_new.csv", "runs_worn.csv"} <= files
     assert {"figure_01_conicity.png", "figure_08_new_wheels.png", "figure_10_worn_wheels.png"} <= files
     assert {name[:9] for name in files if name.startswith("figure")} >= {"figure_02", "figure_03"}
+    page = (tmp_path / "report.html").read_text()
+    assert page.count('src="data:image/png;base64,') == len([f for f in files if f.endswith(".png")])
+    assert "track_seeds" not in page  # the estimates are not calibrated
+    assert main(["reproduce", *SHORT, "--seeds", "1", "--out", str(tmp_path)]) == 0
+    assert "11 runs had been finished by an earlier start and were not repeated" in capsys.readouterr().out
+
+
+def test_controllers_add_their_figures_and_tables(
+    result: ReproduceResult, paper_runs: Callable[..., ControlledRuns]
+):
+    both = dataclasses.replace(result, controlled=paper_runs(1))
+    added = set(both.plots()) - set(result.plots())
+    assert {name[:9] for name in added} == {f"figure_{i}" for i in range(11, 19)}
+    assert set(both.tables()) - set(result.tables()) == {"runs_controlled", "dampers_controlled"}
 
 
 def test_strict_fails_with_the_rows_that_do_not_hold(capsys: pytest.CaptureFixture[str]):
