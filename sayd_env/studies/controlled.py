@@ -10,8 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import decimate, welch
 
-from sayd_env.config import DataError
+from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.envs.loop import LOG_ACCELERATION, LOG_FORCE, LOG_HYDRAULIC, LOG_TRACK_SHIFT
+from sayd_env.envs.rollout import Rollout
 from sayd_env.stability import assessed_span, distance_run
 from sayd_env.studies.sweep import Array, Run, Sweep, gathered, run_from, runs_table
 
@@ -123,6 +125,52 @@ def controlled_run_from(
         control_period=control_period,
         force_trace=trace,
         trace_period=trace_period,
+    )
+
+
+def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig) -> ControlledRun:
+    """Assess a rollout whose policy commands each bogie.
+
+    Parameters
+    ----------
+    policy : str
+        Name of the controller.
+    rollout : Rollout
+        Run-in and at least the assessed length.
+    settings : AssessmentConfig
+        The procedure.
+
+    Raises
+    ------
+    StudyError
+        The run ended early.
+    ConfigError
+        The environment's run-in is not the assessment's.
+    """
+    episode, rate = rollout.episode, rollout.sample_rate
+    if rollout.ending is not None:
+        raise StudyError(
+            f"the run of '{policy}' at {episode.speed * KMH:g} km/h, seed {episode.seed}, ended: "
+            f"{rollout.ending}"
+        )
+    late = rollout.run_in / rate - settings.run_in / episode.speed
+    if not -1.5 / rate < late < rollout.control_period + 1.5 / rate:  # a whole number of periods
+        raise ConfigError(
+            f"assessment.run_in: found {settings.run_in:g} m, while the environment runs in for "
+            f"{rollout.run_in / rate * episode.speed:.0f} m; expected the same"
+        )
+    signals = rollout.true
+    return controlled_run_from(
+        policy,
+        episode.speed,
+        episode.seed,
+        episode.initial_current,
+        acceleration=signals[:, LOG_ACCELERATION:LOG_TRACK_SHIFT],
+        track_shift=signals[:, LOG_TRACK_SHIFT:LOG_FORCE],
+        damper_force=signals[:, LOG_FORCE:LOG_HYDRAULIC],
+        command=rollout.actions,
+        control_period=rollout.control_period,
+        settings=settings,
     )
 
 

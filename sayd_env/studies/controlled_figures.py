@@ -113,6 +113,7 @@ def draw_switching(figure: Figure, run: ControlledRun, title: str) -> None:
         column[1].set(xlabel="time since the first command (s)", xlim=span)
     panels[0, 0].set(title=f"{title}, seed {run.seed}: rear bogie", ylabel="command (%)", ylim=(-5, 105))
     panels[0, 1].set_title("detail")
+    panels[1, 1].locator_params(axis="x", nbins=4)
     panels[1, 0].set_ylabel("force of one damper (kN)")
 
 

@@ -257,6 +257,7 @@ def draw_trends(
             )
         if limit is not None:
             axis.axhline(limit, color="k", linestyle="--", label="limit")
+            axis.set_ylim(bottom=0.0)  # so that the margin to the limit is seen
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
     axes[-1].set_xlabel("speed (km/h)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from sayd_env.config import ConfigError, Model
 from sayd_env.studies import checkpoint
 from sayd_env.studies.checkpoint import RunStore, fingerprint
+from sayd_env.studies.controlled import ControlledRun
 
 
 class Inputs(Model):
@@ -48,6 +50,15 @@ def test_a_run_comes_back_bit_for_bit(store: RunStore[Toy], tmp_path: Path):
     assert [type(x) for x in (found.speed, found.seed, found.policy)] == [float, int, str]
     assert (found.values == TOY.values).all()
     assert (found.command == TOY.command).all()
+    assert found.command.dtype == np.float32
+
+
+def test_a_controlled_run_comes_back(controlled_run: Callable[..., ControlledRun], tmp_path: Path):
+    run = controlled_run("skyhook-onoff", 350, 3)
+    RunStore(tmp_path, "skyhook", ControlledRun, Inputs(), {"closed": 0.0}).put("350_kmh_seed_3", run)
+    found = RunStore(tmp_path, "skyhook", ControlledRun, Inputs(), {"closed": 0.0}).get("350_kmh_seed_3")
+    assert found is not None
+    assert same(found, run)
     assert found.command.dtype == np.float32
 
 
@@ -150,7 +161,7 @@ def test_a_renamed_run_is_not_taken_for_another(store: RunStore[Toy], tmp_path: 
     assert store.get("b") is None
 
 
-def same(one: Toy, other: Toy) -> bool:
+def same(one: Any, other: Any) -> bool:
     return all(np.array_equal(value, getattr(other, name)) for name, value in vars(one).items())
 
 

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sayd_env.config import DataError
+from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import AssessmentConfig, load_assessment
+from sayd_env.envs.loop import LOG
+from sayd_env.envs.rollout import Rollout
 from sayd_env.studies.controlled import (
     SAYD_SPEEDS,
     ControlledRun,
     ControlledRuns,
     controlled_run_from,
+    controlled_run_of,
     high_frequency_power,
 )
 
@@ -120,6 +125,33 @@ def test_unfit_signals_are_refused(
 ):
     with pytest.raises(DataError, match=problem):
         controlled_run_from("x", SPEED, 0, 0.0, **(signals | change), settings=settings)
+
+
+@pytest.fixture
+def rollout(signals: dict[str, Any]) -> Rollout:
+    """The same signals as a policy's run; the run-in is rounded up to a whole control period."""
+    true = np.zeros((len(TIME), LOG))
+    true[:, :4], true[:, 4:8], true[:, 8:16] = (
+        signals[key] for key in ("acceleration", "track_shift", "damper_force")
+    )
+    episode: Any = SimpleNamespace(speed=SPEED, seed=7, initial_current=0.25)
+    actions = signals["command"].astype(np.float32)
+    return Rollout(episode, 0.01, 1000.0, 5010, true, actions, np.zeros(5150), np.zeros((5150, 4)), None)
+
+
+def test_a_rollout_is_assessed_as_its_signals_are(
+    rollout: Rollout, run: ControlledRun, settings: AssessmentConfig
+):
+    found = controlled_run_of("mppt1", rollout, settings)
+    for name, value in vars(run).items():
+        assert np.array_equal(getattr(found, name), value), name
+
+
+def test_a_rollout_that_cannot_be_assessed_is_refused(rollout: Rollout, settings: AssessmentConfig):
+    with pytest.raises(StudyError, match=r"'mppt1' at 360 km/h, seed 7, ended: a wheel climbed"):
+        controlled_run_of("mppt1", dataclasses.replace(rollout, ending="a wheel climbed"), settings)
+    with pytest.raises(ConfigError, match="found 500 m, while the environment runs in for 200 m"):
+        controlled_run_of("mppt1", dataclasses.replace(rollout, run_in=2000), settings)
 
 
 def test_the_grid_is_that_of_figures_11_to_17():
