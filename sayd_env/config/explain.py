@@ -14,6 +14,8 @@ Path = tuple[int | str, ...]
 """Way to a value in nested data."""
 
 LONGEST_FOUND = 60
+TAGS = ("type", "law", "kind")
+"""Fields by which the members of a union are told apart."""
 
 
 @dataclass(frozen=True)
@@ -133,24 +135,28 @@ def _sentence(model: type[BaseModel], data: Any, problem: _Problem) -> str:
         allowed = sorted(_fields_at(model, detail["loc"][:-1]))
         return f"unknown key '{key}'{nearest(str(path[-1]), allowed)}; allowed here: {', '.join(allowed)}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
-        return _wrong_tag(detail, key)
+        return _wrong_tag(model, detail, key)
     value = detail["input"]
     if kind == "value_error" and (isinstance(value, Mapping) or len(repr(value)) > LONGEST_FOUND):
         return f"{key}: {_expectation(detail)}{about}" if key else _expectation(detail)
     return f"{key}: found {shown(value)}; {_expectation(detail)}{about}"
 
 
-def _wrong_tag(detail: ErrorDetails, key: str) -> str:
+def _wrong_tag(model: type[BaseModel], detail: ErrorDetails, key: str) -> str:
     allowed = [word.strip(" '") for word in str(detail["ctx"].get("expected_tags", "")).split(",") if word]
+    field = str(detail["ctx"]["discriminator"]).strip("'")
+    members = [m for m in _walk(model, detail["loc"]) if field in m.model_fields]
+    allowed = allowed or [tag for m in members for tag in get_args(m.model_fields[field].annotation)]
     tags = f"; expected {', '.join(allowed)}" if allowed else ""
     if detail["type"] == "union_tag_invalid":
         found = str(detail["ctx"]["tag"])
-        return f"{key}.type: found '{found}'{nearest(found, allowed)}{tags}"
+        return f"{key}.{field}: found '{found}'{nearest(found, allowed)}{tags}"
     names = detail["input"] if isinstance(detail["input"], Mapping) else {}
-    close = _closest("type", [str(name) for name in names])
+    known = _fields_at(model, detail["loc"])
+    close = _closest(field, [str(name) for name in names if name not in known])
     if close is not None:
-        return f"unknown key '{key}.{close}', did you mean 'type'?"
-    return f"key '{key}.type' is missing: it says of which kind the entry is{tags}"
+        return f"unknown key '{key}.{close}', did you mean '{field}'?"
+    return f"key '{key}.{field}' is missing: it says of which kind the entry is{tags}"
 
 
 _EXPECTATIONS = {
@@ -216,7 +222,7 @@ def _data_path(data: Any, location: Path) -> Path:
     for place, part in enumerate(location):
         last = place == len(location) - 1
         if isinstance(node, Mapping):
-            if node.get("type") == part and not (last and part in node):
+            if part in [node.get(tag) for tag in TAGS] and not (last and part in node):
                 continue
             node = node.get(part)
         elif isinstance(node, list | tuple) and isinstance(part, int) and part < len(node):
@@ -269,8 +275,8 @@ def _fields_at(model: type[BaseModel], location: Path) -> set[str]:
 
 
 def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
-    field = model.model_fields.get("type")
-    return get_args(field.annotation) if field is not None else ()
+    fields = [model.model_fields[tag] for tag in TAGS if tag in model.model_fields]
+    return tuple(value for field in fields for value in get_args(field.annotation))
 
 
 def _description(model: type[BaseModel], location: Path) -> str:

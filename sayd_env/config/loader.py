@@ -33,7 +33,7 @@ __all__ = [
 
 M = TypeVar("M", bound=BaseModel)
 
-KINDS = ("vehicle", "damper", "profile", "track", "sensors", "control", "train", "study")
+KINDS = ("vehicle", "damper", "profile", "track", "sensors", "control", "env", "train", "study")
 
 
 _MERGE = "tag:yaml.org,2002:merge"

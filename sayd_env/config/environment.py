@@ -1,0 +1,330 @@
+"""What an environment is, as data: vehicle, sensors, clock, ending, and the laws of what an episode draws."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from sayd_env.config.base import Model, quantity
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.explain import Origin, nearest
+from sayd_env.config.fault import FaultsConfig
+from sayd_env.config.law import Law
+from sayd_env.config.loader import (
+    apply_overrides,
+    assigned,
+    beside,
+    is_path,
+    read_config,
+    section,
+    validate,
+)
+from sayd_env.config.sensors import SAMPLE, SensorsConfig, is_multiple
+from sayd_env.config.track import IrregularityConfig, NoIrregularityConfig, read_track
+
+PERIODS = tuple(n for n in range(1, 1001) if 1000 % n == 0)
+"""Control periods that divide a second (ms)."""
+
+
+class Limits(NamedTuple):
+    """Values that a quantity of an episode may have."""
+
+    low: float
+    high: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g} {self.unit}".removesuffix(" -")
+
+
+LIMITS: Mapping[str, Limits] = MappingProxyType(
+    {
+        "speed_kmh": Limits(30.0, 500.0, "km/h"),
+        "wear": Limits(0.0, 1.0, "-"),
+        "friction": Limits(0.05, 1.0, "-"),
+        "payload": Limits(-0.5, 0.5, "-"),
+        "initial_current": Limits(0.0, 1.0, "-"),
+        "track_scale": Limits(0.0, 5.0, "-"),
+        "sensor_bias": Limits(-10.0, 10.0, "-"),
+        "sensor_noise": Limits(0.0, 100.0, "-"),
+        "factor": Limits(0.1, 10.0, "-"),
+    }
+)
+"""For an option of an episode and for the law of a draw alike. (The vehicle's speeds may reach less far.)"""
+
+TOLERANT = ("vehicle", "track", "contact_damping", "sayd", "passive")
+"""Where a key may begin that tolerances scale: sections of a scenario, or one of its two kinds of damper."""
+
+
+def within(law: Law, name: str) -> Law:
+    """Return a law of a quantity of `LIMITS`.
+
+    Raises
+    ------
+    ValueError
+        The law reaches beyond what is allowed.
+    """
+    (low, high), allowed = law.bounds, LIMITS[name]
+    if low < allowed.low or high > allowed.high:
+        raise ValueError(f"the law reaches from {low:g} to {high:g}; allowed are {allowed}")
+    return law
+
+
+class TrackClass(Model):
+    """A track whose irregularities an episode may have; section and gauge stay those of the scenario."""
+
+    name: str = Field(min_length=1, description="Name of a track, or a path to its YAML file")
+    weight: float = quantity("-", "How often it comes, against the others", default=1.0, ge=0.0)
+    scale: Law | None = Field(
+        None, description="Factor on all amplitudes (-), in place of the track's own; null: its own"
+    )
+
+    @model_validator(mode="after")
+    def _known(self) -> TrackClass:
+        try:
+            irregularity = read_track(self.name).irregularity
+        except ConfigError as error:
+            raise ValueError(f"name: {error}") from None
+        if self.scale is not None:
+            within(self.scale, "track_scale")
+            scalable(irregularity, self.name)
+        return self
+
+
+def scalable(irregularity: IrregularityConfig, name: str) -> None:
+    """Check that irregularities have an amplitude.
+
+    Raises
+    ------
+    ValueError
+        An even track.
+    """
+    if isinstance(irregularity, NoIrregularityConfig):
+        raise ValueError(f"track '{name}' is even: it has nothing to scale")
+
+
+class ToleranceConfig(Model):
+    """Numbers of the scenario that a factor scales together."""
+
+    keys: tuple[str, ...] = Field(
+        min_length=1,
+        description="Dotted keys of the scenario; sayd. and passive. stand for the damper, where it is of "
+        "this type. Lists are scaled as a whole, curves in their ordinates",
+    )
+    factor: Law = Field(description="The factor (-)")
+
+    @field_validator("keys")
+    @classmethod
+    def _begins_well(cls, keys: tuple[str, ...]) -> tuple[str, ...]:
+        for key in keys:
+            first = key.partition(".")[0]
+            if first not in TOLERANT:
+                raise ValueError(
+                    f"key '{key}' begins with '{first}'{nearest(first, TOLERANT)}; allowed are "
+                    f"{', '.join(TOLERANT)}"
+                )
+        return keys
+
+    @field_validator("factor")
+    @classmethod
+    def _moderate(cls, law: Law) -> Law:
+        return within(law, "factor")
+
+
+class RandomisationConfig(Model):
+    """The laws of what an episode draws."""
+
+    speed_kmh: Law = Field(description="Speed (km/h)")
+    wear: Law | None = Field(description="Wear of the treads, 0 new, 1 worn (-); null: the study's")
+    friction: Law | None = Field(description="Coefficient of friction (-); null: the study's")
+    payload: Law = Field(description="Change of the carbody's mass and inertia, as a share of it (-)")
+    initial_current: Law = Field(description="Valve command during the run-in (-)")
+    sensor_bias: Law = Field(description="Error of each sensor, as a share of its bias_spread (-)")
+    sensor_noise: Law = Field(description="Factor on the noise of each sensor (-)")
+    tracks: tuple[TrackClass, ...] = Field((), description="Classes of track; none: the study's track")
+    tolerances: dict[str, ToleranceConfig] = Field({}, description="Groups of numbers that vary together")
+
+    @field_validator(
+        "speed_kmh", "wear", "friction", "payload", "initial_current", "sensor_bias", "sensor_noise"
+    )
+    @classmethod
+    def _allowed(cls, law: Law | None, info: ValidationInfo) -> Law | None:
+        return None if law is None else within(law, str(info.field_name))
+
+    @field_validator("tracks")
+    @classmethod
+    def _some_weight(cls, tracks: tuple[TrackClass, ...]) -> tuple[TrackClass, ...]:
+        if tracks and sum(track.weight for track in tracks) == 0.0:
+            raise ValueError("at least one weight must be positive")
+        return tracks
+
+    @field_validator("tolerances")
+    @classmethod
+    def _once(cls, groups: dict[str, ToleranceConfig]) -> dict[str, ToleranceConfig]:
+        owner: dict[str, str] = {}
+        for name, group in groups.items():
+            for key in group.keys:
+                if key in owner:
+                    raise ValueError(f"key '{key}' stands in two groups, '{owner[key]}' and '{name}'")
+                owner[key] = name
+        return groups
+
+
+class DerailmentConfig(Model):
+    """When a run is about to derail (a wheel that leaves the contact table has derailed)."""
+
+    quotient: float = quantity("-", "Limit of Y/Q of a wheel", gt=0.0, le=5.0)
+    duration: float = quantity("s", "Time for which Y/Q may stay beyond the limit", ge=0.0, le=1.0)
+
+
+class EnvironmentConfig(Model):
+    """An environment: everything but the seed."""
+
+    description: str = ""
+    study: str = Field(min_length=1, description="Scenario: name of a packaged study, or a path")
+    damper: Literal["sayd", "passive"] = Field(description="Kind of the vehicle's yaw dampers")
+    sensors: SensorsConfig
+    control_period: float = quantity("s", "Time for which a command holds", gt=0.0, le=1.0)
+    episode_s: float = quantity("s", "Time at which an episode is truncated", gt=0.0)
+    run_in: float = quantity("m", "Distance before step 0, with the initial current", ge=0.0, le=10e3)
+    valves: Literal["bogie", "damper", "vehicle"] = Field(description="Which valves a command goes to")
+    observation: Literal["signals", "history", "features"] = Field(description="What an observation is")
+    history: int = quantity("-", "Number of vectors in an observation of type 'history'", ge=1, le=1000)
+    derailment: DerailmentConfig
+    termination_cost: float = quantity("-", "J_term, charged for each remaining second", ge=0.0)
+    randomisation: RandomisationConfig
+    faults: FaultsConfig | None = Field(None, description="Faults; null: none")
+
+    @field_validator("control_period")
+    @classmethod
+    def _divides_a_second(cls, period: float) -> float:
+        if not (is_multiple(period, SAMPLE) and 1000 % round(period / SAMPLE) == 0):
+            raise ValueError(
+                "expected a whole number of milliseconds that divides a second: "
+                f"{', '.join(map(str, PERIODS))} ms"
+            )
+        return period
+
+    @model_validator(mode="after")
+    def _whole_periods(self) -> EnvironmentConfig:
+        if not is_multiple(self.episode_s, self.control_period):
+            raise ValueError(
+                f"episode_s ({self.episode_s:g} s) must be a multiple of control_period "
+                f"({self.control_period:g} s)"
+            )
+        return self
+
+
+def load_environment(name: str = "nominal", overrides: Iterable[str] = ()) -> EnvironmentConfig:
+    """Read an environment.
+
+    Parameters
+    ----------
+    name : str
+        A packaged environment (``nominal``, ``randomized``, ``faults``) or a path to a YAML file. A file
+        needs only the keys in which it differs from its ``base`` (``nominal`` unless it names another, or
+        null); a law or a list replaces the base's as a whole. Paths in it are relative to it.
+    overrides : iterable of str
+        ``key=value`` assignments, applied last, for example ``control_period=0.02`` or ``sensors=realistic``.
+
+    Raises
+    ------
+    ConfigError
+        A file, key or value that cannot be used; the message names it and what is allowed.
+    """
+    data, origins = _stacked(name, ())
+    for item in overrides:
+        changed = apply_overrides(data, [item])
+        origins = (*origins, assigned(data, item))
+        data, found = _with_sensors(changed, origins[-1].source)
+        origins += found
+    return validate(EnvironmentConfig, data, _source(name), origins)
+
+
+def _source(name: str) -> str:
+    return name if is_path(name) else f"configs/env/{name}.yaml"
+
+
+def _stacked(name: str, users: tuple[str, ...]) -> tuple[dict[str, Any], tuple[Origin, ...]]:
+    """Content of an environment on top of the one that its `base` names, and which file set what."""
+    content, source = read_config("env", name)
+    own = dict(section(content, source))
+    base, folder = own.pop("base", "nominal"), Path(source).parent
+    if base is not None and not isinstance(base, str):
+        raise ConfigError(
+            f"{source}: base: found {base!r}; expected the name of an environment, a path or null"
+        )
+    users = (*users, str(Path(source).resolve()))
+    base = None if base is None else beside(base, folder)
+    if base is not None and str(Path(_source(base)).resolve()) in users:
+        raise ConfigError(f"{source}: base: '{base}' stands on this file itself")
+    below: tuple[dict[str, Any], tuple[Origin, ...]] = ({}, ())
+    if base is not None:
+        below = _stacked(base, users)
+    own, found = _with_sensors(_placed(own, folder), source)
+    set_here = tuple(Origin(path, source) for path in _paths(own))
+    return _merged(below[0], own), (*below[1], *set_here, *found)
+
+
+def _placed(own: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Content whose paths are seen from the folder of its file."""
+    result = dict(own)
+    for key in ("study", "sensors"):
+        if isinstance(own.get(key), str):
+            result[key] = beside(own[key], folder)
+    randomisation = own.get("randomisation")
+    tracks = randomisation.get("tracks") if isinstance(randomisation, dict) else None
+    if isinstance(randomisation, dict) and isinstance(tracks, list):
+        result["randomisation"] = randomisation | {
+            "tracks": [_placed_track(track, folder) for track in tracks]
+        }
+    return result
+
+
+def _placed_track(track: Any, folder: Path) -> Any:
+    if not isinstance(track, dict) or not isinstance(track.get("name"), str):
+        return track
+    return track | {"name": beside(track["name"], folder)}
+
+
+def _with_sensors(data: dict[str, Any], source: str) -> tuple[dict[str, Any], tuple[Origin, ...]]:
+    """Replace the name of a set of sensors by its content."""
+    named = data.get("sensors")
+    if isinstance(named, str):
+        content, found = read_config("sensors", named)
+        return data | {"sensors": section(content, found)}, (Origin(("sensors",), found, own=True),)
+    if "sensors" in data and not isinstance(named, dict):
+        raise ConfigError(
+            f"{source}: sensors: found {named!r}; expected the name of a set of sensors, a path or keys "
+            "and values"
+        )
+    return data, ()
+
+
+def _stands_alone(content: Any) -> bool:
+    """Whether content replaces what is below as a whole: a value, a list, a law, a named section."""
+    return not isinstance(content, dict) or "law" in content or "name" in content
+
+
+def _merged(below: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    result = dict(below)
+    for key, value in own.items():
+        under = below.get(key)
+        alone = _stands_alone(value) or not isinstance(under, dict)
+        result[key] = value if alone else _merged(under, value)  # type: ignore[arg-type]
+    return result
+
+
+def _paths(content: dict[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Paths of what a section sets."""
+    found = []
+    for key, value in content.items():
+        if _stands_alone(value):
+            found.append((*above, key))
+        else:
+            found += _paths(value, (*above, key))
+    return found

@@ -1,0 +1,222 @@
+"""Faults of valves, dampers and sensors: one that happens, and the laws by which they are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, field_validator
+
+from sayd_env.config.base import Model, quantity
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.explain import shown
+from sayd_env.config.law import ChoiceLaw, FixedLaw, Law
+from sayd_env.config.loader import nearest, validate
+from sayd_env.config.sensors import DAMPERS, KINDS, SIGNALS, SensorKind
+
+MOST_FAULTS = 8
+"""Most faults of an episode that is drawn: every damper can have one."""
+
+
+def _damper(name: str) -> str:
+    if name not in DAMPERS:
+        raise ValueError(f"expected the name of a damper{nearest(name, DAMPERS)}: {', '.join(DAMPERS)}")
+    return name
+
+
+def _signal(name: str) -> str:
+    if name not in SIGNALS:
+        groups = ", ".join(dict.fromkeys(signal.partition(".")[0] for signal in SIGNALS))
+        raise ValueError(
+            f"expected the name of a signal{nearest(name, SIGNALS)}: one of {groups}, and its place, "
+            "for example stroke.front.left.upper"
+        )
+    return name
+
+
+DamperName = Annotated[str, AfterValidator(_damper)]
+SignalName = Annotated[str, AfterValidator(_signal)]
+
+
+class _Fault(Model):
+    start_s: float = quantity("s", "Time after step 0 at which it happens", default=0.0, ge=0.0)
+
+
+class _DamperFault(_Fault):
+    damper: DamperName = Field(description="Damper, such as front.left.upper")
+
+
+class _SensorFault(_Fault):
+    signal: SignalName = Field(description="Signal, such as stroke.front.left.upper")
+
+
+class ValveStuck(_DamperFault):
+    """The valve stays where it is told here, whatever the command."""
+
+    kind: Literal["valve_stuck"]
+    current: float = quantity(
+        "-", "Current at which the valve is stuck: 0 closed, 1 open, or between them", ge=0.0, le=1.0
+    )
+
+
+class PowerLost(_DamperFault):
+    """The coil has no power: the valve goes to the fail-safe state of its hardware."""
+
+    kind: Literal["power_lost"]
+
+
+class DamperLost(_DamperFault):
+    """The damper is torn off and has no force."""
+
+    kind: Literal["damper_lost"]
+
+
+class SensorDead(_SensorFault):
+    """The sensor no longer follows its signal: it reads what it would read of zero."""
+
+    kind: Literal["sensor_dead"]
+
+
+class SensorFrozen(_SensorFault):
+    """The sensor repeats its last reading."""
+
+    kind: Literal["sensor_frozen"]
+
+
+class SensorBiased(_SensorFault):
+    """An error is added to the readings."""
+
+    kind: Literal["sensor_biased"]
+    bias: float = quantity("unit of the signal", "Error, beside the sensor's own bias")
+
+
+class SensorNoisy(_SensorFault):
+    """The sensor's noise is replaced by a larger one."""
+
+    kind: Literal["sensor_noisy"]
+    noise: float = quantity("unit of the signal", "RMS of a sample's noise, in place of the sensor's", ge=0.0)
+
+
+Fault = Annotated[
+    ValveStuck | PowerLost | DamperLost | SensorDead | SensorFrozen | SensorBiased | SensorNoisy,
+    Field(discriminator="kind"),
+]
+
+
+class _Faults(Model):
+    faults: tuple[Fault, ...]
+
+
+def parse_faults(raw: Any, source: str) -> tuple[Fault, ...]:
+    """Read a list of faults, each given by keys and values.
+
+    Parameters
+    ----------
+    raw : iterable of mappings
+        For example ``{"kind": "valve_stuck", "damper": "front.left.upper", "current": 0.3, "start_s": 5.0}``
+        or ``{"kind": "sensor_dead", "signal": "speed"}``.
+    source : str
+        What a message calls the place of the list.
+
+    Raises
+    ------
+    ConfigError
+        Not a list, or a fault that cannot be.
+    """
+    if isinstance(raw, str) or not isinstance(raw, Iterable):
+        raise ConfigError(f"{source}: faults: found {shown(raw)}; expected a list of faults")
+    return validate(_Faults, {"faults": [_plain(entry) for entry in raw]}, source).faults
+
+
+def _plain(entry: Any) -> Any:
+    """Entry with Python's numbers in place of NumPy's, which are no floats to a strict schema."""
+    if not isinstance(entry, dict):
+        return entry
+    return {key: value.item() if isinstance(value, np.generic) else value for key, value in entry.items()}
+
+
+class _FaultLaw(Model):
+    weight: float = quantity("-", "How often this one comes, against the others", default=1.0, ge=0.0)
+
+
+class ValveStuckLaw(_FaultLaw):
+    """A valve of any damper that sticks at a drawn opening."""
+
+    kind: Literal["valve_stuck"]
+    current: Law = Field(description="Current at which it is stuck (-)")
+
+    @field_validator("current")
+    @classmethod
+    def _opening(cls, law: Law) -> Law:
+        low, high = law.bounds
+        if low < 0.0 or high > 1.0:
+            raise ValueError(f"the law reaches from {low:g} to {high:g}; allowed are 0 to 1")
+        return law
+
+
+class DamperFaultLaw(_FaultLaw):
+    """A fault of any damper that has no further measure."""
+
+    kind: Literal["power_lost", "damper_lost"]
+
+
+class SensorFaultLaw(_FaultLaw):
+    """A fault of any sensor of some kinds that has no further measure."""
+
+    kind: Literal["sensor_dead", "sensor_frozen"]
+    sensors: tuple[SensorKind, ...] = Field(KINDS, min_length=1, description="Kinds of sensors")
+
+
+class SensorErrorLaw(_FaultLaw):
+    """An error of any sensor of some kinds: biased to either side, or noisy."""
+
+    kind: Literal["sensor_biased", "sensor_noisy"]
+    sensors: tuple[SensorKind, ...] = Field(KINDS, min_length=1, description="Kinds of sensors")
+    share: Law = Field(description="Size of the error, as a share of half the sensor's range (-)")
+
+    @field_validator("share")
+    @classmethod
+    def _positive(cls, law: Law) -> Law:
+        low, high = law.bounds
+        if low < 0.0 or high > 1.0:
+            raise ValueError(f"the law reaches from {low:g} to {high:g}; allowed are 0 to 1")
+        return law
+
+
+FaultLaw = Annotated[
+    ValveStuckLaw | DamperFaultLaw | SensorFaultLaw | SensorErrorLaw, Field(discriminator="kind")
+]
+
+
+class FaultsConfig(Model):
+    """How many faults an episode has, when, and which."""
+
+    count: Annotated[FixedLaw | ChoiceLaw, Field(discriminator="law")] = Field(
+        description="Number of faults (-)"
+    )
+    onset: Law = Field(description="Time after step 0 at which a fault happens (s)")
+    kinds: tuple[FaultLaw, ...] = Field(min_length=1, description="The faults, with their weights")
+
+    @field_validator("count")
+    @classmethod
+    def _countable(cls, law: FixedLaw | ChoiceLaw) -> FixedLaw | ChoiceLaw:
+        values = law.values if isinstance(law, ChoiceLaw) else (law.value,)
+        wrong = [value for value in values if value not in range(MOST_FAULTS + 1)]
+        if wrong:
+            raise ValueError(f"the law has {wrong[0]:g}; allowed are whole numbers from 0 to {MOST_FAULTS}")
+        return law
+
+    @field_validator("onset")
+    @classmethod
+    def _after_the_start(cls, law: Law) -> Law:
+        if law.bounds[0] < 0.0:
+            raise ValueError(f"the law reaches down to {law.bounds[0]:g} s; allowed are 0 s and more")
+        return law
+
+    @field_validator("kinds")
+    @classmethod
+    def _some_weight(cls, kinds: tuple[FaultLaw, ...]) -> tuple[FaultLaw, ...]:
+        if sum(law.weight for law in kinds) == 0.0:
+            raise ValueError("at least one weight must be positive")
+        return kinds
