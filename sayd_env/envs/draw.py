@@ -1,0 +1,304 @@
+"""What an episode is: its conditions and faults, drawn from the seed, fixed by options, put into a scenario.
+
+Seeds
+-----
+Episode k of seed s has the seed sequence [s, k]. The track uses this sequence itself, so that the track of
+episode 0 is that of seed s in the studies. Every other component has a child of its own, spawn key (1,) to
+(5,), and every quantity of the scenario has a child of that by its name. So no draw shifts another one:
+neither an option, nor a law that is exchanged, nor the length of the episodes before.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from operator import itemgetter
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import ConfigError, validate
+from sayd_env.config.environment import EnvironmentConfig, TrackClass, scalable
+from sayd_env.config.fault import (
+    MOST_FAULTS,
+    DamperFaultLaw,
+    Fault,
+    FaultsConfig,
+    SensorErrorLaw,
+    ValveStuckLaw,
+    parse_faults,
+)
+from sayd_env.config.law import chosen
+from sayd_env.config.loader import is_path
+from sayd_env.config.scaling import scaled
+from sayd_env.config.scenario import Scenario
+from sayd_env.config.sensors import DAMPERS, SIGNALS, SensorConfig, SensorsConfig
+from sayd_env.config.track import IrregularityConfig, read_track
+from sayd_env.envs.options import NUMBERS, EpisodeOptions, checked_options, whole_number
+
+Array = npt.NDArray[np.float64]
+Component = Literal["scenario", "sensors", "faults", "noise", "spare"]
+STREAMS: Mapping[Component, int] = {"scenario": 1, "sensors": 2, "faults": 3, "noise": 4, "spare": 5}
+"""Spawn keys of the components' random streams."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """The conditions of one episode."""
+
+    seed: int
+    """Seed s of the environment."""
+    number: int
+    """Number k of the episode."""
+    speed: float
+    """m/s."""
+    wear: float | None
+    """0 new to 1 worn; None: the scenario's."""
+    friction: float | None
+    """Coefficient of friction; None: the scenario's."""
+    payload: float
+    """Change of the carbody's mass and inertia, as a share of it."""
+    initial_current: float
+    """Valve command during the run-in, 0 closed to 1 open."""
+    track: str | None
+    """Track whose irregularities the episode has; None: the scenario's."""
+    irregularity: IrregularityConfig | None = field(repr=False)
+    """These irregularities, at the scale of their file; None: the scenario's."""
+    track_scale: float | None
+    """Factor on their amplitudes, in place of their own; None: their own."""
+    tolerances: Mapping[str, float] = field(repr=False)
+    """Factor on each of some numbers of the scenario; keys as in `ToleranceConfig`."""
+    sensor_bias: Array = field(repr=False)
+    """(41,) error of each signal's sensor beside its configured bias, in the signal's unit, as `SIGNALS`."""
+    sensor_noise: Array = field(repr=False)
+    """(41,) factor on the noise of each signal's sensor."""
+    faults: tuple[Fault, ...]
+    """What happens to valves, dampers and sensors."""
+
+    @property
+    def track_seed(self) -> int:
+        """Seed of the track's irregularities: the seed sequence [s, k] written as one number."""
+        words = max(1, -(-self.seed.bit_length() // 32))
+        return self.seed | (self.number << (32 * words))
+
+    def stream(self, component: Component) -> np.random.SeedSequence:
+        """Seed sequence of a component, for draws beyond those of this episode."""
+        return np.random.SeedSequence([self.seed, self.number], spawn_key=(STREAMS[component],))
+
+
+def draw_episode(
+    config: EnvironmentConfig, seed: int, episode: int, options: Mapping[str, Any] | None = None
+) -> Episode:
+    """Draw the conditions of an episode.
+
+    Parameters
+    ----------
+    config : EnvironmentConfig
+        The environment with its laws.
+    seed : int
+        Seed of the environment, 0 or more. Seeds below 2^32 have no track in common.
+    episode : int
+        Number of the episode, 0 or more.
+    options : mapping, optional
+        Quantities to fix; the other draws stay as they are. ``speed_kmh`` (km/h), ``wear`` (0 to 1) or
+        ``profile`` ("new", "worn"), ``friction``, ``payload``, ``initial_current``, ``track`` (name, or path
+        to a YAML file: its irregularities) and ``track_scale``, ``faults`` (a list as for `parse_faults`).
+
+    Raises
+    ------
+    ConfigError
+        An unknown option or a value that is not allowed.
+    """
+    seed, episode = whole_number("seed", seed), whole_number("episode", episode)
+    fixed = checked_options(options)
+    sequence = np.random.SeedSequence([seed, episode])
+    laws = config.randomisation
+    uniform = _Uniform(sequence)
+    drawn = {
+        name: float(law.at(uniform(name))) for name in NUMBERS if (law := getattr(laws, name)) is not None
+    } | fixed.numbers
+    bias, noise = _sensor_errors(config, sequence)
+    faults = () if config.faults is None else _drawn_faults(config.faults, config.sensors, sequence)
+    track = _drawn_track(laws.tracks, fixed, uniform)
+    return Episode(
+        seed=seed,
+        number=episode,
+        speed=drawn["speed_kmh"] / 3.6,
+        wear=drawn.get("wear"),
+        friction=drawn.get("friction"),
+        payload=drawn["payload"],
+        initial_current=drawn["initial_current"],
+        track=track.name,
+        irregularity=track.irregularity,
+        track_scale=track.scale,
+        tolerances={
+            key: float(group.factor.at(uniform(f"tolerances.{name}")))
+            for name, group in laws.tolerances.items()
+            for key in group.keys
+        },
+        sensor_bias=bias,
+        sensor_noise=noise,
+        faults=faults if fixed.faults is None else fixed.faults,
+    )
+
+
+def episode_scenario(base: Scenario, episode: Episode) -> Scenario:
+    """Scenario of an episode.
+
+    Parameters
+    ----------
+    base : Scenario
+        The scenario of the environment.
+    episode : Episode
+        What differs from it.
+
+    Returns
+    -------
+    Scenario
+        The base itself if nothing differs; otherwise parts that do not differ are shared with it.
+
+    Raises
+    ------
+    ConfigError
+        A tolerance of a number that the scenario does not have, or a value that is not allowed.
+    """
+    changes: dict[str, Any] = {}
+    if episode.wear not in (None, base.wear):
+        changes["wear"] = episode.wear
+    if episode.friction not in (None, base.friction):
+        changes["friction"] = episode.friction
+    irregularity = base.track.irregularity if episode.irregularity is None else episode.irregularity
+    if episode.track_scale is not None:
+        _check_scalable(irregularity, episode.track)
+        content = dict(irregularity) | {"scale": episode.track_scale}
+        irregularity = validate(type(irregularity), content, "track_scale")
+    if irregularity != base.track.irregularity:
+        changes["track"] = base.track.model_copy(update={"irregularity": irregularity})
+    if changes:
+        base = validate(Scenario, dict(base) | changes, "episode")
+    return scaled(base, _factors(base, episode))
+
+
+def _factors(base: Scenario, episode: Episode) -> dict[tuple[str, ...], float]:
+    """Factors on the scenario's numbers, by their paths: tolerances of what it has, and payload."""
+    factors: dict[tuple[str, ...], float] = {}
+    for key, factor in episode.tolerances.items():
+        first, *rest = key.split(".")
+        if first in ("sayd", "passive"):
+            if first == base.damper.type:
+                factors["damper", *rest] = factor
+        else:
+            factors[first, *rest] = factor
+    if episode.payload != 0.0:
+        for body in base.vehicle.bodies:
+            if body.role == "carbody":
+                for quantity in ("mass", "inertia"):
+                    path = ("vehicle", "bodies", body.name, quantity)
+                    factors[path] = factors.get(path, 1.0) * (1.0 + episode.payload)
+    return {path: factor for path, factor in factors.items() if factor != 1.0}
+
+
+class _Uniform:
+    """Uniform numbers in [0, 1), each from a stream of its name alone."""
+
+    def __init__(self, sequence: np.random.SeedSequence) -> None:
+        self._entropy = sequence.entropy
+
+    def __call__(self, name: str) -> float:
+        key = (STREAMS["scenario"], zlib.crc32(name.encode()))
+        (word,) = np.random.SeedSequence(self._entropy, spawn_key=key).generate_state(1, np.uint64)
+        return float(word >> np.uint64(11)) * 2.0**-53
+
+
+def _generator(sequence: np.random.SeedSequence, component: Component) -> np.random.Generator:
+    child = np.random.SeedSequence(sequence.entropy, spawn_key=(STREAMS[component],))
+    return np.random.default_rng(child)
+
+
+@dataclass(frozen=True)
+class _Track:
+    name: str | None = None
+    irregularity: IrregularityConfig | None = None
+    scale: float | None = None
+
+
+def _drawn_track(classes: tuple[TrackClass, ...], fixed: EpisodeOptions, uniform: _Uniform) -> _Track:
+    """Track and its scale; a track that an option names keeps the scale's law of its class, if it has one."""
+    name, scale = fixed.track, fixed.track_scale
+    drawn = None
+    if name is not None:
+        drawn = next((entry for entry in classes if entry.name == name), None)
+    elif classes:
+        place = int(chosen(tuple(entry.weight for entry in classes), uniform("tracks")))
+        drawn, name = classes[place], classes[place].name
+    if scale is None and drawn is not None and drawn.scale is not None:
+        scale = float(drawn.scale.at(uniform("track_scale")))
+    irregularity = None if name is None else _irregularity(name)
+    if irregularity is not None and scale is not None:
+        _check_scalable(irregularity, name)
+    return _Track(name, irregularity, scale)
+
+
+def _check_scalable(irregularity: IrregularityConfig, name: str | None) -> None:
+    try:
+        scalable(irregularity, name or "of the study")
+    except ValueError as error:
+        raise ConfigError(f"options: track_scale: {error}") from None
+
+
+def _irregularity(name: str) -> IrregularityConfig:
+    # A packaged track stays as it is, a user's file may be edited between episodes.
+    return read_track(name).irregularity if is_path(name) else _packaged_irregularity(name)
+
+
+@lru_cache(maxsize=64)
+def _packaged_irregularity(name: str) -> IrregularityConfig:
+    return read_track(name).irregularity
+
+
+def _sensor_errors(config: EnvironmentConfig, sequence: np.random.SeedSequence) -> tuple[Array, Array]:
+    """Bias of every signal's sensor and factor on its noise."""
+    sensors = [config.sensors.of(signal) for signal in SIGNALS]
+    u = _generator(sequence, "sensors").random((2, len(sensors)))
+    share, factor = config.randomisation.sensor_bias.at(u[0]), config.randomisation.sensor_noise.at(u[1])
+    bias = share * np.array([s.bias_spread for s in sensors])
+    bias.flags.writeable = factor.flags.writeable = False
+    return bias, factor
+
+
+def _drawn_faults(
+    config: FaultsConfig, sensors: SensorsConfig, sequence: np.random.SeedSequence
+) -> tuple[Fault, ...]:
+    """Faults in the order of their onsets, no two of them of the same damper or the same signal."""
+    numbers = _generator(sequence, "faults").random((1 + MOST_FAULTS, 5))
+    weights = tuple(law.weight for law in config.kinds)
+    dampers, signals = list(DAMPERS), list(SIGNALS)
+    drawn = []
+    for u in numbers[1 : 1 + round(float(config.count.at(numbers[0, 0])))]:
+        law = config.kinds[int(chosen(weights, u[0]))]
+        fault: dict[str, Any] = {"kind": law.kind, "start_s": float(config.onset.at(u[1]))}
+        if isinstance(law, ValveStuckLaw | DamperFaultLaw):
+            fault["damper"] = dampers.pop(int(u[2] * len(dampers)))
+            if isinstance(law, ValveStuckLaw):
+                fault["current"] = float(law.current.at(u[3]))
+        else:
+            possible = [signal for signal in signals if SIGNALS[signal] in law.sensors]
+            if not possible:  # every sensor of these kinds has its fault
+                continue
+            fault["signal"] = possible[int(u[2] * len(possible))]
+            signals.remove(fault["signal"])
+            if isinstance(law, SensorErrorLaw):
+                fault |= _error(law, sensors.of(fault["signal"]), u[3], u[4])
+        drawn.append(fault)
+    return parse_faults(sorted(drawn, key=itemgetter("start_s")), "drawn")
+
+
+def _error(law: SensorErrorLaw, sensor: SensorConfig, size: float, side: float) -> dict[str, float]:
+    """Measure of a sensor's error in the unit of its signal."""
+    amount = float(law.share.at(size)) * 0.5 * (sensor.high - sensor.low)
+    if law.kind == "sensor_noisy":
+        return {"noise": amount}
+    return {"bias": amount if side < 0.5 else -amount}
