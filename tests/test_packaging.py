@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = ("pyproject.toml", "README.md", "LICENSE", "sayd_env", "configs")
+SOURCES = ("pyproject.toml", "README.md", "LICENSE", "sayd_env", "baselines", "configs")
 RIDE = "time_s,speed_kmh,frame_m_s2\n" + "".join(f"{i / 250},300,{i % 50 / 50}\n" for i in range(4000))
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
 
 from sayd_env.config.base import Model, quantity
-from sayd_env.config.loader import read_overridden
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.explain import Origin
+from sayd_env.config.loader import nearest, read_config, read_overridden, section, validate
 
 
 class OnlineConfig(Model):
@@ -36,3 +41,123 @@ def load_online(name: str = "online", overrides: Iterable[str] = ()) -> OnlineCo
         The file, a key or a value cannot be used.
     """
     return read_overridden(OnlineConfig, "control", name, overrides)
+
+
+class PassiveControlConfig(Model):
+    """Passive dampers: nothing to control, no parameters."""
+
+
+class ConstantConfig(Model):
+    """One valve command for ever."""
+
+    current: float = quantity("-", "Valve command V of every damper: 0 closed, 1 open", ge=0.0, le=1.0)
+
+
+class BogieCostConfig(Model):
+    """What a controller that minimises J, eq. (27), measures on its bogie, and the range of its command."""
+
+    k_y: float = quantity("-", "k_y of eq. (27), weight of the acceleration", ge=0.0)
+    k_F: float = quantity("-", "k_F of eq. (27), weight of the force; 0: no pressure is read", ge=0.0)
+    v_min: float = quantity("-", "V_min, smallest valve command", ge=0.0, le=1.0)
+    initial: float | None = quantity(
+        "-", "Valve command of the first second; null: the fed-back current at the start", ge=0.0, le=1.0
+    )
+    accelerometer: Literal["leading", "trailing"] = Field(
+        description="Wheelset above which the bogie frame's lateral acceleration is measured"
+    )
+    damper: Literal["left.upper", "left.lower", "right.upper", "right.lower"] = Field(
+        description="The bogie's damper whose pressures are measured"
+    )
+    slowest: float = quantity(
+        "m/s", "Speed below which the spectrum behind f_0 covers less than its distance", ge=1.0
+    )
+
+
+class MpptConfig(BogieCostConfig):
+    """The paper's MPPT, eq. (27) to (31)."""
+
+    k_J: float = quantity("-", "k_J of eq. (29), gain on the relative rise of J", ge=0.0, le=1.0)
+    delta_v_down: float = quantity("-", "Delta V of eq. (30), closing step", ge=0.0, le=1.0)
+    delta_v_up: float = quantity("-", "Delta V of eq. (31), opening step", ge=0.0, le=1.0)
+    threshold_max: float = quantity("m/s2", "RMS above which eq. (30) closes the valve", gt=0.0)
+    threshold_min: float = quantity("m/s2", "RMS below which eq. (31) opens the valve; 0: never", ge=0.0)
+
+    @model_validator(mode="after")
+    def _thresholds_in_order(self) -> Self:
+        if self.threshold_min > self.threshold_max:
+            raise ValueError(
+                f"threshold_min {self.threshold_min:g} m/s2 must not exceed "
+                f"threshold_max {self.threshold_max:g} m/s2"
+            )
+        return self
+
+
+class PerturbObserveConfig(BogieCostConfig):
+    """The textbook search: perturb the command, observe J, turn where it rises."""
+
+    step: float = quantity("-", "Change of the valve command in a second", gt=0.0, le=1.0)
+    first_move: Literal["close", "open"] = Field(description="Direction of the first change")
+
+
+class SkyhookConfig(Model):
+    """On-off and continuous skyhook, eq. (32) to (38)."""
+
+    closed: float = quantity("-", "Valve command that stands for c_max", ge=0.0, le=1.0)
+    open: float = quantity("-", "Valve command that stands for c_min", ge=0.0, le=1.0)
+    corner: float = quantity("Hz", "Corner of the high-pass that keeps the velocity from drifting", gt=0.0)
+    rate_corner: float | None = quantity(
+        "Hz", "Corner of the low-pass on the stroke rate; null: none", gt=0.0
+    )
+    dead_band: float = quantity(
+        "m/s", "Velocity below which bogie or stroke count as standing and the command stays", ge=0.0
+    )
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> Self:
+        if self.closed >= self.open:
+            raise ValueError(f"closed {self.closed:g} must be below open {self.open:g}")
+        return self
+
+
+ControllerConfig = PassiveControlConfig | ConstantConfig | MpptConfig | PerturbObserveConfig | SkyhookConfig
+
+CONTROLLERS: dict[str, type[ControllerConfig]] = {
+    "passive": PassiveControlConfig,
+    "constant": ConstantConfig,
+    "mppt1": MpptConfig,
+    "mppt2": MpptConfig,
+    "perturb-and-observe": PerturbObserveConfig,
+    "skyhook-onoff": SkyhookConfig,
+    "skyhook-continuous": SkyhookConfig,
+}
+"""Schema of each controller's parameters."""
+
+
+def load_controller(name: str, parameters: Mapping[str, Any] | None = None) -> ControllerConfig:
+    """Read the parameters of a controller from configs/control.
+
+    Parameters
+    ----------
+    name : str
+        One of `CONTROLLERS`.
+    parameters : mapping, optional
+        Values that replace those of the file.
+
+    Raises
+    ------
+    ConfigError
+        Unknown name or parameter, or a value that cannot be used.
+    """
+    if name not in CONTROLLERS:
+        raise ConfigError(
+            f"unknown controller {name!r}{nearest(str(name), CONTROLLERS)}; "
+            f"available: {', '.join(CONTROLLERS)}"
+        )
+    given = dict(parameters or {})
+    if name == "passive":
+        if given:
+            raise ConfigError(f"controller 'passive': has no parameters, found {', '.join(given)}")
+        return PassiveControlConfig()
+    content, source = read_config("control", name)
+    origins = [Origin((key,), f"controller '{name}'") for key in given]
+    return validate(CONTROLLERS[name], section(content, source) | given, source, origins)

@@ -1,0 +1,62 @@
+"""The paper's controllers and simpler ones, as policies with the `predict` of Stable-Baselines3.
+
+    policy = baselines.make("mppt1", env)
+    action, state = policy.predict(observation, state, episode_start)
+
+They see sensor signals alone, and one policy serves one vehicle or many side by side.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from baselines.constant import Constant, Passive
+from baselines.mppt import Mppt
+from baselines.perturb_observe import PerturbAndObserve
+from baselines.policy import Policy
+from baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
+from baselines.source import interface_of
+from sayd_env.config.control import load_controller
+
+__all__ = ["NAMES", "Policy", "interface_of", "make"]
+
+_KINDS: dict[str, Any] = {
+    "passive": Passive,
+    "constant": Constant,
+    "mppt1": Mppt,
+    "mppt2": Mppt,
+    "perturb-and-observe": PerturbAndObserve,
+    "skyhook-onoff": OnOffSkyhook,
+    "skyhook-continuous": ContinuousSkyhook,
+}
+NAMES = tuple(_KINDS)
+"""Controllers that `make` knows."""
+
+
+def make(name: str, env_or_spec: Any, **parameters: Any) -> Policy[Any, Any]:
+    """Make a controller for an environment.
+
+    Parameters
+    ----------
+    name : str
+        One of `NAMES`.
+    env_or_spec
+        What it is to control: an `Interface`, a Gymnasium environment or vector environment (wrapped or not),
+        a vector environment of Stable-Baselines3, or an environment's id or `EnvSpec`.
+    **parameters
+        Values that replace those of ``configs/control/NAME.yaml``; the controller's docstring lists them.
+
+    Returns
+    -------
+    Policy
+        With ``predict(observation, state=None, episode_start=None, deterministic=True)`` and the attributes
+        ``name``, ``parameters`` and ``sensors``.
+
+    Raises
+    ------
+    ConfigError
+        Unknown name or parameter, a value that cannot be used, or an environment without the signals, valves
+        or dampers that the controller needs.
+    """
+    config = load_controller(name, parameters)
+    return _KINDS[name](name, interface_of(env_or_spec), config)  # type: ignore[no-any-return]

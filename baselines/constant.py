@@ -1,0 +1,74 @@
+"""Controllers that do not control: passive dampers, and one valve command for ever."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from baselines.policy import Array, Policy
+from sayd_env.config import ConfigError
+from sayd_env.config.control import ConstantConfig, PassiveControlConfig
+from sayd_env.config.damper import PassiveDamperConfig
+from sayd_env.envs.interface import Interface
+
+
+class Unmoved(Policy[ConstantConfig | PassiveControlConfig, int]):
+    """A policy of one command; its state is the number of vehicles."""
+
+    def __init__(
+        self,
+        name: str,
+        interface: Interface,
+        parameters: ConstantConfig | PassiveControlConfig,
+        current: float,
+    ) -> None:
+        super().__init__(name, interface, parameters, ())
+        self._current = current
+
+    def _lanes(self, state: int) -> int:
+        return state
+
+    def _begin(self, rows: Array) -> int:
+        return len(rows)
+
+    def _restart(self, state: int, rows: Array, lanes: npt.NDArray[np.intp]) -> None:
+        pass
+
+    def _command(self, state: int, rows: Array) -> Array:
+        return np.full((state, self.interface.actions), self._current)
+
+
+class Constant(Unmoved):
+    """Constant valve command: V = current.
+
+    ===========  ====  ==========================================
+    parameter    unit  meaning
+    ===========  ====  ==========================================
+    ``current``  -     valve command of every damper, 0 closed
+    ===========  ====  ==========================================
+
+    Sensors: none. Valves: any layout.
+    """
+
+    def __init__(self, name: str, interface: Interface, parameters: ConstantConfig) -> None:
+        super().__init__(name, interface, parameters, parameters.current)
+
+
+class Passive(Unmoved):
+    """Passive dampers, which no command reaches: V = 0.
+
+    No parameters, no sensors, any layout of valves.
+
+    Raises
+    ------
+    ConfigError
+        The environment has semi-active dampers.
+    """
+
+    def __init__(self, name: str, interface: Interface, parameters: PassiveControlConfig) -> None:
+        if not isinstance(interface.damper, PassiveDamperConfig):
+            raise ConfigError(
+                f"{name}: needs passive dampers, but the environment has semi-active ones; "
+                "make it with damper='passive'"
+            )
+        super().__init__(name, interface, parameters, 0.0)

@@ -1,0 +1,92 @@
+"""What the searches for the smallest J share: the cost of eq. (27), seconds, the range of the command."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from baselines.meter import CURRENTS, Readings, meter
+from baselines.policy import Array, BogiePolicy
+from sayd_env.config.control import BogieCostConfig
+from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
+
+CostParameters = TypeVar("CostParameters", bound=BogieCostConfig)
+
+
+@dataclass
+class Search:
+    """State of n vehicles' controllers, two bogies each."""
+
+    readings: Readings
+    command: Array
+    """(n, 2) valve commands V."""
+    cost: Array
+    """(n, 2) J of the last second; NaN before there is one."""
+    direction: Array
+    """(n, 2) of the last move of V, +1 or -1; only of controllers that remember it."""
+
+
+class Minimiser(BogiePolicy[CostParameters, Search]):
+    """A controller that changes its bogie's command once a second, by J of eq. (27)."""
+
+    def __init__(self, name: str, interface: Interface, parameters: CostParameters) -> None:
+        self._meter = meter(name, interface, parameters)
+        self._reads_currents = parameters.initial is None
+        sensors = self._meter.sensors + (CURRENTS if self._reads_currents else ())
+        super().__init__(name, interface, parameters, sensors)
+
+    def costs(self, rms: Array) -> Array:
+        """J of eq. (27) of RMS values of acceleration (m/s2) and force (N), shape (..., 2)."""
+        scale = np.array([self.interface.acceleration_limit, self.interface.force_reference])
+        weights = np.array([self.parameters.k_y, self.parameters.k_F])
+        return np.asarray((rms / scale) ** 2 @ weights)
+
+    @abstractmethod
+    def _move(self, command: Array, previous: Array, cost: Array, rms: Array, direction: Array) -> Array:
+        """Commands for the next second, before they are cut to their range; may change `direction`.
+
+        All arrays have shape (m, 2): the commands V^n, J^n (NaN in the first second), J^(n+1), the RMS of the
+        acceleration (m/s2), and the directions.
+        """
+
+    def _first_direction(self) -> float:
+        return -1.0
+
+    def _lanes(self, state: Search) -> int:
+        return len(state.command)
+
+    def _begin(self, rows: Array) -> Search:
+        return Search(
+            readings=self._meter.begin(rows),
+            command=self._initial(rows),
+            cost=np.full((len(rows), 2), np.nan),
+            direction=np.full((len(rows), 2), self._first_direction()),
+        )
+
+    def _restart(self, state: Search, rows: Array, lanes: npt.NDArray[np.intp]) -> None:
+        for lane in lanes:
+            self._meter.restart(state.readings, rows, int(lane))
+        state.command[lanes] = self._initial(rows[lanes])
+        state.cost[lanes] = np.nan
+        state.direction[lanes] = self._first_direction()
+
+    def _initial(self, rows: Array) -> Array:
+        if self.parameters.initial is not None:
+            return np.full((len(rows), 2), max(self.parameters.initial, self.parameters.v_min))
+        currents = rows[:, -len(CURRENTS) :].reshape(-1, len(BOGIES), len(DAMPERS)).mean(axis=2)
+        return np.asarray(np.clip(np.nan_to_num(currents), self.parameters.v_min, 1.0))
+
+    def _command_bogies(self, state: Search, rows: Array) -> Array:
+        if self._meter.measure(state.readings, rows):
+            ended = self._meter.ended(state.readings)
+            rms = state.readings.rms[ended]
+            cost, direction = self.costs(rms), state.direction[ended]
+            moved = self._move(state.command[ended], state.cost[ended], cost, rms[:, :, 0], direction)
+            state.command[ended] = np.clip(moved, self.parameters.v_min, 1.0)
+            state.cost[ended] = cost
+            state.direction[ended] = direction
+        return state.command

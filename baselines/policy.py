@@ -1,0 +1,172 @@
+"""What every controller shares: the `predict` protocol, one vehicle or many side by side."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import ConfigError, Model
+from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
+
+Array = npt.NDArray[np.float64]
+Action = npt.NDArray[np.float32]
+Flags = npt.NDArray[np.bool_]
+Parameters = TypeVar("Parameters", bound=Model)
+State = TypeVar("State")
+
+
+class Policy(ABC, Generic[Parameters, State]):
+    """A controller that knows nothing but sensor signals.
+
+    Parameters
+    ----------
+    name : str
+        Name under which `baselines.make` offers it.
+    interface : Interface
+        Signals, valves, clock and hardware of the environment.
+    parameters : Model
+        The controller's parameters.
+    sensors : sequence of str
+        Names of the signals it reads, in the order in which `_command` receives them.
+
+    Raises
+    ------
+    ConfigError
+        The environment lacks a signal or a valve that the controller needs.
+    """
+
+    def __init__(
+        self, name: str, interface: Interface, parameters: Parameters, sensors: tuple[str, ...]
+    ) -> None:
+        self.name = name
+        self.parameters = parameters
+        self.sensors = sensors
+        self.interface = interface
+        self._columns = np.array([interface.index(sensor) for sensor in sensors], dtype=np.intp)
+        self._shape = interface.shape
+
+    def predict(
+        self,
+        observation: npt.ArrayLike,
+        state: State | None = None,
+        episode_start: npt.ArrayLike | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Action, State]:
+        """Valve commands for the next control period.
+
+        Parameters
+        ----------
+        observation : array_like, shape (obs) or (N, obs)
+            What one vehicle or N vehicles observe, in SI units.
+        state : optional
+            What the last call returned, changed in place; None starts all vehicles afresh.
+        episode_start : array_like of bool, shape (N,), optional
+            Vehicles that begin a new episode with this observation.
+        deterministic : bool
+            Without effect: no controller draws random numbers.
+
+        Returns
+        -------
+        action : ndarray of float32, shape (A,) or (N, A)
+            Valve commands V: 0 closed, 1 open.
+        state
+            For the next call.
+
+        Raises
+        ------
+        ConfigError
+            Shapes that do not fit each other or the environment.
+        """
+        rows, single = self._rows(observation)
+        if state is None:
+            state = self._begin(rows)
+        else:
+            if self._lanes(state) != len(rows):
+                raise ConfigError(
+                    f"{self.name}: the state is that of {self._lanes(state)} vehicles, "
+                    f"the observation that of {len(rows)}; start with state=None"
+                )
+            if episode_start is not None:
+                self._start_again(state, rows, np.atleast_1d(np.asarray(episode_start, dtype=np.bool_)))
+        action = self._command(state, rows).astype(np.float32)
+        return (action[0] if single else action), state
+
+    def _rows(self, observation: npt.ArrayLike) -> tuple[Array, bool]:
+        """Return the newest readings of the sensors, one row a vehicle, and whether it is a single one."""
+        values = np.asarray(observation)
+        depth = len(self._shape)
+        single = values.ndim == depth
+        if values.shape[-depth:] != self._shape or values.ndim > depth + 1:
+            raise ConfigError(
+                f"{self.name}: found an observation of shape {values.shape}; "
+                f"expected {self._shape}, or (N, {', '.join(map(str, self._shape))}) of N vehicles"
+            )
+        if self.interface.observation == "history":
+            values = values[..., -1, :]
+        rows = values.reshape(-1, self._shape[-1])[:, self._columns].astype(np.float64)
+        return rows, single
+
+    def _start_again(self, state: State, rows: Array, starts: Flags) -> None:
+        if starts.shape != (len(rows),):
+            raise ConfigError(
+                f"{self.name}: found episode_start of shape {starts.shape}; expected ({len(rows)},)"
+            )
+        if starts.any():
+            self._restart(state, rows, np.flatnonzero(starts))
+
+    @abstractmethod
+    def _lanes(self, state: State) -> int:
+        """Return the number of vehicles of a state."""
+
+    @abstractmethod
+    def _begin(self, rows: Array) -> State:
+        """Make the state of vehicles that all begin an episode with these readings."""
+
+    @abstractmethod
+    def _restart(self, state: State, rows: Array, lanes: npt.NDArray[np.intp]) -> None:
+        """Put some vehicles back to the begin of an episode."""
+
+    @abstractmethod
+    def _command(self, state: State, rows: Array) -> Array:
+        """Advance by one control period; return the valve commands, shape (N, A)."""
+
+
+class BogiePolicy(Policy[Parameters, State]):
+    """A controller of one bogie, twice: each bogie's dampers share one command."""
+
+    def __init__(
+        self, name: str, interface: Interface, parameters: Parameters, sensors: tuple[str, ...]
+    ) -> None:
+        super().__init__(name, interface, parameters, sensors)
+        if interface.valves == "vehicle":
+            raise ConfigError(
+                f"{name}: controls each bogie by itself, but valves='vehicle' has one command for both; "
+                "make the environment with valves='bogie' or 'damper'"
+            )
+        self._repeats = interface.actions // len(BOGIES)
+
+    def _command(self, state: State, rows: Array) -> Array:
+        command = self._command_bogies(state, rows)
+        return command if self._repeats == 1 else np.repeat(command, self._repeats, axis=1)
+
+    @abstractmethod
+    def _command_bogies(self, state: State, rows: Array) -> Array:
+        """Advance by one control period; return the valve commands of front and rear, shape (N, 2)."""
+
+
+def of_both(signal: str) -> tuple[str, ...]:
+    """Names of a bogie's signal at front and rear: ``stroke.{}.left.upper`` gives two."""
+    return tuple(signal.format(bogie) for bogie in BOGIES)
+
+
+def of_all_dampers(quantity: str) -> tuple[str, ...]:
+    """Names of a quantity at the eight dampers."""
+    return tuple(f"{quantity}.{bogie}.{damper}" for bogie in BOGIES for damper in DAMPERS)
+
+
+def readable(rows: Any) -> Any:
+    """Readings with 0 in place of what is no number, so that a broken sensor does not stay in a filter."""
+    return np.nan_to_num(rows, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
