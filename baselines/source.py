@@ -29,8 +29,8 @@ def interface_of(source: Any) -> Interface:
         return _of_specification(source)
     inner = getattr(source, "unwrapped", source)
     found = getattr(inner, "interface", None)
-    if found is None and hasattr(source, "get_attr"):
-        found = _first_attribute(source)
+    if found is None and hasattr(inner, "get_attr"):
+        found = _first_attribute(inner)
     if not isinstance(found, Interface):
         raise ConfigError(
             f"found {shown(source)}; expected an environment of sayd_env, several, or an environment's id"
@@ -50,7 +50,7 @@ def _of_specification(source: Any) -> Interface:
 
     try:
         env = gymnasium.make(source)
-    except gymnasium.error.Error as error:
+    except (gymnasium.error.Error, ImportError) as error:
         raise ConfigError(f"environment {shown(source)}: {error}") from None
     try:
         return interface_of(env)

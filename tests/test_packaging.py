@@ -60,7 +60,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_the_wheel_holds_every_module_and_every_configuration(wheel: Path):
     names = set(zipfile.ZipFile(wheel).namelist())
-    for folder, pattern in (("sayd_env", "*.py"), ("configs", "*.yaml")):
+    for folder, pattern in (("sayd_env", "*.py"), ("baselines", "*.py"), ("configs", "*.yaml")):
         expected = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob(pattern)}
         assert expected - names == set()
     assert "sayd_env/py.typed" in names
@@ -77,10 +77,10 @@ def test_the_wheel_works_in_an_empty_environment(wheel: Path, tmp_path: Path):
     constraints = ROOT / "constraints.txt"
     run(python, "-m", "pip", "install", "--quiet", "--constraint", constraints, wheel, cwd=elsewhere)
     run(python, "-m", "pip", "check", cwd=elsewhere)
-    place = run(
-        python, "-c", "import configs, sayd_env; print(configs.__file__, sayd_env.__file__)", cwd=elsewhere
+    places = (
+        "import baselines, configs, sayd_env as s; print(baselines.__file__, configs.__file__, s.__file__)"
     )
-    assert place.count("site-packages") == 2
+    assert run(python, "-c", places, cwd=elsewhere).count("site-packages") == 3
     run(python, "-c", "import importlib.util as u; assert u.find_spec('torch') is None", cwd=elsewhere)
     (elsewhere / "ride.csv").write_text(RIDE)
     sayd = environment / "bin" / "sayd"
