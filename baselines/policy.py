@@ -45,7 +45,10 @@ class Policy(ABC, Generic[Parameters, State]):
         self.parameters = parameters
         self.sensors = sensors
         self.interface = interface
-        self._columns = np.array([interface.index(sensor) for sensor in sensors], dtype=np.intp)
+        try:
+            self._columns = np.array([interface.index(sensor) for sensor in sensors], dtype=np.intp)
+        except ConfigError as error:
+            raise ConfigError(f"{name}: {error}") from None
         self._shape = interface.shape
 
     def predict(
