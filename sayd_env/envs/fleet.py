@@ -7,8 +7,11 @@ ends. It knows no Gymnasium.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,11 +29,12 @@ from sayd_env.envs.faults import FaultSchedule
 from sayd_env.envs.interface import ACTIONS, BOGIES, Interface, Signal
 from sayd_env.envs.interface import DAMPERS as OF_A_BOGIE
 from sayd_env.envs.interface import POINTS as OF_A_FRAME
-from sayd_env.envs.lanes import Lanes
+from sayd_env.envs.lanes import Lanes, LaneState
 from sayd_env.envs.loop import CLIMBED, DAMPERS, NOT_FINITE, OVERLOADED, RUNNING
 from sayd_env.envs.vehicle import Lane, LoopSettings, SensorErrors, make_lane, model_limits, on_line_band
 from sayd_env.physics.simulator import RUN_OUT, VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation, realise
+from sayd_env.stability import Limits
 
 Array = npt.NDArray[np.float64]
 Observation = npt.NDArray[np.float32]
@@ -42,6 +46,20 @@ ENDINGS = {
     NOT_FINITE: "non-finite: the simulation diverged",
 }
 """What a lane's status means."""
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleState:
+    """All of one vehicle of a fleet at an instant."""
+
+    config: EnvironmentConfig
+    lane: LaneState
+    episode: Episode | None
+    elapsed: int
+    limits: Limits
+    faults: FaultSchedule | None
+    """What is still to happen."""
+    history: Observation
 
 
 class Fleet:
@@ -67,8 +85,14 @@ class Fleet:
     ----------
     interface : Interface
         What a policy may know.
+    steps : int
+        Control periods after which an episode is truncated.
     elapsed : ndarray, shape (count,)
         Control periods of each vehicle's episode so far.
+    episodes : list of Episode
+        What each vehicle runs; None before the first reset.
+    limits : list of Limits
+        Each vehicle's limits of EN 14363.
     """
 
     def __init__(
@@ -94,9 +118,15 @@ class Fleet:
         self._num_threads = num_threads
         self._lanes: Lanes | None = None
         self._faults: list[FaultSchedule | None] = [None] * count
+        self.limits = [model_limits(self._model)] * count
         self._low = np.array([signal.low for signal in self.interface.signals])
         self._high = np.array([signal.high for signal in self.interface.signals])
-        self._history = np.zeros((count, *self.interface.shape), dtype=np.float32)
+        nothing = np.clip(0.0, self._low, self._high).astype(np.float32)
+        self._history = np.broadcast_to(nothing, (count, *self.interface.shape)).copy()
+        self._bounded = np.zeros((count, len(self.interface.signals)))
+        self._valve = np.repeat(np.arange(ACTIONS[config.valves]), DAMPERS // ACTIONS[config.valves])
+        self._commanded = np.zeros((count, DAMPERS))
+        self._faulty = False
 
     @property
     def lanes(self) -> Lanes:
@@ -128,7 +158,8 @@ class Fleet:
         ConfigError
             An episode that cannot be, such as a speed beyond the vehicle's.
         """
-        built = [self._lane(episode) for episode in episodes]
+        models = [self._model_of(episode) for episode in episodes]
+        built = [self._lane(model, episode) for model, episode in zip(models, episodes, strict=True)]
         if self._lanes is None:
             if sorted(which) != list(range(self.count)):
                 raise ConfigError("the first reset must be one of all vehicles")
@@ -138,16 +169,17 @@ class Fleet:
             for i, lane in zip(which, built, strict=True):
                 self._lanes.put(i, lane)
         logs = self._lanes.run_in(which, log=log)
-        for i, episode in zip(which, episodes, strict=True):
+        for i, model, episode in zip(which, models, episodes, strict=True):
             self.episodes[i] = episode
+            self.limits[i] = model_limits(model)
             self.elapsed[i] = 0
             self._faults[i] = FaultSchedule(episode.faults) if episode.faults else None
             self._strike(i)
+        self._faulty = any(schedule is not None for schedule in self._faults)
         self._observe(which, fresh=True)
         return logs
 
-    def _lane(self, episode: Episode) -> Lane:
-        model = self._model_of(episode)
+    def _lane(self, model: VehicleModel, episode: Episode) -> Lane:
         return make_lane(
             model,
             episode.speed,
@@ -202,34 +234,82 @@ class Fleet:
         """
         lanes = self.lanes
         running = lanes.status == RUNNING
+        # A run that ended before step 0 is charged at its first step.
+        asked = running | (self.elapsed == 0)
         if active is not None:
             running &= active
-        lanes.step(self._commands(actions), log=log, active=active)
+            asked &= active
+        np.take(np.asarray(actions, dtype=np.float64), self._valve, axis=1, out=self._commanded)
+        lanes.step(self._commanded, log=log, active=active)
         self.elapsed += running
-        terminated = lanes.status != RUNNING
-        truncated = (self.elapsed >= self.steps) & ~terminated
+        truncated = self.elapsed >= self.steps
         rewards = np.where(running, lanes.rewards, 0.0)
-        for i in map(int, np.flatnonzero(terminated & running)):
-            remaining = self.config.episode_s - self.elapsed[i] * self.config.control_period
-            known = rewards[i] if math.isfinite(rewards[i]) else 0.0
-            rewards[i] = known - self.config.termination_cost * remaining
-        for i, schedule in enumerate(self._faults):
-            if schedule is not None and running[i]:
+        terminated = lanes.status != RUNNING
+        if np.count_nonzero(terminated):
+            truncated &= ~terminated
+            for i in map(int, np.flatnonzero(terminated & asked)):
+                rewards[i] = self._last_reward(i)
+        if self._faulty:
+            for i in map(int, np.flatnonzero(running)):
                 self._strike(i)
         self._observe(range(self.count), fresh=False)
         return self.observations(), rewards, terminated, truncated
+
+    def _last_reward(self, i: int) -> float:
+        """Reward of the period in which a run ended, with the charge for the rest of the episode."""
+        remaining = self.config.episode_s - self.elapsed[i] * self.config.control_period
+        last = float(self.lanes.rewards[i]) if self.elapsed[i] else 0.0
+        return (last if math.isfinite(last) else 0.0) - self.config.termination_cost * float(remaining)
 
     def observations(self) -> Observation:
         """What the vehicles observe, a new array of shape (count, *interface.shape)."""
         return self._history.copy()
 
+    def dominant_frequency(self) -> Array:
+        """f_0 of the on-line filter of each bogie, a new array of shape (count, BOGIES), Hz."""
+        lanes = self.lanes
+        found: Array = lanes.band.frequency[lanes.passed.values.choice]
+        return found.reshape(self.count, -1)
+
+    def get_state(self, i: int) -> VehicleState:
+        """All of a vehicle and its episode, as copies; it can be pickled."""
+        return VehicleState(
+            config=self.config,
+            lane=self.lanes.get_state(i),
+            episode=self.episodes[i],
+            elapsed=int(self.elapsed[i]),
+            limits=self.limits[i],
+            faults=copy.deepcopy(self._faults[i]),
+            history=self._history[i].copy(),
+        )
+
+    def set_state(self, states: Sequence[VehicleState]) -> None:
+        """Put all vehicles back to states of these or of others of the same environment.
+
+        Raises
+        ------
+        ConfigError
+            States of another environment or of another number of vehicles.
+        """
+        if len(states) != self.count:
+            raise ConfigError(f"state: found one of {len(states)} vehicles; expected {self.count}")
+        if any(state.config != self.config for state in states):
+            raise ConfigError("state: found one of another environment; expected one of equal configuration")
+        if self._lanes is None:
+            lanes = [state.lane.lane for state in states]
+            self._lanes = Lanes(self.settings, self._band, lanes, self._num_threads)
+        for i, state in enumerate(states):
+            self._lanes.set_state(i, state.lane)
+            self.episodes[i] = state.episode
+            self.elapsed[i] = state.elapsed
+            self.limits[i] = state.limits
+            self._faults[i] = copy.deepcopy(state.faults)
+            self._history[i] = state.history
+        self._faulty = any(schedule is not None for schedule in self._faults)
+
     def ending(self, i: int) -> str:
         """Why a vehicle's episode was terminated."""
         return ENDINGS[int(self.lanes.status[i])]
-
-    def _commands(self, actions: npt.ArrayLike) -> Array:
-        values = np.asarray(actions, dtype=np.float64)
-        return np.repeat(values, DAMPERS // ACTIONS[self.config.valves], axis=1)
 
     def _strike(self, i: int) -> None:
         """Let the faults happen whose time has come."""
@@ -238,18 +318,24 @@ class Fleet:
             schedule.apply(self.elapsed[i] * self.config.control_period, self.lanes, i)
 
     def _observe(self, which: Sequence[int], *, fresh: bool) -> None:
-        """Take over the last signals of some vehicles; those of a fresh one fill its whole history."""
+        """Take over the last signals of some vehicles; those of a fresh one fill its whole history.
+
+        Where a run diverged, the observation of the period before stays: nothing but numbers gets out.
+        """
         lanes = self.lanes
         newest = lanes.features if self.settings.features else lanes.signals
-        rows = slice(None) if len(which) == self.count else np.asarray(which, dtype=np.intp)
-        values = np.clip(newest[rows], self._low, self._high).astype(np.float32)
+        np.maximum(newest, self._low, out=self._bounded)
+        values = np.minimum(self._bounded, self._high, out=self._bounded)
+        rows: Any = slice(None) if len(which) == self.count else np.asarray(which, dtype=np.intp)
+        if np.count_nonzero(lanes.status == NOT_FINITE):
+            rows = np.array([i for i in which if lanes.status[i] != NOT_FINITE], dtype=np.intp)
         if self.config.observation != "history":
-            self._history[rows] = values
+            self._history[rows] = values[rows]
         elif fresh:
-            self._history[rows] = values[:, None]
+            self._history[rows] = values[rows, None]
         else:
             self._history[rows, :-1] = self._history[rows, 1:]
-            self._history[rows, -1] = values
+            self._history[rows, -1] = values[rows]
 
 
 def environment_scenario(config: EnvironmentConfig, overrides: Sequence[str] = ()) -> Scenario:
@@ -312,7 +398,10 @@ def signal_list(config: EnvironmentConfig) -> tuple[Signal, ...]:
 def feature_list(config: EnvironmentConfig, scenario: Scenario) -> tuple[Signal, ...]:
     """The features of an observation, with the ranges that follow from those of the sensors."""
     sensors, assessment = config.sensors, scenario.assessment
-    area = scenario.damper.cylinder.area if isinstance(scenario.damper, SaydDamperConfig) else 0.0
+    damper = scenario.damper
+    if not isinstance(damper, SaydDamperConfig):  # the passive vehicle has the spaces of the other one
+        damper = environment_scenario(config.model_copy(update={"damper": "sayd"})).damper
+    area = damper.cylinder.area if isinstance(damper, SaydDamperConfig) else 0.0
     acceleration = max(abs(sensors.lateral_acceleration.low), abs(sensors.lateral_acceleration.high))
     force = area * (sensors.pressure.high - sensors.pressure.low)
     dampers = [f"{bogie}.{place}" for bogie in BOGIES for place in OF_A_BOGIE]

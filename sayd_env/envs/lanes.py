@@ -6,7 +6,10 @@ any number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numba
 import numpy as np
@@ -30,6 +33,29 @@ from sayd_env.stability.online import Band
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
+
+STACKS = ("plant", "state", "work", "loop", "memory", "passed", "felt")
+"""What a vehicle consists of, in the order of the compiled loop's arguments."""
+CHANGING = ("state", "work", "loop", "memory", "passed", "felt")
+"""Those of them that change while it runs; of the plant, only a damper's stiffness does."""
+RESULTS = ("command", "signals", "features", "terms", "rewards", "status")
+"""What is known of its last control period."""
+
+
+@dataclass(frozen=True, eq=False)
+class LaneState:
+    """All of one lane at an instant: a lane that is put back to it goes on bit for bit."""
+
+    lane: Lane
+    """The vehicle as it was built, without its source of noise."""
+    fields: dict[str, Any]
+    """Copies of what has changed since, by `CHANGING`."""
+    stiffness: Array
+    """Of the plant's Maxwell dampers, N/m."""
+    noise: Mapping[str, Any] | None
+    """State of the source of noise."""
+    results: dict[str, Any]
+    """Copies of the last control period's results, by `RESULTS`."""
 
 
 class Lanes:
@@ -89,17 +115,56 @@ class Lanes:
         self.status = np.zeros(count, dtype=np.int64)
         self._one_period = np.ones(count, dtype=np.int64)
         self._no_log = np.zeros((count, 0, LOG))
+        self._noisy = any(lane.noise is not None for lane in lanes)
+        self._tuples = self._stacked()
 
     def __len__(self) -> int:
         return len(self._lanes)
 
     def put(self, i: int, lane: Lane) -> None:
         """Replace the vehicle of a lane; `run_in` must follow before it is stepped."""
-        self._lanes[i] = lane
-        for name in ("plant", "state", "work", "loop", "memory", "passed", "felt"):
+        self._place(i, lane)
+        for name in STACKS:
             getattr(self, name).put(i, getattr(lane, name))
-        self._clock[2 + i] = lane.substeps
+        self._tuples = self._stacked()
         self.status[i] = RUNNING
+
+    def _place(self, i: int, lane: Lane) -> None:
+        self._lanes[i] = lane
+        self._clock[2 + i] = lane.substeps
+        self._noisy = any(each.noise is not None for each in self._lanes)
+
+    def _stacked(self) -> tuple[Any, ...]:
+        """The vehicles' arguments of the compiled loop, gathered once: there are some hundred arrays."""
+        stacks = [getattr(self, name) for name in STACKS]
+        return tuple(part for stack in stacks for part in (stack.values, stack.spans))
+
+    def get_state(self, i: int) -> LaneState:
+        """All of a lane, as copies; it can be pickled."""
+        lane = self._lanes[i]
+        return LaneState(
+            lane=replace(lane, noise=None),
+            fields={name: _copied(getattr(self, name).view(i)) for name in CHANGING},
+            stiffness=self.plant.view(i).damper_stiffness.copy(),
+            noise=None if lane.noise is None else copy.deepcopy(lane.noise.bit_generator.state),
+            results={name: getattr(self, name)[i].copy() for name in RESULTS},
+        )
+
+    def set_state(self, i: int, saved: LaneState) -> None:
+        """Put a lane back to a state of this one or of another one of the same structure."""
+        noise = None
+        if saved.noise is not None:
+            noise = np.random.default_rng()
+            noise.bit_generator.state = copy.deepcopy(saved.noise)
+        if self._lanes[i].plant is not saved.lane.plant:  # another vehicle or another track
+            self.plant.put(i, saved.lane.plant)
+        self.plant.view(i).damper_stiffness[:] = saved.stiffness
+        self._place(i, replace(saved.lane, noise=noise))
+        for name, fields in saved.fields.items():
+            getattr(self, name).put(i, fields)
+        for name, value in saved.results.items():
+            getattr(self, name)[i] = value
+        self._tuples = self._stacked()
 
     def run_in(self, which: Sequence[int], *, log: bool = False) -> list[Array]:
         """Run lanes with fresh vehicles to their step 0, with their initial commands.
@@ -144,19 +209,18 @@ class Lanes:
             Lanes that run; all by default.
         """
         self.command[:] = commands
-        noisy = False
-        for i, lane in enumerate(self._lanes):
-            if lane.noise is not None:
-                lane.noise.standard_normal(out=self._noise[i])
-                noisy = True
         periods = self._one_period
         if active is not None or self.status.any():
             periods = np.where((self.status == RUNNING) & (True if active is None else active), 1, 0)
-        self._run(periods, self._noise if noisy else self._silent, self._no_log if log is None else log)
+        if self._noisy:
+            # A lane that stands still draws nothing: its noise must not depend on the others.
+            for lane, runs, noise in zip(self._lanes, periods, self._noise, strict=True):
+                if lane.noise is not None and runs:
+                    lane.noise.standard_normal(out=noise)
+        self._run(periods, self._noise if self._noisy else self._silent, self._no_log if log is None else log)
 
     def _run(self, periods: Index, noise: Array, log: Array) -> None:
-        stacks = (self.plant, self.state, self.work, self.loop, self.memory, self.passed, self.felt)
-        tuples = [x for stack in stacks for x in (stack.values, stack.spans)]
+        tuples = self._tuples
         outputs = (self.signals, self.features, self.terms, self.rewards, log, self.status)
         if self.num_threads == 1:
             run_lanes(*tuples, self.band, self._clock, periods, self.command, noise, *outputs)
@@ -169,3 +233,8 @@ class Lanes:
                 run_lanes_in_parallel(*tuples, self.band, self._clock, periods, self.command, noise, *outputs)
         finally:
             numba.set_num_threads(before)
+
+
+def _copied(fields: Any) -> Any:
+    """A named tuple whose arrays are copies."""
+    return fields._make(np.copy(value) if isinstance(value, np.ndarray) else value for value in fields)

@@ -1,0 +1,171 @@
+"""From the keywords of `gymnasium.make` to an environment's configuration and scenario."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Real
+from typing import Any
+
+from sayd_env.config import ConfigError, nearest, validate
+from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, load_environment
+from sayd_env.config.explain import shown
+from sayd_env.config.scenario import CostConfig, Scenario
+from sayd_env.config.sensors import SensorsConfig, load_sensors
+from sayd_env.envs.fleet import environment_scenario
+
+INFOS = ("basic", "full")
+"""Levels of `info`."""
+REWARDS: Mapping[str, tuple[float, float] | None] = {"mppt1": (1.0, 0.0), "mppt2": None}
+"""Weights (k_y, k_F) by name; None: those of the study."""
+RENDER_MODES = ("rgb_array", "human")
+
+
+def configured(
+    environment: str = "nominal",
+    *,
+    damper: str | None = None,
+    valves: str | None = None,
+    observation: str | None = None,
+    history: int | None = None,
+    reward: str | Sequence[float] | Mapping[str, float] | None = None,
+    control_period: float | None = None,
+    episode_s: float | None = None,
+    sensors: str | SensorsConfig | None = None,
+    speed_kmh: float | None = None,
+    settings: Iterable[str] = (),
+) -> tuple[EnvironmentConfig, Scenario]:
+    """Configuration and scenario of an environment.
+
+    Parameters
+    ----------
+    environment : str
+        A packaged environment (``nominal``, ``randomized``, ``faults``) or a path to a YAML file.
+    damper, valves, observation, history, control_period, episode_s
+        In place of the environment's own; see `EnvironmentConfig`.
+    reward : str, pair or mapping, optional
+        ``"mppt1"``, ``"mppt2"``, ``(k_y, k_F)`` or ``{"k_y": ..., "k_F": ...}``; by default the study's
+        weights, which are those of ``"mppt2"``.
+    sensors : str or SensorsConfig, optional
+        Name of a set of sensors, or a path to a YAML file.
+    speed_kmh : float, optional
+        Speed of all episodes, km/h.
+    settings : iterable of str
+        ``key=value`` assignments for the scenario, for example ``friction=0.3``. What they set is not drawn.
+
+    Raises
+    ------
+    ConfigError
+        A keyword that cannot be used; the message names it, what was found and what is allowed.
+    """
+    if not isinstance(environment, str) or not environment:
+        raise ConfigError(
+            f"environment: found {shown(environment)}; expected the name of an environment or a path"
+        )
+    assignments = _assignments(settings)
+    config = load_environment(environment)
+    given = {
+        "damper": damper,
+        "valves": valves,
+        "observation": observation,
+        "history": history,
+        "control_period": control_period,
+        "episode_s": episode_s,
+        "sensors": None if sensors is None else _sensors(sensors),
+        "randomisation": _randomisation(config.randomisation, speed_kmh, assignments),
+    }
+    changes = {key: value for key, value in given.items() if value is not None}
+    config = validate(EnvironmentConfig, dict(config) | changes, "keywords")
+    scenario = environment_scenario(config, assignments)
+    if scenario.damper.type != config.damper:
+        raise ConfigError(
+            f"settings: found a damper of type '{scenario.damper.type}', the environment has "
+            f"'{config.damper}'; give damper='{scenario.damper.type}' too"
+        )
+    weights = _weights(reward)
+    if weights is not None:
+        content = {"acceleration_weight": weights[0], "force_weight": weights[1]}
+        cost = validate(CostConfig, dict(scenario.cost) | content, "keywords")
+        scenario = scenario.model_copy(update={"cost": cost})
+    return config, scenario
+
+
+def refuse_unknown(unknown: Mapping[str, Any], known: Iterable[str]) -> None:
+    """Refuse keywords that an environment does not have.
+
+    Raises
+    ------
+    ConfigError
+        There is one.
+    """
+    allowed = sorted(known)
+    for key in unknown:
+        raise ConfigError(f"unknown keyword '{key}'{nearest(key, allowed)}; allowed: {', '.join(allowed)}")
+
+
+def checked_choice(name: str, value: Any, allowed: Iterable[str | None]) -> Any:
+    """One of the values that a keyword may have.
+
+    Raises
+    ------
+    ConfigError
+        Another one.
+    """
+    values = tuple(allowed)
+    if not (value is None or isinstance(value, str)) or value not in values:
+        words = " or ".join(str(each) if each is None else f"'{each}'" for each in values)
+        raise ConfigError(f"{name}: found {shown(value)}; expected {words}")
+    return value
+
+
+def _assignments(settings: Any) -> tuple[str, ...]:
+    listed = () if isinstance(settings, str) or not isinstance(settings, Iterable) else tuple(settings)
+    if isinstance(settings, str) or not all(isinstance(item, str) for item in listed):
+        raise ConfigError(
+            f"settings: found {shown(settings)}; expected a list of key=value, such as ['friction=0.3']"
+        )
+    return listed
+
+
+def _sensors(sensors: Any) -> SensorsConfig:
+    if isinstance(sensors, SensorsConfig):
+        return sensors
+    if not isinstance(sensors, str) or not sensors:
+        raise ConfigError(f"sensors: found {shown(sensors)}; expected the name of a set of sensors or a path")
+    return load_sensors(sensors)
+
+
+def _randomisation(
+    laws: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
+) -> RandomisationConfig:
+    """Laws of an environment, less those of what a keyword fixes."""
+    fixed: dict[str, Any] = {}
+    if speed_kmh is not None:
+        fixed["speed_kmh"] = {"law": "fixed", "value": speed_kmh}
+    for item in assignments:
+        key = item.partition("=")[0].strip()
+        if key in ("wear", "friction"):
+            fixed[key] = None
+        elif key == "track" or key.startswith("track.irregularity"):
+            fixed["tracks"] = ()
+    return validate(RandomisationConfig, dict(laws) | fixed, "keywords") if fixed else laws
+
+
+def _weights(reward: Any) -> tuple[float, float] | None:
+    """k_y and k_F; None for those of the study."""
+    if reward is None:
+        return None
+    if isinstance(reward, str) and reward in REWARDS:
+        return REWARDS[reward]
+    pair = reward
+    if isinstance(reward, Mapping) and set(reward) == {"k_y", "k_F"}:
+        pair = (reward["k_y"], reward["k_F"])
+    if isinstance(pair, Sequence) and not isinstance(pair, str) and len(pair) == 2:
+        numbers = [float(each) for each in pair if not isinstance(each, bool) and isinstance(each, Real)]
+        if len(numbers) == 2 and all(math.isfinite(n) and n >= 0.0 for n in numbers) and sum(numbers) > 0.0:
+            return numbers[0], numbers[1]
+    close = nearest(reward, REWARDS) if isinstance(reward, str) else ""
+    raise ConfigError(
+        f"reward: found {shown(reward)}{close}; expected 'mppt1', 'mppt2', (k_y, k_F) or "
+        "{'k_y': ..., 'k_F': ...}, weights of 0 or more of which one is positive"
+    )

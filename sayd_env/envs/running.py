@@ -1,0 +1,72 @@
+"""EN 14363's values while a vehicle runs: RMS over the last 100 m, behind the on-line filter."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import sosfilt
+
+from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.envs.loop import BOGIES, LOG_FILTERED, LOG_TRACK_SHIFT, POINTS
+from sayd_env.stability.online import Band
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+
+class RunningValues:
+    """Sliding RMS of one vehicle's accelerations and track shift forces.
+
+    The accelerations are those behind the on-line filter of the cost. The track shift forces go through a
+    filter of the same band; like that one, it runs from rest over the last seconds where f_0 has moved.
+
+    Parameters
+    ----------
+    band : Band
+        Constants of the on-line filter.
+    assessment : AssessmentConfig
+        Length of the window.
+    speed : float
+        m/s.
+    rate : float
+        Samples per second, Hz.
+    """
+
+    def __init__(self, band: Band, assessment: AssessmentConfig, speed: float, rate: float) -> None:
+        self._sections = np.insert(band.sections, 3, 1.0, axis=2)  # with a0, as SciPy wants it
+        self._kept = int(band.counts[1])
+        self._window = max(1, round(assessment.window_length / speed * rate))
+        self._choice = np.full(BOGIES, band.counts[2])
+        self._filters = np.zeros((BOGIES, self._sections.shape[1], 2, POINTS // BOGIES))
+        self._raw = np.zeros((0, POINTS))
+        self._filtered = np.zeros((0, 2 * POINTS))
+
+    def advance(self, rows: Array, choice: Index) -> None:
+        """Take the samples of a run-in or of a control period.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (t, LOG)
+            True signals by the columns of `sayd_env.envs.loop`.
+        choice : ndarray, shape (BOGIES,)
+            Index of each bogie's f_0 during them.
+        """
+        shift = rows[:, LOG_TRACK_SHIFT : LOG_TRACK_SHIFT + POINTS]
+        new = np.empty((len(rows), 2 * POINTS))
+        new[:, :POINTS] = rows[:, LOG_FILTERED : LOG_FILTERED + POINTS]
+        size = POINTS // BOGIES
+        for k in range(BOGIES):
+            own, sections = slice(k * size, (k + 1) * size), self._sections[choice[k]]
+            if choice[k] != self._choice[k]:
+                rest = np.zeros_like(self._filters[k])
+                _, self._filters[k] = sosfilt(sections, self._raw[:, own], axis=0, zi=rest)
+            target = slice(POINTS + own.start, POINTS + own.stop)
+            new[:, target], self._filters[k] = sosfilt(sections, shift[:, own], axis=0, zi=self._filters[k])
+        self._choice = choice.copy()
+        self._raw = np.concatenate([self._raw, shift])[-self._kept :]
+        self._filtered = np.concatenate([self._filtered, new])[-self._window :]
+
+    def rms(self) -> tuple[Array, Array]:
+        """Sliding RMS at the measuring points: acceleration (m/s2) and track shift force (N)."""
+        values = np.sqrt(np.mean(self._filtered**2, axis=0))
+        return values[:POINTS], values[POINTS:]

@@ -1,0 +1,316 @@
+"""The Gymnasium environment of one vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.error import ResetNeeded
+
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.sensors import SensorsConfig
+from sayd_env.envs.fleet import Fleet, checked_actions
+from sayd_env.envs.hook import open_scene
+from sayd_env.envs.interface import Interface, Signal
+from sayd_env.envs.keywords import INFOS, RENDER_MODES, checked_choice, configured, refuse_unknown
+from sayd_env.envs.session import SEEDS, EnvironmentState, Session, action_box, observation_box
+from sayd_env.envs.telling import costs, of_the_end, of_the_episode
+
+KEYWORDS = (
+    "environment",
+    "damper",
+    "valves",
+    "observation",
+    "history",
+    "reward",
+    "control_period",
+    "episode_s",
+    "sensors",
+    "speed_kmh",
+    "settings",
+    "info",
+    "render_mode",
+)
+"""Keywords of `SaydEnv`."""
+
+
+class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
+    """A high-speed rail vehicle whose eight yaw dampers have valves that a policy commands.
+
+    Made by ``gymnasium.make`` with one of these ids:
+
+    - ``SAYD/Nominal-v0``: the paper's vehicle at 350 km/h on worn wheels, with sensors without errors.
+    - ``SAYD/Randomized-v0``: speed, wear, friction, track, payload, tolerances and sensor errors drawn for
+      each episode.
+    - ``SAYD/Faults-v0``: faults of valves, dampers and sensors besides.
+
+    **Action.** A ``Box`` of valve commands V, float32: 0 closes a valve (strongest damping), 1 opens it. The
+    driver makes a current of it, and the current passes through the valve's delay, lag and rate, so that what
+    acts is not at once what was asked. A command holds for one control period, 10 ms.
+
+    | valves    | number | command of                         | closed | open |
+    | --------- | ------ | ---------------------------------- | ------ | ---- |
+    | 'bogie'   | 0      | the four valves of the front bogie | 0      | 1    |
+    | 'bogie'   | 1      | the four valves of the rear bogie  | 0      | 1    |
+    | 'damper'  | 0      | front.left.upper                   | 0      | 1    |
+    | 'damper'  | 1      | front.left.lower                   | 0      | 1    |
+    | 'damper'  | 2      | front.right.upper                  | 0      | 1    |
+    | 'damper'  | 3      | front.right.lower                  | 0      | 1    |
+    | 'damper'  | 4      | rear.left.upper                    | 0      | 1    |
+    | 'damper'  | 5      | rear.left.lower                    | 0      | 1    |
+    | 'damper'  | 6      | rear.right.upper                   | 0      | 1    |
+    | 'damper'  | 7      | rear.right.lower                   | 0      | 1    |
+    | 'vehicle' | 0      | all eight valves                   | 0      | 1    |
+
+    **Observation.** What a train can measure, in SI units, float32, in a ``Box`` whose bounds are the
+    sensors' ranges: the mean of each sensor's readings (1 kHz) over the last control period. With
+    ``observation="signals"``, and ``"history"`` for the last of these vectors, oldest first:
+
+    | number   | quantity                  | places, the last changes first      | unit | low  | high    |
+    | -------- | ------------------------- | ----------------------------------- | ---- | ---- | ------- |
+    | 0 to 3   | lateral_acceleration      | front/rear, leading/trailing        | m/s2 | -100 | 100     |
+    | 4 to 7   | longitudinal_acceleration | front/rear, left/right              | m/s2 | -100 | 100     |
+    | 8 to 15  | pressure_a                | front/rear, left/right, upper/lower | Pa   | 0    | 1.6e+07 |
+    | 16 to 23 | pressure_b                | front/rear, left/right, upper/lower | Pa   | 0    | 1.6e+07 |
+    | 24 to 31 | stroke                    | front/rear, left/right, upper/lower | m    | -0.1 | 0.1     |
+    | 32 to 39 | current                   | front/rear, left/right, upper/lower | -    | 0    | 1       |
+    | 40       | speed                     | -                                   | m/s  | 0    | 140     |
+
+    With ``observation="features"``, what the paper's controllers work on, computed from the readings:
+
+    | number   | quantity           | places, the last changes first      | unit | low | high  |
+    | -------- | ------------------ | ----------------------------------- | ---- | --- | ----- |
+    | 0 to 3   | acceleration_rms   | front/rear, leading/trailing        | m/s2 | 0   | 200   |
+    | 4 to 11  | force_rms          | front/rear, left/right, upper/lower | N    | 0   | 29760 |
+    | 12 to 13 | dominant_frequency | front/rear                          | Hz   | 1.5 | 12    |
+    | 14 to 21 | current            | front/rear, left/right, upper/lower | -    | 0   | 1     |
+    | 22 to 29 | command            | front/rear, left/right, upper/lower | -    | 0   | 1     |
+    | 30       | speed              | -                                   | m/s  | 0   | 140   |
+
+    ``env.unwrapped.signals`` lists name, unit and range of every number, and
+    `sayd_env.envs.wrappers.NormalizeSignals` maps the ranges to -1 to 1.
+
+    **Reward.** Minus the paper's cost of the period, eq. (27): the mean over the two bogies of
+    ``k_y (psi_y / y_lim)^2 + k_F (psi_F / F_max)^2``, from true signals at 1 kHz, scaled such that the
+    rewards of a whole second add up to minus the mean J of that second. The acceleration is filtered on line,
+    around the bogie's dominant frequency of the last 500 m.
+
+    **Start.** The vehicle runs over 500 m with the initial command, so that filters and spectra are full.
+
+    **End.** ``truncated`` after `episode_s` seconds. ``terminated`` where a wheel climbs over its rail, where
+    Y/Q of a wheel stays beyond its limit, or where the numbers do not stay finite (``info["error"]`` then
+    says so); the reward of that period is charged with `termination_cost` for every second that remains.
+
+    **Episodes.** ``reset(seed=s)`` begins episode 0 of seed s, ``reset()`` the next episode of the same seed.
+    Episode k is drawn from [s, k] alone: it does not depend on how the ones before went.
+    ``reset(options={...})`` fixes some of ``speed_kmh, wear, profile, friction, payload, initial_current,
+    track, track_scale, faults``.
+
+    **Info.** Each step ``cost_acceleration`` and ``cost_force`` (the two squares of the cost, unweighted,
+    means of the bogies), ``dominant_frequency`` (2, Hz); ``ending`` where the run was terminated. `reset`
+    tells ``seed, episode, speed_kmh, wear, friction, track, faults``. With ``info="full"`` besides, of the
+    end of the period: ``damper_force`` (8, N), ``track_shift_force`` (4, N), ``wheel_lateral_force`` and
+    ``wheel_vertical_force`` (8, N; left and right in turn), ``valve_current`` and ``valve_command`` (8),
+    ``hydraulic_flow`` (8, m3/s: what the pistons displace) and ``hydraulic_power`` (8, W: what they put into
+    the oil), and EN 14363's values of the last 100 m behind the on-line filter, ``running_acceleration``
+    (4, m/s2) and ``running_track_shift`` (4, N), with their limits ``limit_acceleration`` and
+    ``limit_track_shift``.
+
+    Parameters
+    ----------
+    environment : str
+        A packaged environment (``nominal``, ``randomized``, ``faults``) or a path to a YAML file.
+    damper : str, optional
+        ``sayd``, or ``passive`` for the vehicle with passive dampers: the same spaces, commands do nothing.
+    valves : str, optional
+        ``bogie`` (2 commands), ``damper`` (8) or ``vehicle`` (1).
+    observation : str, optional
+        ``signals``, ``history`` or ``features``.
+    history : int, optional
+        Vectors in a ``history``.
+    reward : str, pair or mapping, optional
+        ``"mppt1"``, ``"mppt2"`` (the study's weights, as by default), ``(k_y, k_F)`` or
+        ``{"k_y": ..., "k_F": ...}``.
+    control_period : float, optional
+        s; a whole number of milliseconds that divides a second.
+    episode_s : float, optional
+        s; a multiple of the control period.
+    sensors : str, optional
+        ``ideal``, ``realistic`` or a path to a YAML file.
+    speed_kmh : float, optional
+        Speed of all episodes, km/h.
+    settings : iterable of str
+        ``key=value`` assignments for the scenario, such as ``friction=0.3``. What they set is not drawn.
+    info : str
+        ``basic`` or ``full``.
+    render_mode : str, optional
+        ``rgb_array`` or ``human``.
+
+    Raises
+    ------
+    ConfigError
+        A keyword, an option or an action that cannot be used; the message names it and what is allowed.
+    gymnasium.error.ResetNeeded
+        A step before the first reset or after the end of an episode.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 100}  # noqa: RUF012
+
+    def __init__(
+        self,
+        environment: str = "nominal",
+        *,
+        damper: str | None = None,
+        valves: str | None = None,
+        observation: str | None = None,
+        history: int | None = None,
+        reward: str | Sequence[float] | Mapping[str, float] | None = None,
+        control_period: float | None = None,
+        episode_s: float | None = None,
+        sensors: str | SensorsConfig | None = None,
+        speed_kmh: float | None = None,
+        settings: Iterable[str] = (),
+        info: str = "basic",
+        render_mode: str | None = None,
+        **unknown: Any,
+    ) -> None:
+        refuse_unknown(unknown, KEYWORDS)
+        checked_choice("info", info, INFOS)
+        self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
+        config, scenario = configured(
+            environment,
+            damper=damper,
+            valves=valves,
+            observation=observation,
+            history=history,
+            reward=reward,
+            control_period=control_period,
+            episode_s=episode_s,
+            sensors=sensors,
+            speed_kmh=speed_kmh,
+            settings=settings,
+        )
+        self._session = Session(config, scenario, 1, num_threads=1, full=info == "full")
+        self._scene: Any = None
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / config.control_period)}
+        self.observation_space = observation_box(self.interface)
+        self.action_space = action_box(self.interface)
+        self._shape = (self.interface.actions,)
+
+    @property
+    def config(self) -> EnvironmentConfig:
+        """What the environment is."""
+        return self.fleet.config
+
+    @property
+    def fleet(self) -> Fleet:
+        """The simulated vehicle behind the environment: what no train could measure."""
+        return self._session.fleet
+
+    @property
+    def interface(self) -> Interface:
+        """What a policy may know of the environment."""
+        return self.fleet.interface
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Name, unit and range of each number of an observation."""
+        return self.interface.signals
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Begin episode 0 of this seed; by default the next episode of the last seed.
+        options : dict, optional
+            What to fix of the episode.
+
+        Raises
+        ------
+        ConfigError
+            An unknown option, or a value that is not allowed.
+        """
+        super().reset(seed=seed)
+        self._session.begin([0], [seed], lambda: int(self.np_random.integers(SEEDS)), options)
+        if self.render_mode == "human":
+            self.render()
+        return self.fleet.observations()[0], of_the_episode(self.fleet, 0)
+
+    def step(
+        self, action: npt.NDArray[np.float32]
+    ) -> tuple[npt.NDArray[np.float32], SupportsFloat, bool, bool, dict[str, Any]]:
+        """Hold valve commands for one control period.
+
+        Parameters
+        ----------
+        action : ndarray, shape (A,)
+            Valve commands from 0 (closed) to 1 (open).
+
+        Raises
+        ------
+        ConfigError
+            An action of another shape, out of range or not finite.
+        gymnasium.error.ResetNeeded
+            No episode is under way.
+        """
+        session = self._session
+        if session.over[0]:
+            raise ResetNeeded("no episode is under way: call reset before step")
+        values = checked_actions(action, self._shape)
+        observation, rewards, terminated, truncated = session.step(values[None])
+        ended, late = bool(terminated[0]), bool(truncated[0])
+        session.over[0] = ended or late
+        if self.render_mode == "human":
+            self.render()
+        return observation[0], float(rewards[0]), ended, late, self._info(ended)
+
+    def _info(self, ended: bool) -> dict[str, Any]:
+        session = self._session
+        acceleration, force = costs(session.fleet)
+        info = {
+            "cost_acceleration": float(acceleration[0]),
+            "cost_force": float(force[0]),
+            "dominant_frequency": session.fleet.dominant_frequency()[0],
+        }
+        if ended:
+            info |= of_the_end(session.fleet, 0)
+        return info | session.told(0) if session.full else info
+
+    def render(self) -> Any:
+        """A picture of the vehicle: an array of shape (height, width, 3), or None with ``human``."""
+        if self.render_mode is None:
+            gym.logger.warn("render() needs a render_mode: give make render_mode='rgb_array' or 'human'")
+            return None
+        if self._scene is None:
+            self._scene = open_scene(self.fleet, 0, self.render_mode)
+        return self._scene.draw()
+
+    def close(self) -> None:
+        """Close the window, if there is one. Closing twice does no harm."""
+        if self._scene is not None:
+            self._scene.close()
+            self._scene = None
+
+    def get_state(self) -> EnvironmentState:
+        """All of the environment, as a copy: for search, model-predictive control and continuation."""
+        return self._session.get_state(self._np_random, self._np_random_seed)
+
+    def set_state(self, state: EnvironmentState) -> None:
+        """Go back to a state of this environment or of one that was made alike.
+
+        What follows is the same bits as what followed there.
+
+        Raises
+        ------
+        ConfigError
+            A state of another environment.
+        """
+        self._session.set_state(state)
+        self._np_random, self._np_random_seed = state.generator(), state.random_seed

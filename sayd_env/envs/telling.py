@@ -1,0 +1,88 @@
+"""What `info` tells of a vehicle: its episode, its cost, its forces and valves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, DAMPERS, NOT_FINITE, POINTS, RUNNING
+from sayd_env.envs.running import RunningValues
+from sayd_env.physics import sayd
+from sayd_env.physics.plant import LANES
+from sayd_env.physics.step import FORCE_Y, FORCE_Z
+
+Array = npt.NDArray[np.float64]
+
+
+def costs(fleet: Fleet) -> tuple[Array, Array]:
+    """Terms of the cost of the last period, unweighted, means of the bogies: new arrays of shape (count,)."""
+    terms = fleet.lanes.terms
+    acceleration = (terms[:, COST_ACCELERATION] + terms[:, COST_ACCELERATION + 1]) / BOGIES
+    force = (terms[:, COST_FORCE] + terms[:, COST_FORCE + 1]) / BOGIES
+    if np.count_nonzero(fleet.lanes.status == NOT_FINITE):
+        return np.nan_to_num(acceleration, posinf=0.0), np.nan_to_num(force, posinf=0.0)
+    return acceleration, force
+
+
+def of_the_end(fleet: Fleet, i: int) -> dict[str, Any]:
+    """Why a vehicle's run ended early; nothing if it did not."""
+    status = int(fleet.lanes.status[i])
+    if status == RUNNING:
+        return {}
+    ending = fleet.ending(i)
+    return {"ending": ending, "error": ending} if status == NOT_FINITE else {"ending": ending}
+
+
+def of_the_episode(fleet: Fleet, i: int) -> dict[str, Any]:
+    """Conditions of a vehicle's episode."""
+    episode, scenario = fleet.episodes[i], fleet.scenario
+    assert episode is not None  # the reset has set it
+    return {
+        "seed": episode.seed,
+        "episode": episode.number,
+        "speed_kmh": episode.speed * 3.6,
+        "wear": scenario.wear if episode.wear is None else episode.wear,
+        "friction": scenario.friction if episode.friction is None else episode.friction,
+        "track": "of the study" if episode.track is None else episode.track,
+        "faults": [fault.model_dump() for fault in episode.faults],
+    }
+
+
+def of_the_vehicle(fleet: Fleet, i: int, running: RunningValues) -> dict[str, Any]:
+    """Forces, valves, flow, power and running values of a vehicle at the end of the last period."""
+    lanes, limits = fleet.lanes, fleet.limits[i]
+    state, row, out = lanes.state.view(i), lanes.memory.view(i).row, lanes.work.view(i).lane_out
+    acceleration, shift = running.rms()
+    told = {
+        "damper_force": row[2 * POINTS :],
+        "track_shift_force": row[POINTS : 2 * POINTS],
+        "wheel_lateral_force": out[FORCE_Y * LANES : (FORCE_Y + 1) * LANES],
+        "wheel_vertical_force": out[FORCE_Z * LANES : (FORCE_Z + 1) * LANES],
+        "valve_command": lanes.command[i],
+        **_hydraulics(fleet, i, state),
+        "running_acceleration": acceleration,
+        "running_track_shift": shift,
+    }
+    finite = {name: np.nan_to_num(value, posinf=0.0, neginf=0.0) for name, value in told.items()}
+    return finite | {
+        "limit_acceleration": limits.acceleration,
+        "limit_track_shift": limits.track_shift_force,
+    }
+
+
+def _hydraulics(fleet: Fleet, i: int, state: Any) -> dict[str, Array]:
+    """Acting current, oil that the piston displaces (m3/s), and power that goes into it (W)."""
+    if state.sayd.size == 0:
+        power = state.force[:DAMPERS] * state.piston[:DAMPERS]
+        still = np.zeros(DAMPERS)
+        return {"valve_current": still, "hydraulic_flow": still, "hydraulic_power": power}
+    rows = state.sayd.reshape(-1, LANES)
+    flow = fleet.lanes.loop.view(i).area * rows[sayd.STROKE_RATE]
+    return {
+        "valve_current": rows[sayd.CURRENT],
+        "hydraulic_flow": flow,
+        "hydraulic_power": -(rows[sayd.PRESSURE_A] - rows[sayd.PRESSURE_B]) * flow,
+    }

@@ -1,0 +1,364 @@
+"""The Gymnasium environment of many vehicles: one compiled call for a step of all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from sayd_env.config import ConfigError
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.explain import shown
+from sayd_env.config.sensors import SensorsConfig
+from sayd_env.envs.fleet import Flags, Fleet, Observation, checked_actions
+from sayd_env.envs.hook import open_scene
+from sayd_env.envs.interface import Interface, Signal
+from sayd_env.envs.keywords import INFOS, RENDER_MODES, checked_choice, configured, refuse_unknown
+from sayd_env.envs.options import whole_number
+from sayd_env.envs.session import SEEDS, EnvironmentState, Session, action_box, observation_box
+from sayd_env.envs.single import KEYWORDS as OF_ONE
+from sayd_env.envs.telling import costs, of_the_end, of_the_episode
+
+Array = npt.NDArray[np.float64]
+
+KEYWORDS = (*OF_ONE, "num_envs", "num_threads", "autoreset_mode", "max_episode_steps")
+"""Keywords of `SaydVectorEnv`."""
+LARGEST_SEED = 2**63 - 1
+
+
+class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[Any]]):
+    """Many `SaydEnv` side by side; see there for actions, observations, reward and ends.
+
+    Made by ``gymnasium.make_vec``. Lane i is the same bits as a `SaydEnv` that is reset with the same seed,
+    for any number of lanes and threads. ``reset(seed=s)`` with a number s gives lane i the seed s + i, a list
+    gives each lane its own. `info` has Gymnasium's form: an array for each key, and a mask ``_key``.
+
+    Parameters
+    ----------
+    environment, damper, ..., settings, info
+        As in `SaydEnv`.
+    num_envs : int
+        Number of vehicles.
+    num_threads : int, optional
+        Threads of the compiled call; by default all cores, and 1 for a single vehicle.
+    autoreset_mode : str or AutoresetMode
+        What happens after the end of an episode. ``NextStep``: the next step ignores the lane's action,
+        begins the next episode and gives its first observation, with reward 0. ``SameStep``: the same step
+        does; the last observation and info are in ``final_obs`` and ``final_info``. ``Disabled``: the lane
+        must be reset with ``reset(options={"reset_mask": ...})``. (Or the names of `AutoresetMode`.)
+    max_episode_steps : int, optional
+        Truncate after so many steps already. Longer episodes: `episode_s`.
+    render_mode : str, optional
+        ``rgb_array`` or ``human``: the first lane.
+
+    Raises
+    ------
+    ConfigError
+        A keyword, an option or an action that cannot be used; the message names it and what is allowed.
+    gymnasium.error.ResetNeeded
+        A step before the first reset, or with ``Disabled`` after the end of an episode.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 100,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        environment: str = "nominal",
+        *,
+        num_envs: int = 1,
+        damper: str | None = None,
+        valves: str | None = None,
+        observation: str | None = None,
+        history: int | None = None,
+        reward: str | Sequence[float] | Mapping[str, float] | None = None,
+        control_period: float | None = None,
+        episode_s: float | None = None,
+        sensors: str | SensorsConfig | None = None,
+        speed_kmh: float | None = None,
+        settings: Iterable[str] = (),
+        info: str = "basic",
+        render_mode: str | None = None,
+        num_threads: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        **unknown: Any,
+    ) -> None:
+        refuse_unknown(unknown, KEYWORDS)
+        checked_choice("info", info, INFOS)
+        self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
+        self._mode = _autoreset(autoreset_mode)
+        self.num_envs = whole_number("num_envs", num_envs)
+        config, scenario = configured(
+            environment,
+            damper=damper,
+            valves=valves,
+            observation=observation,
+            history=history,
+            reward=reward,
+            control_period=control_period,
+            episode_s=episode_s,
+            sensors=sensors,
+            speed_kmh=speed_kmh,
+            settings=settings,
+        )
+        threads = None if num_threads is None else whole_number("num_threads", num_threads)
+        self._session = Session(config, scenario, self.num_envs, num_threads=threads, full=info == "full")
+        if max_episode_steps is not None and max_episode_steps != -1:
+            self.fleet.steps = min(self.fleet.steps, _positive("max_episode_steps", max_episode_steps))
+        self._begun = False
+        self._scene: Any = None
+        self.metadata = {
+            **self.metadata,
+            "render_fps": round(1.0 / config.control_period),
+            "autoreset_mode": self._mode,
+        }
+        self.single_observation_space = observation_box(self.interface)
+        self.single_action_space = action_box(self.interface)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._shape = (self.num_envs, self.interface.actions)
+
+    @property
+    def config(self) -> EnvironmentConfig:
+        """What the environment is."""
+        return self.fleet.config
+
+    @property
+    def fleet(self) -> Fleet:
+        """The simulated vehicles behind the environment: what no train could measure."""
+        return self._session.fleet
+
+    @property
+    def interface(self) -> Interface:
+        """What a policy may know of the environment."""
+        return self.fleet.interface
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Name, unit and range of each number of a lane's observation."""
+        return self.interface.signals
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode in every lane.
+
+        Parameters
+        ----------
+        seed : int or sequence of int or None, optional
+            A number s gives lane i the seed s + i. A lane without a seed goes on with the next episode of its
+            own.
+        options : dict, optional
+            What to fix of the episodes, and ``reset_mask``, a bool for each lane: the others go on.
+
+        Raises
+        ------
+        ConfigError
+            Another number of seeds, an unknown option, or a value that is not allowed.
+        """
+        seeds = self._seeds(seed)
+        if isinstance(seed, int):
+            self._np_random, self._np_random_seed = seeding.np_random(seed)
+        fixed = dict(options or {})
+        which = self._masked(fixed.pop("reset_mask", None))
+        self._begin(which, [seeds[i] for i in which], fixed)
+        self._begun = True
+        infos: dict[str, Any] = {}
+        for i in which:
+            infos = self._add_info(infos, of_the_episode(self.fleet, i), i)
+        if self.render_mode == "human":
+            self.render()
+        return self.fleet.observations(), infos
+
+    def _seeds(self, seed: Any) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
+            if len(seed) != self.num_envs:
+                raise ConfigError(
+                    f"seed: found {len(seed)} seeds; expected {self.num_envs}, one for each lane"
+                )
+            return [None if each is None else _checked_seed(each) for each in seed]
+        first = _checked_seed(seed)
+        return [_checked_seed(first + i) for i in range(self.num_envs)]
+
+    def _masked(self, mask: Any) -> list[int]:
+        """Lanes that a reset concerns."""
+        if mask is None:
+            return list(range(self.num_envs))
+        flags = np.asarray(mask)
+        if flags.shape != (self.num_envs,) or flags.dtype != np.bool_ or not flags.any():
+            raise ConfigError(
+                f"options: reset_mask: found {shown(mask)}; expected a boolean for each of the "
+                f"{self.num_envs} lanes, one of them true"
+            )
+        if not self._begun and not flags.all():
+            raise ConfigError("options: reset_mask: the first reset must be one of all lanes")
+        return [int(i) for i in np.flatnonzero(flags)]
+
+    def _begin(
+        self, which: Sequence[int], seeds: Sequence[int | None], options: Mapping[str, Any] | None = None
+    ) -> None:
+        self._session.begin(which, seeds, lambda: int(self.np_random.integers(SEEDS)), options)
+
+    def step(
+        self, actions: npt.NDArray[np.float32]
+    ) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
+        """Hold valve commands for one control period.
+
+        Parameters
+        ----------
+        actions : ndarray, shape (num_envs, A)
+            Valve commands from 0 (closed) to 1 (open).
+
+        Raises
+        ------
+        ConfigError
+            Actions of another shape, out of range or not finite.
+        gymnasium.error.ResetNeeded
+            No episode is under way.
+        """
+        if not self._begun:
+            raise ResetNeeded("no episode is under way: call reset before step")
+        values = checked_actions(actions, self._shape)
+        over = np.flatnonzero(self._session.over)
+        if over.size == 0:
+            return self._run(values)
+        if self._mode is AutoresetMode.DISABLED:
+            raise ResetNeeded(
+                f"the episodes of the lanes {over.tolist()} have ended: reset them with reset_mask"
+            )
+        which = over.tolist()
+        self._begin(which, [None] * len(which))
+        active = np.ones(self.num_envs, dtype=np.bool_)
+        active[which] = False
+        return self._run(values, active)
+
+    def _run(
+        self, values: Array, active: Flags | None = None
+    ) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
+        """Step the active lanes; the others have begun just now."""
+        session, fleet = self._session, self.fleet
+        observations, rewards, terminated, truncated = session.step(values, active)
+        stepped = np.ones(self.num_envs, dtype=np.bool_)
+        if active is not None:
+            stepped = active
+            terminated &= active
+            truncated &= active
+        done = terminated | truncated
+        which = [int(i) for i in np.flatnonzero(done)]
+        infos: dict[str, Any] = {}
+        if which and self._mode is AutoresetMode.SAME_STEP:
+            for i in which:
+                final = {"final_obs": observations[i].copy(), "final_info": self._info(i)}
+                infos = self._add_info(infos, final, i)
+            stepped = stepped & ~done
+        infos = self._with_basics(infos, stepped)
+        told = stepped if session.full else stepped & terminated
+        for i in map(int, np.flatnonzero(told)):
+            infos = self._add_info(infos, self._rare(i), i)
+        if which and self._mode is AutoresetMode.SAME_STEP:
+            self._begin(which, [None] * len(which))
+            observations = fleet.observations()
+        elif which:
+            session.over[which] = True
+        for i in map(int, np.flatnonzero(~stepped)):
+            infos = self._add_info(infos, of_the_episode(fleet, i), i)
+        if self.render_mode == "human":
+            self.render()
+        return observations, rewards, terminated, truncated, infos
+
+    def _with_basics(self, infos: dict[str, Any], stepped: Flags) -> dict[str, Any]:
+        """Info of every step, as arrays at once."""
+        if not stepped.any():
+            return infos
+        acceleration, force = costs(self.fleet)
+        told = {
+            "cost_acceleration": np.where(stepped, acceleration, 0.0),
+            "cost_force": np.where(stepped, force, 0.0),
+            "dominant_frequency": np.where(stepped[:, None], self.fleet.dominant_frequency(), 0.0),
+        }
+        for key, values in told.items():
+            infos[key], infos["_" + key] = values, stepped.copy()
+        return infos
+
+    def _rare(self, i: int) -> dict[str, Any]:
+        return of_the_end(self.fleet, i) | self._session.told(i)
+
+    def _info(self, i: int) -> dict[str, Any]:
+        """Info of one lane, as `SaydEnv` gives it."""
+        acceleration, force = costs(self.fleet)
+        return {
+            "cost_acceleration": float(acceleration[i]),
+            "cost_force": float(force[i]),
+            "dominant_frequency": self.fleet.dominant_frequency()[i],
+        } | self._rare(i)
+
+    def render(self) -> Any:
+        """Pictures of the first lane: a tuple of one array of shape (height, width, 3), or None."""
+        if self.render_mode is None:
+            gym.logger.warn("render() needs a render_mode: give make_vec render_mode='rgb_array' or 'human'")
+            return None
+        if self._scene is None:
+            self._scene = open_scene(self.fleet, 0, self.render_mode)
+        picture = self._scene.draw()
+        return None if picture is None else (picture,)
+
+    def close_extras(self, **_: Any) -> None:
+        """Close the window, if there is one."""
+        if self._scene is not None:
+            self._scene.close()
+            self._scene = None
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """An attribute of the environment, once for each lane, as `SyncVectorEnv.get_attr`."""
+        return (getattr(self, name),) * self.num_envs
+
+    def get_state(self) -> EnvironmentState:
+        """All lanes, as a copy."""
+        return self._session.get_state(self._np_random, self._np_random_seed)
+
+    def set_state(self, state: EnvironmentState) -> None:
+        """Go back to a state of this environment or of one that was made alike.
+
+        Raises
+        ------
+        ConfigError
+            A state of another environment or of another number of lanes.
+        """
+        self._session.set_state(state)
+        self._begun = True
+        self._np_random, self._np_random_seed = state.generator(), state.random_seed
+
+
+def _checked_seed(seed: Any) -> int:
+    number = whole_number("seed", seed)
+    if number > LARGEST_SEED:
+        raise ConfigError(f"seed: found {number}; expected at most {LARGEST_SEED}")
+    return number
+
+
+def _positive(name: str, value: Any) -> int:
+    number = whole_number(name, value)
+    if number == 0:
+        raise ConfigError(f"{name}: found 0; expected a whole number of 1 or more")
+    return number
+
+
+def _autoreset(mode: Any) -> AutoresetMode:
+    for each in AutoresetMode:
+        if mode in (each, each.value, each.name):
+            return each
+    names = ", ".join(f"'{each.value}'" for each in AutoresetMode)
+    raise ConfigError(f"autoreset_mode: found {shown(mode)}; expected one of {names}")

@@ -1,0 +1,96 @@
+"""Wrappers: observations mapped to -1 to 1 by the sensors' ranges, and stacks of past observations.
+
+For a stack of the last observations of any kind, Gymnasium's own wrapper serves and is offered here as
+`HistoryStack`: it repeats the first observation at a reset, as ``observation="history"`` does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.wrappers import FrameStackObservation as HistoryStack
+
+from sayd_env.config import ConfigError
+
+__all__ = ["HistoryStack", "NormalizeSignals", "NormalizeVectorSignals"]
+
+Array = npt.NDArray[np.float64]
+Observation = npt.NDArray[np.float32]
+
+
+class _Scaling:
+    """The map of a box to one from -1 to 1."""
+
+    def __init__(self, space: Any) -> None:
+        if not isinstance(space, Box) or not space.is_bounded():
+            raise ConfigError(f"NormalizeSignals: found the space {space}; expected a Box with finite bounds")
+        low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+        self._middle: Array = 0.5 * (low + high)
+        half = 0.5 * (high - low)
+        self._per_half: Array = 1.0 / np.where(half > 0.0, half, 1.0)
+        self.space = Box(-1.0, 1.0, space.shape, dtype=np.float32)
+
+    def __call__(self, observation: Any) -> Observation:
+        scaled = (np.asarray(observation, dtype=np.float64) - self._middle) * self._per_half
+        return np.clip(scaled, -1.0, 1.0).astype(np.float32)
+
+
+class NormalizeSignals(
+    gym.ObservationWrapper[Observation, npt.NDArray[np.float32], Observation], RecordConstructorArgs
+):
+    """Map the range of every signal to -1 to 1.
+
+    The ranges are those of the sensors, so the map is fixed: no statistics, the same for all policies.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        An environment whose observations are a `Box` with finite bounds.
+
+    Raises
+    ------
+    ConfigError
+        Another observation space.
+    """
+
+    def __init__(self, env: gym.Env[Observation, npt.NDArray[np.float32]]) -> None:
+        RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        self._scaling = _Scaling(env.observation_space)
+        self.observation_space = self._scaling.space
+
+    def observation(self, observation: Observation) -> Observation:
+        """Map one observation."""
+        return self._scaling(observation)
+
+
+class NormalizeVectorSignals(VectorWrapper, RecordConstructorArgs):
+    """`NormalizeSignals` for vector environments in any autoreset mode; ``final_obs`` is mapped too."""
+
+    def __init__(self, env: VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]) -> None:
+        RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        self._scaling = _Scaling(env.observation_space)
+        self._single = _Scaling(env.single_observation_space)
+        self.observation_space = self._scaling.space
+        self.single_observation_space = self._single.space
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset all lanes."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return self._scaling(observations), infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step all lanes."""
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        if "final_obs" in infos:
+            final = infos["final_obs"]
+            for i in np.flatnonzero(infos["_final_obs"]):
+                final[i] = self._single(final[i])
+        return self._scaling(observations), rewards, terminated, truncated, infos
