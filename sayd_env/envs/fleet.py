@@ -32,6 +32,7 @@ from sayd_env.envs.interface import POINTS as OF_A_FRAME
 from sayd_env.envs.lanes import Lanes, LaneState
 from sayd_env.envs.loop import CLIMBED, DAMPERS, NOT_FINITE, OVERLOADED, RUNNING
 from sayd_env.envs.vehicle import Lane, LoopSettings, SensorErrors, make_lane, model_limits, on_line_band
+from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.simulator import RUN_OUT, VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 from sayd_env.stability import Limits
@@ -115,7 +116,7 @@ class Fleet:
         self.episodes: list[Episode | None] = [None] * count
         self._model = VehicleModel(self.scenario)
         self._band = on_line_band(self._model, self.settings)
-        self._num_threads = num_threads
+        self._num_threads = None if num_threads is None else checked_threads(num_threads)
         self._lanes: Lanes | None = None
         self._faults: list[FaultSchedule | None] = [None] * count
         self.limits = [model_limits(self._model)] * count

@@ -113,11 +113,11 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     means of the bogies), ``dominant_frequency`` (2, Hz); ``ending`` where the run was terminated. `reset`
     tells ``seed, episode, speed_kmh, wear, friction, track, faults``. With ``info="full"`` besides, of the
     end of the period: ``damper_force`` (8, N), ``track_shift_force`` (4, N), ``wheel_lateral_force`` and
-    ``wheel_vertical_force`` (8, N; left and right in turn), ``valve_current`` and ``valve_command`` (8),
-    ``hydraulic_flow`` (8, m3/s: what the pistons displace) and ``hydraulic_power`` (8, W: what they put into
-    the oil), and EN 14363's values of the last 100 m behind the on-line filter, ``running_acceleration``
-    (4, m/s2) and ``running_track_shift`` (4, N), with their limits ``limit_acceleration`` and
-    ``limit_track_shift``.
+    ``wheel_vertical_force`` (8, N, on the rails; left and right in turn), ``valve_current`` and
+    ``valve_command`` (8), ``hydraulic_flow`` (8, m3/s: what the pistons displace) and ``hydraulic_power``
+    (8, W: what they put into the oil), and EN 14363's values of the last 100 m behind the on-line filter,
+    ``running_acceleration`` (4, m/s2) and ``running_track_shift`` (4, N), with their limits
+    ``limit_acceleration`` and ``limit_track_shift``.
 
     Parameters
     ----------

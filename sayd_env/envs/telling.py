@@ -59,7 +59,8 @@ def of_the_vehicle(fleet: Fleet, i: int, running: RunningValues) -> dict[str, An
     told = {
         "damper_force": row[2 * POINTS :],
         "track_shift_force": row[POINTS : 2 * POINTS],
-        "wheel_lateral_force": out[FORCE_Y * LANES : (FORCE_Y + 1) * LANES],
+        # The kernel has the force on the wheel; Y is that on the rail.
+        "wheel_lateral_force": -out[FORCE_Y * LANES : (FORCE_Y + 1) * LANES],
         "wheel_vertical_force": out[FORCE_Z * LANES : (FORCE_Z + 1) * LANES],
         "valve_command": lanes.command[i],
         **_hydraulics(fleet, i, state),
