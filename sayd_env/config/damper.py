@@ -74,14 +74,21 @@ class OilConfig(Model):
 
 
 class OrificeThrottle(Model):
-    """Throttle as a turbulent orifice: Q = C_d a(i) sqrt(2 dp / rho), a(i) = a_0 + (a_1 - a_0) i^n."""
+    """Throttle as a turbulent orifice: Q = C_d a(i) sqrt(2 dp / rho).
+
+    a(i) = a_0 up to the current i_0 at which the spool leaves its overlap, from there on
+    a_0 + (a_1 - a_0) ((i - i_0) / (1 - i_0))^n.
+    """
 
     type: Literal["orifice"]
     discharge: float = quantity("-", "C_d, discharge coefficient", gt=0.0, le=1.0)
     density: float = quantity("kg/m3", "rho, density of the oil", gt=0.0)
     closed_area: float = quantity("m2", "a_0, area at current 0: leakage", gt=0.0)
     open_area: float = quantity("m2", "a_1, area at current 1", gt=0.0)
-    exponent: float = quantity("-", "n, shape of the area over the current", gt=0.0, le=10.0)
+    overlap: float = quantity(
+        "-", "i_0, current up to which the spool's overlap keeps the throttle closed", ge=0.0, le=0.9
+    )
+    exponent: float = quantity("-", "n, shape of the area over the current beyond it", gt=0.0, le=10.0)
 
     @model_validator(mode="after")
     def _opens(self) -> Self:

@@ -99,7 +99,8 @@ def throttle_field(throttle: OrificeThrottle | TableThrottle) -> ThrottleField:
     if isinstance(throttle, TableThrottle):
         return read_throttle_table(Path(throttle.file))
     current = np.linspace(0.0, 1.0, CURRENTS)
-    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * current**throttle.exponent
+    travel = np.maximum(0.0, (current - throttle.overlap) / (1.0 - throttle.overlap))
+    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * travel**throttle.exponent
     drop = np.array([0.0, LARGEST_DROP])  # linear over the root of the drop: two points are exact
     flow = throttle.discharge * area[:, None] * np.sqrt(2.0 * drop / throttle.density)
     return ThrottleField(current, drop, flow)

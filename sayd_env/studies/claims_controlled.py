@@ -56,6 +56,12 @@ def largest_distance(one: ControlledRun, other: ControlledRun, after: float) -> 
     return float(gap.max()) if gap.size else float("nan")
 
 
+def mean_command(run: ControlledRun, after: float) -> float:
+    """Mean of the rear command from a time (s) on; NaN if the run ends before."""
+    command = run.command[round(after / run.control_period) :, REAR]
+    return float(command.mean(dtype=np.float64)) if command.size else float("nan")
+
+
 def dwell_times(run: ControlledRun) -> Array:
     """Times between successive changes of the rear command (s).
 
@@ -134,8 +140,16 @@ class ControlledMeasures:
         """Mean rear command of the last half, for each seed (M3, M6)."""
         return np.array([settled_command(run) for run in self.runs.at(policy, kmh)])
 
+    def level_distance(self, policy: str, kmh: float, after: float) -> Array:
+        """How far the level behind an open start is from the settled command of a closed one (M4, M7).
+
+        The mean command from a time (s) on against that of rows M3 and M6, on the same track, for each seed.
+        """
+        opened = np.array([mean_command(run, after) for run in self.runs.at(policy, kmh, OPEN)])
+        return np.abs(opened - self.settled(policy, kmh))
+
     def start_distance(self, policy: str, kmh: float, after: float) -> Array:
-        """How far the commands from an open and from a closed start are apart after a time (M4, M7).
+        """How far the commands from an open and from a closed start are apart after a time, at any moment.
 
         The largest difference at equal times on the same track, for each seed.
         """
@@ -258,15 +272,20 @@ def _open_start_row(
     after: float,
     as_in: str,
 ) -> Claim:
-    """Rows M4 and M7: from a fully open valve, down within 5 s and then like the closed start."""
+    """Rows M4 and M7: from a fully open valve, down within 5 s and then to the level of the closed start.
+
+    The level is judged, as rows M3 and M6 measure it; the moments at which the commands step differ.
+    """
     at_5 = PERCENT * m.commands_at(policy, kmh, OPEN, 5.0)
+    level = PERCENT * m.level_distance(policy, kmh, after)
     apart = PERCENT * m.start_distance(policy, kmh, after)
     return by_seed(
         id_,
         f"{policy.upper()}, {kmh:g} km/h, V(0) = 100 %: {low} after 5 s, "
-        f"then within 5 points of {as_in} after {after:g} s",
-        is_low(at_5) & _between(apart, 0.0, 5.0),
-        f"5 s: {spread(at_5, '%', 1)}; largest difference {spread(apart, 'points', 1)}",
+        f"from {after:g} s on within 5 points of {as_in}",
+        is_low(at_5) & _between(level, 0.0, 5.0),
+        f"5 s: {spread(at_5, '%', 1)}; level {spread(level, 'points', 1)} off "
+        f"(commands at any moment {spread(apart, 'points', 1)})",
     )
 
 

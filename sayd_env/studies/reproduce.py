@@ -1,29 +1,35 @@
-"""Does the model show what the paper shows? Every statement on the passive vehicle, measured."""
+"""Does the model show what the paper shows? Every statement, measured."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
+from sayd_env.config.control import load_controller
 from sayd_env.config.damper import PassiveDamperConfig
+from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
+from sayd_env.envs.rollout import Rollout
+from sayd_env.physics import sayd
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
 from sayd_env.studies.checkpoint import RunStore
+from sayd_env.studies.claims_controlled import POLICIES, controlled_claims, required_runs
 from sayd_env.studies.claims_passive import NEW_SPEEDS, WORN_SPEEDS, passive_claims
 from sayd_env.studies.conicity import conicity, plot_conicity
-from sayd_env.studies.controlled import ControlledRuns
+from sayd_env.studies.controlled import ControlledRun, ControlledRuns, controlled_run_of
 from sayd_env.studies.controlled_figures import controlled_plots
 from sayd_env.studies.critical_speed import draw_trends, model_limits
 from sayd_env.studies.hysteresis import HysteresisResult, hysteresis
 from sayd_env.studies.judging import Claim, once
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.reproduce_page import reproduce_page
-from sayd_env.studies.sweep import Run, Sweep, runs_table, sweep
+from sayd_env.studies.rollouts import Group, PolicySpec, for_policy, run_groups
+from sayd_env.studies.sweep import Run, Sweep, run_name, runs_table, sweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,6 +38,7 @@ if TYPE_CHECKING:
 KMH = 3.6
 DEGREES_OF_FREEDOM = 62
 YAW_DAMPERS = 8
+SAYD_STATES = 6
 LEAST_SEEDS = 10
 """Track realisations that a verdict needs."""
 
@@ -47,10 +54,10 @@ class ReproduceResult:
     limits: Limits
     wheelsets: tuple[str, ...]
     loops: HysteresisResult
+    controlled: ControlledRuns
+    """Runs with semi-active dampers."""
     reused: int = 0
     """Runs that an earlier start had finished."""
-    controlled: ControlledRuns | None = None
-    """Runs with semi-active dampers."""
 
     @property
     def failed(self) -> list[str]:
@@ -69,18 +76,18 @@ class ReproduceResult:
             "claims": (header, claims),
             "runs_new": runs_table(self.new, self.wheelsets),
             "runs_worn": runs_table(self.worn, self.wheelsets),
-            **({} if self.controlled is None else self.controlled.tables(self.wheelsets)),
+            **self.controlled.tables(self.wheelsets),
         }
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
-        """Counterparts of the paper's figures 1, 2, 3, 8 and 10, with controllers 11 to 18, too."""
-        loops, controlled = self.loops.plots(), self.controlled
+        """Counterparts of the paper's figures 1, 2, 3, 8 and 10 to 18."""
+        loops = self.loops.plots()
         return {
             "figure_01_conicity": self._draw_conicity,
             **{f"figure_{'02' if name == 'curve' else '03'}_{name}": draw for name, draw in loops.items()},
             "figure_08_new_wheels": lambda f: self._draw_sweep(f, self.new, "new wheels"),
             "figure_10_worn_wheels": lambda f: self._draw_sweep(f, self.worn, "worn wheels"),
-            **({} if controlled is None else controlled_plots(controlled, self.limits, self.wheelsets)),
+            **controlled_plots(self.controlled, self.limits, self.wheelsets),
         }
 
     def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> dict[str, str]:
@@ -120,18 +127,22 @@ def reproduce(
     scenario: Scenario,
     seeds: Sequence[int] = range(10),
     *,
+    environment: EnvironmentConfig | None = None,
     workers: int | None = None,
     progress: Progress = silent,
     folder: Path | None = None,
 ) -> ReproduceResult:
-    """Measure rows P1 to P11 and C2 of the paper's statements.
+    """Measure all rows of the paper's statements.
 
     Parameters
     ----------
     scenario : Scenario
-        The configuration; its wear is set to 0 and 1 in turn.
+        The configuration, with passive yaw dampers; its wear is set to 0 and 1 in turn. For the rows on
+        controllers, the packaged semi-active dampers replace the passive ones.
     seeds : sequence of int
         Track seeds.
+    environment : EnvironmentConfig, optional
+        Sensors and clock of the controllers; those of ``nominal`` by default.
     workers : int, optional
         Threads.
     progress : Progress
@@ -150,7 +161,8 @@ def reproduce(
     if not isinstance(scenario.damper, PassiveDamperConfig):
         raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
-    total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS))
+    groups = controlled_groups(models[1].scenario, environment or load_environment(), seeds)
+    total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS) + len(groups))
     done_before = 0
     sweeps = []
     stores = [_store(folder, model) for model in models]
@@ -159,15 +171,90 @@ def reproduce(
         sweeps.append(sweep(model, speeds, seeds, workers=workers, progress=report, store=store))
         done_before += len(seeds) * len(speeds)
     new, worn = sweeps
+    runs, kept = controlled_runs(groups, folder, workers, partial(_report, progress, done_before, total))
     limits = model_limits(models[0])
     loops = hysteresis(scenario)
-    claims = [*passive_claims(new, worn, limits), damper_claim(loops), model_claim(models[0])]
+    claims = [
+        *passive_claims(new, worn, limits),
+        damper_claim(loops),
+        *controlled_claims(runs, limits),
+        model_claim(models[0]),
+    ]
     names = tuple(name.removeprefix("wheelset.") for name, _ in models[0].multibody.measuring_points)
-    kept = [store for store in stores if store is not None]
-    for store in kept:
+    used: list[RunStore[Any]] = [store for store in (*stores, *kept) if store is not None]
+    for store in used:
         store.forget_former()
-    reused = sum(store.reused for store in kept)
-    return ReproduceResult(scenario, claims, new, worn, limits, names, loops, reused)
+    reused = sum(store.reused for store in used)
+    return ReproduceResult(scenario, claims, new, worn, limits, names, loops, runs, reused)
+
+
+def controlled_groups(
+    scenario: Scenario, environment: EnvironmentConfig, seeds: Sequence[int]
+) -> list[Group]:
+    """The runs with controllers that the rows need; parameters of each controller are in its `PolicySpec`."""
+    # One run-in for the environment and the assessment: else the runs would not be those of the passive vehicle.
+    environment = environment.model_copy(update={"run_in": scenario.assessment.run_in})
+    specs = {name: PolicySpec(name, load_controller(name, {}).model_dump()) for name in POLICIES}
+    return [
+        Group(specs[name], for_policy(scenario, specs[name]), environment, speed, tuple(seeds), current)
+        for name, speed, current in required_runs()
+    ]
+
+
+def controlled_runs(
+    groups: Sequence[Group], folder: Path | None, workers: int | None, progress: Progress = silent
+) -> tuple[ControlledRuns, list[RunStore[ControlledRun] | None]]:
+    """Assess the runs of all groups, those that an earlier start has finished from the disk.
+
+    Returns
+    -------
+    ControlledRuns
+    list of RunStore
+        Where the runs of each controller are kept.
+    """
+    stores = {group.policy.name: _controlled_store(folder, group) for group in groups}
+
+    def found(group: Group, seed: int) -> ControlledRun | None:
+        store = stores[group.policy.name]
+        return None if store is None else store.get(_name(group, seed))
+
+    runs = [run for group in groups for seed in group.seeds if (run := found(group, seed)) is not None]
+    there = {(run.policy, run.speed, run.initial_current, run.seed) for run in runs}
+    missing = [
+        replace(group, seeds=tuple(seed for seed in group.seeds if (*_key(group), seed) not in there))
+        for group in groups
+    ]
+
+    def analyse(group: Group, rollout: Rollout) -> ControlledRun:
+        run = controlled_run_of(group.policy.name, rollout, group.scenario.assessment)
+        store = stores[group.policy.name]
+        if store is not None:
+            store.put(_name(group, run.seed), run)
+        return run
+
+    before = len(runs)
+
+    def report(done: float, total: float, what: str = "") -> None:
+        progress(before + done, before + total, what)
+
+    new = run_groups(missing, analyse, workers=workers, progress=report)
+    return ControlledRuns([*runs, *(run for part in new for run in part)]), list(stores.values())
+
+
+def _key(group: Group) -> tuple[str, float, float]:
+    return group.policy.name, group.speed, group.initial_current
+
+
+def _name(group: Group, seed: int) -> str:
+    """Name of a run on the disk."""
+    return f"{run_name(group.speed, seed)}_V0_{group.initial_current:g}"
+
+
+def _controlled_store(folder: Path | None, group: Group) -> RunStore[ControlledRun] | None:
+    if folder is None:
+        return None
+    parameters = dict(group.policy.parameters)
+    return RunStore(folder, group.policy.name, ControlledRun, group.scenario, group.config, parameters)
 
 
 def _store(folder: Path | None, model: VehicleModel) -> RunStore[Run] | None:
@@ -197,7 +284,9 @@ def damper_claim(result: HysteresisResult) -> Claim:
 
 
 def model_claim(model: VehicleModel) -> Claim:
-    """Row C2: counted from the assembled model."""
+    """Row C2: counted from the assembled model and from the semi-active damper's unknowns."""
     n, d = model.multibody.n, len(model.multibody.yaw_dampers)
-    holds = n == DEGREES_OF_FREEDOM and d == YAW_DAMPERS
-    return once("C2", "62 degrees of freedom, 8 yaw dampers", f"{n} and {d}", holds)
+    mechanical = (sayd.STROKE, sayd.STROKE_RATE, sayd.ROD, sayd.ROD_RATE)
+    states = len({*mechanical, sayd.PRESSURE_A, sayd.PRESSURE_B})
+    holds = n == DEGREES_OF_FREEDOM and d == YAW_DAMPERS and states == SAYD_STATES
+    return once("C2", "62 degrees of freedom, 8 yaw dampers of 6 states", f"{n}, {d} and {states}", holds)

@@ -106,7 +106,8 @@ def test_incompressible_oil_gives_the_orifices_force(current: float) -> None:
     flow = config.cylinder.area * speed * np.abs(np.sin(omega * STEP * np.arange(1, len(history) + 1)))
     throttle = config.throttle
     assert isinstance(throttle, OrificeThrottle)
-    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * current**throttle.exponent
+    travel = max(0.0, (current - throttle.overlap) / (1.0 - throttle.overlap))
+    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * travel**throttle.exponent
     drop = 0.5 * throttle.density * (flow / (throttle.discharge * area)) ** 2
     expected = config.cylinder.area * (drop + 2.0 * spring_valve_drop(config.rectifier, flow))
     fast = flow > 0.1 * np.max(flow)  # elsewhere the check valves close

@@ -27,7 +27,8 @@ def orifice(current: float) -> float:
     """Q / sqrt(dp) of the packaged throttle, C_d a sqrt(2 / rho)."""
     throttle = load_sayd("sayd").throttle
     assert isinstance(throttle, OrificeThrottle)
-    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * current**throttle.exponent
+    travel = max(0.0, (current - throttle.overlap) / (1.0 - throttle.overlap))
+    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * travel**throttle.exponent
     return throttle.discharge * area * math.sqrt(2.0 / throttle.density)
 
 

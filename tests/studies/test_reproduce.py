@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,19 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.studies import sweep
 from sayd_env.studies.claims_passive import WORN_SPEEDS, passive_claims
-from sayd_env.studies.controlled import ControlledRuns
 from sayd_env.studies.hysteresis import hysteresis
 from sayd_env.studies.reproduce import ReproduceResult, damper_claim, model_claim, reproduce
 from sayd_env.studies.sweep import assessed_run
 
-ROWS = [*(f"P{i}" for i in range(1, 12)), "C2"]
+ROWS = [
+    *(f"P{i}" for i in range(1, 12)),
+    *(f"M{i}" for i in range(1, 10)),
+    *(f"S{i}" for i in range(1, 7)),
+    "C1",
+    "C2",
+]
+RUNS = 11 + 22
+"""Of one seed: passive ones on two speed grids, and those with controllers."""
 SHORT = ["--config", "estimates", "--set", "assessment.run_in=200", "--set", "assessment.length=600"]
 
 
@@ -39,7 +45,7 @@ def result(short_scenario: Scenario, told: list[tuple[float, float]]) -> Reprodu
     )
 
 
-def test_every_row_of_the_passive_vehicle_is_judged(result: ReproduceResult):
+def test_every_row_is_judged(result: ReproduceResult):
     assert [claim.id for claim in result.claims] == ROWS
     assert result.claims[:10] == passive_claims(result.new, result.worn, result.limits)
     keys = result.as_dict()
@@ -49,8 +55,8 @@ def test_every_row_of_the_passive_vehicle_is_judged(result: ReproduceResult):
         assert 0.0 <= row["fraction"] <= 1.0
 
 
-def test_progress_goes_on_over_both_sweeps(result: ReproduceResult, told: list[tuple[float, float]]):
-    assert told == [(done, 11) for done in range(1, 12)]
+def test_progress_goes_on_over_all_runs(result: ReproduceResult, told: list[tuple[float, float]]):
+    assert told == [(done, RUNS) for done in range(1, RUNS + 1)]
 
 
 class Stop(Exception):
@@ -80,7 +86,7 @@ def test_an_interrupted_study_goes_on_without_repeating_runs(
     assert (len(calls), second.reused) == (11 - finished, finished)
     assert second.claims == result.claims
     third = reproduce(short_scenario, [3], folder=tmp_path)
-    assert (len(calls), third.reused) == (11 - finished, 11)
+    assert (len(calls), third.reused) == (11 - finished, RUNS)
     changed = short_scenario.model_copy(update={"friction": 0.3})
     assert reproduce(changed, [3], folder=tmp_path).reused == 0
     assert len(calls) == 22 - finished
@@ -95,9 +101,9 @@ def test_wear_is_0_and_1_in_turn(result: ReproduceResult, short_scenario: Scenar
 
 
 def test_the_model_is_counted(short_model: VehicleModel):
-    """62 degrees of freedom, 8 yaw dampers: Wang et al. (2022), section 2."""
+    """62 degrees of freedom, 8 yaw dampers of 6 states: Wang et al. (2022), section 2."""
     claim = model_claim(short_model)
-    assert (claim.measured, claim.holds) == ("62 and 8", True)
+    assert (claim.measured, claim.holds) == ("62, 8 and 6", True)
 
 
 def test_a_loop_that_dissipates_nothing_fails_row_11(short_scenario: Scenario):
@@ -115,23 +121,33 @@ def test_the_command_writes_claims_and_figures(tmp_path: Path, capsys: pytest.Ca
     assert [claim["id"] for claim in content["claims"]] == ROWS
     assert content["seeds"] == [0]
     files = {path.name for path in tmp_path.iterdir()}
-    assert {"result.json", "claims.csv", "runs_new.csv", "runs_worn.csv"} <= files
+    assert {"result.json", "claims.csv", "runs_new.csv", "runs_worn.csv", "runs_controlled.csv"} <= files
     assert {"figure_01_conicity.png", "figure_08_new_wheels.png", "figure_10_worn_wheels.png"} <= files
-    assert {name[:9] for name in files if name.startswith("figure")} >= {"figure_02", "figure_03"}
+    drawn = {name[:9] for name in files if name.startswith("figure")}
+    assert drawn == {f"figure_{i:02d}" for i in (1, 2, 3, 8, *range(10, 19))}
     page = (tmp_path / "report.html").read_text()
     assert page.count('src="data:image/png;base64,') == len([f for f in files if f.endswith(".png")])
     assert "track_seeds" not in page  # the estimates are not calibrated
     assert main(["reproduce", *SHORT, "--seeds", "1", "--out", str(tmp_path)]) == 0
-    assert "11 runs had been finished by an earlier start and were not repeated" in capsys.readouterr().out
+    assert (
+        f"{RUNS} runs had been finished by an earlier start and were not repeated" in capsys.readouterr().out
+    )
 
 
-def test_controllers_add_their_figures_and_tables(
-    result: ReproduceResult, paper_runs: Callable[..., ControlledRuns]
+def test_runs_with_controllers_go_on_after_an_interruption(
+    result: ReproduceResult, short_scenario: Scenario, tmp_path: Path
 ):
-    both = dataclasses.replace(result, controlled=paper_runs(1))
-    added = set(both.plots()) - set(result.plots())
-    assert {name[:9] for name in added} == {f"figure_{i}" for i in range(11, 19)}
-    assert set(both.tables()) - set(result.tables()) == {"runs_controlled", "dampers_controlled"}
+    def stop(done: float, total: float, what: str = "") -> None:
+        if done == 11 + 3:
+            raise Stop
+
+    with pytest.raises(Stop):
+        reproduce(short_scenario, [3], workers=1, progress=stop, folder=tmp_path)
+    finished = len(list(tmp_path.glob("*/*.npz")))
+    assert 14 <= finished < RUNS
+    second = reproduce(short_scenario, [3], folder=tmp_path)
+    assert second.reused == finished
+    assert second.claims == result.claims
 
 
 def test_strict_fails_with_the_rows_that_do_not_hold(capsys: pytest.CaptureFixture[str]):

@@ -42,7 +42,8 @@ def valve(v: SpringValve, drop: float) -> float:
 
 def series(check: SpringValve, orifice: OrificeThrottle, drop: float, current: float) -> float:
     """Flow through two equal check valves and the orifice at a whole pressure drop >= 0."""
-    area = orifice.closed_area + (orifice.open_area - orifice.closed_area) * current**orifice.exponent
+    travel = max(0.0, (current - orifice.overlap) / (1.0 - orifice.overlap))
+    area = orifice.closed_area + (orifice.open_area - orifice.closed_area) * travel**orifice.exponent
     square = 0.5 * orifice.density / (orifice.discharge * area) ** 2  # drop = square Q^2
     if drop <= 2.0 * check.opening:
         return 0.0

@@ -1,0 +1,179 @@
+"""Policies on the environment's vehicles, as studies run them: groups of episodes in threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import baselines
+from sayd_env.config import ConfigError, nearest
+from sayd_env.config.damper import PassiveDamperConfig, load_sayd
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.scenario import Scenario
+from sayd_env.envs.draw import draw_episode
+from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.rollout import Rollout, assessed_steps, roll_out
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.studies.output import Progress, silent
+from sayd_env.studies.sweep import parallel
+
+T = TypeVar("T")
+KMH = 3.6
+
+LANES = 5
+"""Vehicles side by side in one thread: enough to hide the controllers' time behind the vehicles'."""
+PASSIVE = "passive"
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """A policy by name: one of `baselines.NAMES`, with parameters, ``constant:0.3`` for short."""
+
+    name: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    label: str = ""
+    """How tables call it; its name by default."""
+
+    @property
+    def title(self) -> str:
+        """How tables call it."""
+        return self.label or self.name
+
+    def make(self, fleet: Fleet) -> Any:
+        """Make the policy for a fleet."""
+        return baselines.make(self.name, fleet.interface, **self.parameters)
+
+
+def policy_spec(text: str) -> PolicySpec:
+    """Read a policy from the command line.
+
+    Parameters
+    ----------
+    text : str
+        A name of `baselines.NAMES`, or ``constant:V`` with a valve command V from 0 to 1.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name, or a command that is not a number from 0 to 1.
+    """
+    name, colon, value = text.strip().partition(":")
+    if name not in baselines.NAMES:
+        raise ConfigError(
+            f"policy '{text}': unknown{nearest(name, baselines.NAMES)}; "
+            f"expected {', '.join(baselines.NAMES)} or constant:V"
+        )
+    if not colon:
+        return PolicySpec(name)
+    if name != "constant":
+        raise ConfigError(f"policy '{text}': only 'constant' takes a value, for example constant:0.3")
+    try:
+        current = float(value)
+    except ValueError:
+        current = float("nan")
+    if not 0.0 <= current <= 1.0:
+        raise ConfigError(f"policy '{text}': expected a valve command from 0 to 1 behind the colon")
+    return PolicySpec(name, {"current": current}, text.strip())
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Runs that differ in their seeds alone."""
+
+    policy: PolicySpec
+    scenario: Scenario
+    """With the dampers that the policy needs: `for_policy`."""
+    config: EnvironmentConfig
+    speed: float
+    """m/s."""
+    seeds: tuple[int, ...]
+    initial_current: float = 0.0
+
+
+def for_policy(scenario: Scenario, policy: PolicySpec, sayd: str = "sayd") -> Scenario:
+    """Scenario with the yaw dampers that a policy works with: passive ones, or semi-active ones.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With passive dampers, or with semi-active ones, which then stay.
+    policy : PolicySpec
+    sayd : str
+        Name or file of the semi-active damper that replaces passive ones.
+
+    Raises
+    ------
+    ConfigError
+        The passive vehicle is asked for where the scenario has semi-active dampers, or an unknown damper.
+    """
+    passive = isinstance(scenario.damper, PassiveDamperConfig)
+    if policy.name == PASSIVE:
+        if not passive:
+            raise ConfigError(
+                f"policy 'passive' needs passive yaw dampers, but the scenario has '{scenario.damper.name}'"
+            )
+        return scenario
+    return scenario.model_copy(update={"damper": load_sayd(sayd)}) if passive else scenario
+
+
+def run_groups(
+    groups: Sequence[Group],
+    analyse: Callable[[Group, Rollout], T],
+    *,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> list[list[T]]:
+    """Run the assessed distance with every seed of every group.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+    analyse : callable
+        What is kept of each run; called in the thread that ran it.
+    workers : int, optional
+        Threads; all cores by default. The results do not depend on it.
+    progress : Progress
+        Told the number of finished runs.
+
+    Returns
+    -------
+    list of list
+        The results of each group in the order of its seeds.
+
+    Raises
+    ------
+    ConfigError
+        A speed outside the vehicle's range, or a policy that does not fit.
+    StudyError
+        A run that diverged.
+    """
+    for group in groups:
+        VehicleModel(group.scenario).check_speed(group.speed)  # refused before any work
+    parts = [
+        (i, group.seeds[start : start + LANES])
+        for i, group in enumerate(groups)
+        for start in range(0, len(group.seeds), LANES)
+    ]
+
+    def work(part: tuple[int, tuple[int, ...]]) -> list[T]:
+        group, seeds = groups[part[0]], part[1]
+        return [analyse(group, rollout) for rollout in _roll_out(group, seeds)]
+
+    runs = sum(len(seeds) for _, seeds in parts)
+
+    def report(done: float, total: float, what: str = "") -> None:
+        progress(round(runs * done / total), runs, what)
+
+    results: list[list[T]] = [[] for _ in groups]
+    for (i, _), found in zip(parts, parallel(work, parts, workers, report), strict=True):
+        results[i] += found
+    return results
+
+
+def _roll_out(group: Group, seeds: Sequence[int]) -> list[Rollout]:
+    fleet = Fleet(group.config, len(seeds), scenario=group.scenario, num_threads=1)
+    options = {"speed_kmh": group.speed * KMH, "initial_current": group.initial_current}
+    episodes = [draw_episode(group.config, seed, 0, options) for seed in seeds]
+    steps = [assessed_steps(group.config, group.scenario, group.speed)] * len(seeds)
+    return roll_out(fleet, group.policy.make(fleet), episodes, steps)
