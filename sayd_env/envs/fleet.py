@@ -234,27 +234,35 @@ class Fleet:
         terminated, truncated : ndarray of bool, shape (count,)
         """
         lanes = self.lanes
-        running = lanes.status == RUNNING
-        # A run that ended before step 0 is charged at its first step.
-        asked = running | (self.elapsed == 0)
-        if active is not None:
-            running &= active
-            asked &= active
-        np.take(np.asarray(actions, dtype=np.float64), self._valve, axis=1, out=self._commanded)
+        running = self._running(active)
+        np.asarray(actions, dtype=np.float64).take(self._valve, axis=1, out=self._commanded)
         lanes.step(self._commanded, log=log, active=active)
         self.elapsed += running
         truncated = self.elapsed >= self.steps
-        rewards = np.where(running, lanes.rewards, 0.0)
         terminated = lanes.status != RUNNING
-        if np.count_nonzero(terminated):
+        ended = np.count_nonzero(terminated)
+        rewards = lanes.rewards.copy()
+        if ended or active is not None:
+            rewards[~running] = 0.0
             truncated &= ~terminated
-            for i in map(int, np.flatnonzero(terminated & asked)):
-                rewards[i] = self._last_reward(i)
+        for i in self._to_charge(terminated, running, active) if ended else ():
+            rewards[i] = self._last_reward(i)
         if self._faulty:
             for i in map(int, np.flatnonzero(running)):
                 self._strike(i)
         self._observe(range(self.count), fresh=False)
         return self.observations(), rewards, terminated, truncated
+
+    def _running(self, active: Flags | None) -> Flags:
+        """Vehicles that run in a step."""
+        running: Flags = self.lanes.status == RUNNING
+        return running if active is None else running & active
+
+    def _to_charge(self, terminated: Flags, running: Flags, active: Flags | None) -> list[int]:
+        """Vehicles whose run ended in this step, or before step 0, for which this is the first step."""
+        before = ~running & (self.elapsed == 0)
+        ended = terminated & (running | (before if active is None else before & active))
+        return [int(i) for i in np.flatnonzero(ended)]
 
     def _last_reward(self, i: int) -> float:
         """Reward of the period in which a run ended, with the charge for the rest of the episode."""
@@ -328,7 +336,7 @@ class Fleet:
         np.maximum(newest, self._low, out=self._bounded)
         values = np.minimum(self._bounded, self._high, out=self._bounded)
         rows: Any = slice(None) if len(which) == self.count else np.asarray(which, dtype=np.intp)
-        if np.count_nonzero(lanes.status == NOT_FINITE):
+        if np.count_nonzero(lanes.status):
             rows = np.array([i for i in which if lanes.status[i] != NOT_FINITE], dtype=np.intp)
         if self.config.observation != "history":
             self._history[rows] = values[rows]
@@ -439,7 +447,7 @@ def checked_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     if values.shape != shape:
         raise ConfigError(f"action: found shape {values.shape}; expected {shape}")
     inside = (values >= 0.0) & (values <= 1.0)
-    if not inside.all():
+    if np.count_nonzero(inside) < inside.size:
         place = tuple(int(i) for i in np.argwhere(~inside)[0])
         raise ConfigError(
             f"action: found {values[place]:g} at {list(place)}; expected finite numbers from 0 to 1"

@@ -34,6 +34,8 @@ from sayd_env.stability.online import Band
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
+type_of: Any = numba.typeof  # it has no annotations
+
 STACKS = ("plant", "state", "work", "loop", "memory", "passed", "felt")
 """What a vehicle consists of, in the order of the compiled loop's arguments."""
 CHANGING = ("state", "work", "loop", "memory", "passed", "felt")
@@ -116,6 +118,7 @@ class Lanes:
         self._one_period = np.ones(count, dtype=np.int64)
         self._no_log = np.zeros((count, 0, LOG))
         self._noisy = any(lane.noise is not None for lane in lanes)
+        self._compiled: Any = None
         self._tuples = self._stacked()
 
     def __len__(self) -> int:
@@ -136,6 +139,7 @@ class Lanes:
 
     def _stacked(self) -> tuple[Any, ...]:
         """The vehicles' arguments of the compiled loop, gathered once: there are some hundred arrays."""
+        self._compiled = None
         stacks = [getattr(self, name) for name in STACKS]
         return tuple(part for stack in stacks for part in (stack.values, stack.spans))
 
@@ -204,13 +208,20 @@ class Lanes:
         commands : array_like, shape (v, DAMPERS)
             Valve commands from 0 to 1, checked by the caller.
         log : ndarray, shape (v, samples, LOG), optional
-            Receives the true signals.
+            Receives the true signals; of float64, rows behind one another.
         active : ndarray of bool, shape (v,), optional
             Lanes that run; all by default.
+
+        Raises
+        ------
+        ConfigError
+            A log of another form, which the compiled loop would not notice.
         """
+        if log is not None:
+            self._check_log(log)
         self.command[:] = commands
         periods = self._one_period
-        if active is not None or self.status.any():
+        if active is not None or np.count_nonzero(self.status):
             periods = np.where((self.status == RUNNING) & (True if active is None else active), 1, 0)
         if self._noisy:
             # A lane that stands still draws nothing: its noise must not depend on the others.
@@ -219,20 +230,41 @@ class Lanes:
                     lane.noise.standard_normal(out=noise)
         self._run(periods, self._noise if self._noisy else self._silent, self._no_log if log is None else log)
 
+    def _check_log(self, log: Array) -> None:
+        shape = (len(self), self.settings.samples, LOG)
+        if log.shape != shape or log.dtype != np.float64 or not log.flags.c_contiguous:
+            raise ConfigError(
+                f"log: found {log.dtype} of shape {log.shape}; expected contiguous float64 of shape {shape}"
+            )
+
     def _run(self, periods: Index, noise: Array, log: Array) -> None:
-        tuples = self._tuples
         outputs = (self.signals, self.features, self.terms, self.rewards, log, self.status)
+        arguments = (*self._tuples, self.band, self._clock, periods, self.command, noise, *outputs)
+        if self._compiled is None:
+            self._compiled = self._compile(arguments)
         if self.num_threads == 1:
-            run_lanes(*tuples, self.band, self._clock, periods, self.command, noise, *outputs)
+            self._compiled(*arguments)
             return
         before = numba.get_num_threads()
         numba.set_num_threads(self.num_threads)
         try:
             # Vehicles differ in their steps: a thread that is free takes the next one.
             with numba.parallel_chunksize(1):
-                run_lanes_in_parallel(*tuples, self.band, self._clock, periods, self.command, noise, *outputs)
+                self._compiled(*arguments)
         finally:
             numba.set_num_threads(before)
+
+    def _compile(self, arguments: tuple[Any, ...]) -> Any:
+        """The compiled loop for these arguments' types.
+
+        Numba would find it anew in each call, by the types of some hundred arrays: an eighth of the time of a
+        step. They can only change where a vehicle is replaced.
+        """
+        kernel = run_lanes if self.num_threads == 1 else run_lanes_in_parallel
+        return kernel.compile(tuple(map(type_of, arguments)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_compiled": None}
 
 
 def _copied(fields: Any) -> Any:

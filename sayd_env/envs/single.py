@@ -17,7 +17,7 @@ from sayd_env.envs.hook import open_scene
 from sayd_env.envs.interface import Interface, Signal
 from sayd_env.envs.keywords import INFOS, RENDER_MODES, checked_choice, configured, refuse_unknown
 from sayd_env.envs.session import SEEDS, EnvironmentState, Session, action_box, observation_box
-from sayd_env.envs.telling import costs, of_the_end, of_the_episode
+from sayd_env.envs.telling import of_the_end, of_the_episode, of_the_step
 
 KEYWORDS = (
     "environment",
@@ -273,12 +273,7 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
 
     def _info(self, ended: bool) -> dict[str, Any]:
         session = self._session
-        acceleration, force = costs(session.fleet)
-        info = {
-            "cost_acceleration": float(acceleration[0]),
-            "cost_force": float(force[0]),
-            "dominant_frequency": session.fleet.dominant_frequency()[0],
-        }
+        info = of_the_step(session.fleet, 0)
         if ended:
             info |= of_the_end(session.fleet, 0)
         return info | session.told(0) if session.full else info

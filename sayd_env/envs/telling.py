@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,21 @@ def costs(fleet: Fleet) -> tuple[Array, Array]:
     terms = fleet.lanes.terms
     acceleration = (terms[:, COST_ACCELERATION] + terms[:, COST_ACCELERATION + 1]) / BOGIES
     force = (terms[:, COST_FORCE] + terms[:, COST_FORCE + 1]) / BOGIES
-    if np.count_nonzero(fleet.lanes.status == NOT_FINITE):
+    if np.count_nonzero(fleet.lanes.status):
         return np.nan_to_num(acceleration, posinf=0.0), np.nan_to_num(force, posinf=0.0)
     return acceleration, force
+
+
+def of_the_step(fleet: Fleet, i: int) -> dict[str, Any]:
+    """Cost and frequency of a vehicle's last period."""
+    terms = fleet.lanes.terms[i].tolist()
+    acceleration = (terms[COST_ACCELERATION] + terms[COST_ACCELERATION + 1]) / BOGIES
+    force = (terms[COST_FORCE] + terms[COST_FORCE + 1]) / BOGIES
+    return {
+        "cost_acceleration": acceleration if math.isfinite(acceleration) else 0.0,
+        "cost_force": force if math.isfinite(force) else 0.0,
+        "dominant_frequency": fleet.dominant_frequency()[i],
+    }
 
 
 def of_the_end(fleet: Fleet, i: int) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from sayd_env.envs.keywords import INFOS, RENDER_MODES, checked_choice, configur
 from sayd_env.envs.options import whole_number
 from sayd_env.envs.session import SEEDS, EnvironmentState, Session, action_box, observation_box
 from sayd_env.envs.single import KEYWORDS as OF_ONE
-from sayd_env.envs.telling import costs, of_the_end, of_the_episode
+from sayd_env.envs.telling import costs, of_the_end, of_the_episode, of_the_step
 
 Array = npt.NDArray[np.float64]
 
@@ -39,6 +39,10 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
     Made by ``gymnasium.make_vec``. Lane i is the same bits as a `SaydEnv` that is reset with the same seed,
     for any number of lanes and threads. ``reset(seed=s)`` with a number s gives lane i the seed s + i, a list
     gives each lane its own. `info` has Gymnasium's form: an array for each key, and a mask ``_key``.
+
+    Worker processes are hardly worth their messages here. Who wants them nevertheless: `AsyncVectorEnv` runs
+    `SaydEnv` with the contexts ``forkserver`` and ``spawn``; with ``fork`` only as long as the process has
+    not yet stepped several vehicles with several threads, because GNU OpenMP ends a copy that was made after.
 
     Parameters
     ----------
@@ -298,12 +302,7 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
 
     def _info(self, i: int) -> dict[str, Any]:
         """Info of one lane, as `SaydEnv` gives it."""
-        acceleration, force = costs(self.fleet)
-        return {
-            "cost_acceleration": float(acceleration[i]),
-            "cost_force": float(force[i]),
-            "dominant_frequency": self.fleet.dominant_frequency()[i],
-        } | self._rare(i)
+        return of_the_step(self.fleet, i) | self._rare(i)
 
     def render(self) -> Any:
         """Pictures of the first lane: a tuple of one array of shape (height, width, 3), or None."""
