@@ -26,7 +26,7 @@ def run(code: str) -> str:
 def test_importing_loads_nothing_slow() -> None:
     code = (
         "import sys, sayd_env;"
-        "slow = {'numba', 'scipy', 'torch', 'pydantic', 'yaml', 'pygame', 'matplotlib'};"
+        "slow = {'numpy', 'gymnasium', 'numba', 'scipy', 'torch', 'pydantic', 'yaml', 'matplotlib'};"
         "print(sorted(slow & set(sys.modules)))"
     )
     assert run(code) == "[]"
@@ -36,6 +36,14 @@ def test_importing_loads_nothing_slow() -> None:
 def test_importing_costs_little_beside_gymnasium() -> None:
     code = "import time, gymnasium; t = time.perf_counter(); import sayd_env; print(time.perf_counter() - t)"
     assert min(float(run(code)) for _ in range(3)) < 0.05
+
+
+@pytest.mark.parametrize(
+    "order", ["gymnasium, sayd_env", "sayd_env, gymnasium", "sayd_env, gymnasium.spaces"]
+)
+def test_the_order_of_imports_does_not_matter(order: str) -> None:
+    code = f"import {order}; import gymnasium; print(sum(i.startswith('SAYD/') for i in gymnasium.registry))"
+    assert run(code) == "3"
 
 
 def test_registering_again_changes_nothing() -> None:
