@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib.util
 import sys
 from collections.abc import Sequence
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
@@ -46,8 +45,11 @@ def register_when_loaded() -> None:
         sys.meta_path.insert(0, _AtImport())
 
 
-class _AtImport(MetaPathFinder):
-    """Lets Gymnasium be found as ever, and registers the ids behind its import."""
+class _AtImport:
+    """Lets Gymnasium be found as ever, and registers the ids behind its import.
+
+    A finder of modules by its method alone: its base class would cost more to import than all of this.
+    """
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
