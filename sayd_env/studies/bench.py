@@ -1,20 +1,15 @@
-"""How fast is the simulator here? Speed beside SciPy's integrators, cost of a step by part, starts, memory.
+"""How fast is all this here? Simulator beside SciPy, cost of a step by part, environments, starts, memory.
 
 Everything is measured several times in turn, so that a disturbance of the machine meets all quantities alike;
-reported are medians, least and greatest values. Factors over real time are of wall time; the cost of a step
-and of its parts is processor time, which other work on the machine hardly touches.
+reported are medians, least and greatest values. Factors over real time and rates of control steps are of wall
+time; the cost of a step and of its parts is processor time, which other work on the machine hardly touches.
 """
 
 from __future__ import annotations
 
-import json
-import os
 import platform
-import subprocess
-import sys
-import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,16 +17,30 @@ from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
-from scipy.integrate import solve_ivp
 
-from sayd_env.config import StudyError
 from sayd_env.config.scenario import Scenario
-from sayd_env.physics.batch import BatchSimulator
-from sayd_env.physics.parts import PARTS, repeat
+from sayd_env.physics.parts import PARTS, SAYD_PARTS
 from sayd_env.physics.simulator import Simulator, VehicleModel
-from sayd_env.physics.step import rates
-from sayd_env.physics.track.realisation import TrackRealisation
+from sayd_env.studies.bench_environment import (
+    ID,
+    RATES,
+    YARDSTICK,
+    ControlSteps,
+    EnvironmentEffort,
+    measure_environments,
+)
+from sayd_env.studies.bench_spread import Spread, in_turn
+from sayd_env.studies.bench_start import measure_starts
+from sayd_env.studies.bench_vehicle import (
+    FirstOrder,
+    PartTimer,
+    Reference,
+    SaydTimer,
+    batch_factor,
+    match_accuracy,
+    single_factor,
+    with_dampers,
+)
 from sayd_env.studies.output import Progress, silent
 
 if TYPE_CHECKING:
@@ -41,35 +50,19 @@ if TYPE_CHECKING:
 
     from sayd_env.studies.output import Plot, Table
 
-Array = npt.NDArray[np.float64]
-
 KMH = 3.6
 VEHICLES_PER_THREAD = 4
-"""Vehicles in the batch, for each thread."""
-METHODS = ("RK45", "DOP853")
-"""SciPy's integrators that compete; the fastest that is accurate enough is reported. LSODA and the implicit
-ones take more than ten times as long: they build a dense Jacobian of nearly 300 columns by differences."""
-TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
-"""Relative tolerances that are tried, the loosest first."""
-TIGHT = ("DOP853", 1e-6)
-"""Method and tolerance of the solution that all are compared with."""
-SCALES = (1e-3, 1e-1, 1e4)
-"""Absolute tolerances over relative ones: displacements (m, rad), velocities (1/s), damper forces (N)."""
-SETTLING = 1.0
-"""Time that a vehicle runs before the parts of its step are measured (s)."""
-
-# What `sayd` does, in a process of its own, which tells its peak memory (kB) at the end where it can. The
-# usage that a parent is told counts the parent's own memory, too, since a process begins as its copy.
-_PROGRAM = "from sayd_env.cli import main; status = main()"
-_PEAK = """
-import sys
-from pathlib import Path
-about = Path("/proc/self/status")
-if status == 0 and about.exists():
-    print(about.read_text().partition("VmHWM:")[2].split()[0], file=sys.stderr)
-sys.exit(status)
-"""
-_SHORT = ("--seeds", "1", "--json", "--set", "assessment.run_in=0", "--set", "assessment.length=1000")
+"""Vehicles in the simulator's batch, for each thread."""
+FACTORS = {
+    "passive_single": "passive, one vehicle, one core",
+    "sayd_single": "8 SAYDs, one vehicle, one core",
+    "passive_single_processor_time": "passive, one vehicle, processor time",
+    "sayd_single_processor_time": "8 SAYDs, one vehicle, processor time",
+    "passive_batch": "passive, batch, all cores",
+    "sayd_batch": "8 SAYDs, batch, all cores",
+    "scipy_reference": "scipy, passive, equal accuracy",
+}
+"""Factors over real time and what they are called."""
 
 
 @dataclass(frozen=True)
@@ -85,44 +78,11 @@ class Effort:
     """Simulated time of SciPy's integration (s)."""
     first_starts: int
     later_starts: int
+    environments: EnvironmentEffort
 
 
-FULL = Effort(9, 20.0, 100_000, 2.0, 2, 5)
-QUICK = Effort(3, 4.0, 10_000, 0.25, 1, 2)
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Several measurements of one quantity."""
-
-    median: float
-    minimum: float
-    maximum: float
-    count: int
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Spread:
-        """Summarise measurements."""
-        return cls(float(np.median(values)), min(values), max(values), len(values))
-
-
-@dataclass(frozen=True)
-class Reference:
-    """SciPy's integrator of equal accuracy."""
-
-    method: str
-    tolerance: float
-    """Relative tolerance."""
-    error: float
-    """Relative RMS difference of the bogie frames' lateral displacement from a tight solution."""
-    step_error: float
-    """The same of our own time step."""
-    evaluations: int
-    """Evaluations of the right-hand side over the span."""
-    call_us: float
-    """Time of one evaluation, called from Python (us)."""
-    span: float
-    """Simulated time (s)."""
+FULL = Effort(9, 20.0, 100_000, 2.0, 2, 5, EnvironmentEffort(5, 0.5, 1500))
+QUICK = Effort(3, 4.0, 10_000, 0.25, 1, 2, EnvironmentEffort(1, 0.25, 500))
 
 
 @dataclass(frozen=True)
@@ -136,11 +96,13 @@ class BenchResult:
     """s"""
     threads: int
     vehicles: int
-    """Vehicles in the batch."""
+    """Vehicles in the simulator's batch."""
     realtime: dict[str, Spread]
-    """Simulated seconds per wall second; a batch counts the seconds of all its vehicles."""
+    """Simulated seconds per wall second, by `FACTORS`; a batch counts the seconds of all its vehicles. A
+    vehicle without yaw dampers has none with SAYDs."""
     step_us: dict[str, Spread]
     """Processor time of a step by part (us)."""
+    control: ControlSteps
     startup: dict[str, Spread]
     """Wall time of a first and a later start (s)."""
     memory: dict[str, float] | None
@@ -149,41 +111,43 @@ class BenchResult:
     machine: dict[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
-        """Keys of ``sayd bench --json``; null is what this version does not have."""
-        realtime = {name: spread.median for name, spread in self.realtime.items()}
+        """Keys of ``sayd bench --json``; null is what could not be measured."""
         return {
             "realtime_factor": {
-                "passive_single": realtime["passive_single"],
-                "sayd_single": None,
-                "passive_batch": realtime["passive_batch"],
-                "sayd_batch": None,
-                "scipy_reference": realtime["scipy_reference"],
-                "passive_single_processor_time": realtime["passive_single_processor_time"],
+                name: self.realtime[name].median if name in self.realtime else None for name in FACTORS
             },
             "step_us": {name: spread.median for name, spread in self.step_us.items()},
-            "control_steps_per_second": {"single": None, "batch": None, "overhead_us": None},
+            "control_steps_per_second": self.control.as_dict(),
+            "reset_s": {name: spread.median for name, spread in self.control.reset_s.items()},
             "startup_s": {name: spread.median for name, spread in self.startup.items()},
             "memory_mb": None if self.memory is None else self.memory["later"],
             "memory_first_start_mb": None if self.memory is None else self.memory["first"],
             "speed_kmh": self.speed * KMH,
             "step_size_s": self.step,
-            "batch": {"vehicles": self.vehicles, "threads": self.threads},
+            "batch": {
+                "vehicles": self.vehicles,
+                "environments": self.control.vehicles,
+                "threads": self.threads,
+            },
             "scipy": asdict(self.reference),
             "machine": self.machine,
             "spread": {
-                "realtime_factor": {name: asdict(s) for name, s in self.realtime.items()},
-                "step_us": {name: asdict(s) for name, s in self.step_us.items()},
-                "startup_s": {name: asdict(s) for name, s in self.startup.items()},
+                "realtime_factor": _each(self.realtime),
+                "step_us": _each(self.step_us),
+                "control_steps_per_second": _each(self.control.spreads()),
+                "reset_s": _each(self.control.reset_s),
+                "startup_s": _each(self.startup),
             },
         }
 
     def tables(self) -> dict[str, Table]:
         """All measured quantities."""
         header = ("quantity", "unit", "median", "minimum", "maximum", "count")
-        return {"bench": (header, [(name, unit, *asdict(s).values()) for name, unit, s in self._rows()])}
+        rows = [row for group in self._groups() for row in group]
+        return {"bench": (header, [(name, unit, *asdict(s).values()) for name, unit, s in rows])}
 
     def plots(self) -> dict[str, Plot]:
-        """Bars of the factors over real time and of the parts of a step."""
+        """Bars of the factors over real time, of the parts of a step and of the environments' rates."""
         return {"bench": self._draw}
 
     def summary(self, console: Console) -> None:
@@ -194,42 +158,72 @@ class BenchResult:
         grid = RichTable(title=f"{machine['processor']}, {machine['cores']} cores, {machine['date']}")
         for name in ("quantity", "unit", "median", "min", "max"):
             grid.add_column(name, justify="left" if name in {"quantity", "unit"} else "right")
-        for name, unit, s in self._rows():
-            grid.add_row(name, unit, _figure(s.median), _figure(s.minimum), _figure(s.maximum))
+        for group in self._groups():
+            for name, unit, s in group:
+                grid.add_row(name, unit, _figure(s.median), _figure(s.minimum), _figure(s.maximum))
+            grid.add_section()
         console.print(grid)
-        r = self.reference
-        console.print(
+        for note in self._notes():
+            console.print(note)
+
+    def _notes(self) -> list[str]:
+        r, share = self.reference, self._sayds_share()
+        notes = [
             f"{self.scenario.vehicle.name} at {self.speed * KMH:.0f} km/h, step {self.step * 1e3:g} ms "
             f"(error {r.step_error:.1e}); scipy: {r.method}, rtol {r.tolerance:g} (error {r.error:.1e}), "
             f"{r.evaluations / r.span:.0f} evaluations of {r.call_us:.1f} us for each second"
+        ]
+        if share is not None:
+            notes.append(f"hydraulics and valves take {share:.0%} of a step with eight SAYDs")
+        notes.append(
+            f"environments: {ID} by gymnasium.utils.performance; batch of {self.control.vehicles} on "
+            f"{self.threads} threads"
         )
+        if "ant_v5" not in self.control.rates:
+            notes.append(f"no {YARDSTICK} beside them: mujoco is not installed")
         if self.memory is not None:
-            console.print(
+            notes.append(
                 f"peak memory {self.memory['later']:.0f} MB, compiling {self.memory['first']:.0f} MB"
             )
+        return notes
 
-    def _rows(self) -> list[tuple[str, str, Spread]]:
+    def _sayds_share(self) -> float | None:
+        costs = self.step_us
+        if "total_sayd" not in costs:
+            return None
+        return (costs["valves"].median + costs["hydraulics"].median) / costs["total_sayd"].median
+
+    def _groups(self) -> list[list[tuple[str, str, Spread]]]:
+        control = self.control
         return [
-            *((_LABELS[name], "x real time", s) for name, s in self.realtime.items()),
-            *((f"step: {name}", "us", s) for name, s in self.step_us.items()),
-            *((f"{name} start", "s", s) for name, s in self.startup.items()),
+            [(FACTORS[name], "x real time", s) for name, s in self.realtime.items()],
+            [(_step_label(name), "us", s) for name, s in self.step_us.items()],
+            [
+                *((RATES[name], "steps/s", s) for name, s in control.rates.items()),
+                ("step minus compiled call", "us", control.overhead_us),
+                ("compiled call", "us", control.compiled_us),
+                ("reset of one environment", "s", control.reset_s["single"]),
+                (f"reset of {control.vehicles} at once", "s", control.reset_s["batch"]),
+            ],
+            [(f"{name} start", "s", s) for name, s in self.startup.items()],
         ]
 
     def _draw(self, figure: Figure) -> None:
-        figure.set_size_inches(10.0, 4.0)
-        factors, parts = figure.subplots(1, 2)
-        _bars(factors, {_LABELS[name]: s for name, s in self.realtime.items()}, "simulated over wall time")
-        factors.set_xscale("log")
+        figure.set_size_inches(10.0, 8.0)
+        factors, parts, control = figure.subplots(3, 1)
+        _bars(factors, {FACTORS[name]: s for name, s in self.realtime.items()}, "simulated over wall time")
         _bars(parts, self.step_us, f"processor time of a step of {self.step * 1e3:g} ms (us)")
+        _bars(control, {RATES[name]: s for name, s in self.control.rates.items()}, "control steps per second")
+        factors.set_xscale("log")
         figure.suptitle(f"{self.machine['processor']}, {self.machine['cores']} cores", fontsize="small")
 
 
-_LABELS = {
-    "passive_single": "one vehicle, one core",
-    "passive_single_processor_time": "the same, processor time",
-    "passive_batch": "batch, all cores",
-    "scipy_reference": "scipy, equal accuracy",
-}
+def _each(spreads: dict[str, Spread]) -> dict[str, Any]:
+    return {name: asdict(spread) for name, spread in spreads.items()}
+
+
+def _step_label(part: str) -> str:
+    return {"total": "step: total, passive", "total_sayd": "step: total, 8 SAYDs"}.get(part, f"step: {part}")
 
 
 def _figure(x: float) -> str:
@@ -255,18 +249,19 @@ def bench(
     workers: int | None = None,
     progress: Progress = silent,
 ) -> BenchResult:
-    """Measure speed, cost by part, starts and memory.
+    """Measure speed, cost by part, environments, starts and memory.
 
     Parameters
     ----------
     scenario : Scenario
-        The configuration.
+        The configuration of the simulator, measured with passive and with semi-active yaw dampers; those
+        that it does not have are the packaged ones. The environment is always ``SAYD/Nominal-v0``.
     speed : float
         Speed of the measured vehicles, m/s.
     quick : bool
         Few and short measurements: figures that show a trend, in a fraction of the time.
     workers : int, optional
-        Threads of the batch; all cores by default.
+        Threads of the batches; all cores by default.
     progress : Progress
         Told after each measurement.
 
@@ -278,39 +273,29 @@ def bench(
         A run that diverged, a program that does not start.
     """
     effort = QUICK if quick else FULL
-    model = VehicleModel(scenario)
-    step = model.step(speed)[0]
+    passive, semi = (VehicleModel(each) for each in with_dampers(scenario))
+    step = passive.step(speed)[0]
     threads = workers or numba.get_num_threads()
     steps = _Steps(progress, effort)
 
-    startup, memory = _starts(scenario, speed, effort, steps)
-    reference = match_accuracy(model, speed, effort.reference_span)
+    startup, memory = measure_starts(scenario, speed, effort.first_starts, effort.later_starts, steps.did)
+    reference = match_accuracy(passive, speed, effort.reference_span)
     steps.did("scipy's tolerance")
 
-    tracks = [model.realisation(seed) for seed in range(VEHICLES_PER_THREAD * threads)]
-    parts = PartTimer(Simulator(model, speed, track=tracks[0]), effort.evaluations)
-    probes: dict[str, Callable[[], float]] = {
-        "passive_single": lambda: single_factor(model, speed, tracks[0], effort.span),
-        "passive_single_processor_time": lambda: single_factor(
-            model, speed, tracks[0], effort.span, time.thread_time
-        ),
-        "passive_batch": lambda: batch_factor(model, speed, tracks, effort.span, threads),
-        "scipy_reference": lambda: (
-            reference.span
-            / FirstOrder(model, speed, reference.span).solve(reference.method, reference.tolerance)[1]
-        ),
-        **{name: lambda k=k: parts.microseconds(k) for k, name in enumerate(PARTS)},  # type: ignore[misc]
-    }
-    measured = _in_turn(probes, effort.repetitions, steps)
-    realtime = {name: Spread.of(measured[name]) for name in _LABELS}
+    vehicles = VEHICLES_PER_THREAD * threads
+    probes = _passive_probes(passive, speed, effort, threads, reference)
+    if semi.multibody.yaw_dampers:
+        probes |= _sayd_probes(semi, speed, effort, threads)
+    measured = in_turn(probes, effort.repetitions, lambda: steps.did("speed"))
     return BenchResult(
         scenario=scenario,
         speed=speed,
         step=step,
         threads=threads,
-        vehicles=len(tracks),
-        realtime=realtime,
+        vehicles=vehicles,
+        realtime={name: Spread.of(measured[name]) for name in FACTORS if name in measured},
         step_us=_cost_by_part(measured, step),
+        control=measure_environments(effort.environments, threads, lambda: steps.did("environments")),
         startup=startup,
         memory=memory,
         reference=reference,
@@ -323,210 +308,69 @@ class _Steps:
 
     def __init__(self, progress: Progress, effort: Effort) -> None:
         self.progress, self.done = progress, 0
-        self.total = effort.first_starts + effort.later_starts + 1 + effort.repetitions
+        runs = effort.repetitions + effort.environments.repetitions
+        self.total = effort.first_starts + effort.later_starts + 1 + runs
 
     def did(self, what: str) -> None:
         self.done += 1
         self.progress(self.done, self.total, what)
 
 
-def _in_turn(
-    probes: dict[str, Callable[[], float]], repetitions: int, steps: _Steps
-) -> dict[str, list[float]]:
-    """Measure all in turn, several times, after a round that nobody counts: it compiles and fills caches."""
-    measured: dict[str, list[float]] = {name: [] for name in probes}
-    for probe in probes.values():
-        probe()
-    for _ in range(repetitions):
-        for name, probe in probes.items():
-            measured[name].append(probe())
-        steps.did("speed")
-    return measured
+def _passive_probes(
+    model: VehicleModel, speed: float, effort: Effort, threads: int, reference: Reference
+) -> dict[str, Callable[[], float]]:
+    """What is measured of the vehicle with passive dampers."""
+    parts = PartTimer(Simulator(model, speed, seed=0), effort.evaluations)
+    return {
+        **_speed_probes("passive", model, speed, effort, threads),
+        "scipy_reference": lambda: (
+            reference.span
+            / FirstOrder(model, speed, reference.span).solve(reference.method, reference.tolerance)[1]
+        ),
+        **{name: lambda k=k: parts.microseconds(k) for k, name in enumerate(PARTS)},  # type: ignore[misc]
+    }
+
+
+def _sayd_probes(
+    model: VehicleModel, speed: float, effort: Effort, threads: int
+) -> dict[str, Callable[[], float]]:
+    """What is measured of the vehicle with semi-active dampers."""
+    parts = SaydTimer(Simulator(model, speed, seed=0), effort.evaluations)
+    return {
+        **_speed_probes("sayd", model, speed, effort, threads),
+        **{name: lambda k=k: parts.microseconds(k) for k, name in enumerate(SAYD_PARTS)},  # type: ignore[misc]
+    }
+
+
+def _speed_probes(
+    kind: str, model: VehicleModel, speed: float, effort: Effort, threads: int
+) -> dict[str, Callable[[], float]]:
+    """Factors over real time of one vehicle and of a batch."""
+    tracks = [model.realisation(seed) for seed in range(VEHICLES_PER_THREAD * threads)]
+    span = effort.span
+    return {
+        f"{kind}_single": lambda: single_factor(model, speed, tracks[0], span),
+        f"{kind}_single_processor_time": lambda: single_factor(
+            model, speed, tracks[0], span, time.thread_time
+        ),
+        f"{kind}_batch": lambda: batch_factor(model, speed, tracks, span, threads),
+    }
 
 
 def _cost_by_part(measured: dict[str, list[float]], step: float) -> dict[str, Spread]:
-    """Cost of the parts, of a whole step of the running vehicle, and of integration: what is left of it."""
+    """Cost of the parts, of a whole step of the running vehicle, and of integration: what is left of it.
+
+    Behind them what eight semi-active dampers add: valves, hydraulics, and the whole step with them.
+    """
     total = 1e6 * step / np.array(measured["passive_single_processor_time"])
     rest = total - np.sum([measured[name] for name in PARTS], axis=0)
-    parts = {name: Spread.of(measured[name]) for name in PARTS}
-    return {**parts, "integration": Spread.of(rest.tolist()), "total": Spread.of(total.tolist())}
-
-
-def single_factor(
-    model: VehicleModel,
-    speed: float,
-    track: TrackRealisation,
-    span: float,
-    clock: Callable[[], float] = time.perf_counter,
-) -> float:
-    """Simulated seconds of one vehicle on one core over the seconds of a clock: by default wall time."""
-    simulator = Simulator(model, speed, track=track)
-    samples = _samples(model, span)
-    begin = clock()
-    simulator.advance(samples)
-    return span / (clock() - begin)
-
-
-def batch_factor(
-    model: VehicleModel, speed: float, tracks: Sequence[TrackRealisation], span: float, threads: int
-) -> float:
-    """Simulated seconds of all vehicles of a batch, one on each track, over wall seconds."""
-    batch = BatchSimulator([Simulator(model, speed, track=track) for track in tracks], threads)
-    samples = _samples(model, span)
-    begin = time.perf_counter()
-    batch.advance(samples)
-    return len(tracks) * span / (time.perf_counter() - begin)
-
-
-def _samples(model: VehicleModel, span: float) -> int:
-    return round(span * model.scenario.assessment.sample_rate)
-
-
-class PartTimer:
-    """Times the parts of the step of a vehicle that has run for a while.
-
-    Parameters
-    ----------
-    simulator : Simulator
-        The vehicle; it runs on for a while here.
-    evaluations : int
-        Evaluations in one measurement.
-    """
-
-    def __init__(self, simulator: Simulator, evaluations: int) -> None:
-        self.simulator = simulator
-        self.evaluations = evaluations
-        states = [self._moved(SETTLING), self._moved(0.05)]
-        self.q, self.v = (np.array([s[k] for s in states]) for k in range(2))
-
-    def _moved(self, span: float) -> tuple[Array, Array]:
-        self.simulator.advance(_samples(self.simulator.model, span))
-        return self.simulator.state.q.copy(), self.simulator.state.v.copy()
-
-    def microseconds(self, part: int) -> float:
-        """Processor time of one evaluation of a part, an index in `PARTS` (us)."""
-        s = self.simulator
-        s.work.f[:] = 0.0  # it sums up whatever a part adds
-        begin = time.thread_time()
-        repeat(part, self.evaluations, s.plant, s.state, s.work, self.q, self.v)
-        return 1e6 * (time.thread_time() - begin) / self.evaluations
-
-
-class FirstOrder:
-    """The vehicle as a system of first order for SciPy, from rest, over a span (s)."""
-
-    def __init__(self, model: VehicleModel, speed: float, span: float) -> None:
-        self.simulator = Simulator(model, speed, seed=0)
-        self.n, self.m = model.multibody.n, len(model.dampers)
-        self.start = float(self.simulator.state.clock[1])
-        rate = model.scenario.assessment.sample_rate
-        self.times = np.arange(1, _samples(model, span) + 1) / rate
-        self.evaluations = 0
-
-    def __call__(self, t: float, s: Array) -> Array:
-        """Time derivative of displacements, velocities and damper forces."""
-        n, run = self.n, self.simulator
-        self.evaluations += 1
-        out = np.empty(len(s))
-        rates(run.plant, self.start + run.speed * t, s[:n], s[n : 2 * n], s[2 * n :], run.work, out)
-        return out
-
-    def solve(self, method: str, tolerance: float) -> tuple[Array, float]:
-        """Lateral displacements of the bogie frames above the wheelsets, (t, w), and the wall time (s).
-
-        Raises
-        ------
-        StudyError
-            The integrator gave up.
-        """
-        scales = np.repeat(SCALES, [self.n, self.n, self.m])
-        initial, span = np.zeros(len(scales)), (0.0, self.times[-1])
-        begin = time.perf_counter()
-        solution = solve_ivp(
-            self, span, initial, method, t_eval=self.times, rtol=tolerance, atol=tolerance * scales
-        )
-        elapsed = time.perf_counter() - begin
-        if not solution.success:
-            raise StudyError(f"scipy's {method} at rtol {tolerance:g}: {solution.message}")
-        return solution.y[: self.n].T @ self.simulator.plant.measure.T, elapsed
-
-
-def match_accuracy(model: VehicleModel, speed: float, span: float) -> Reference:
-    """Find SciPy's fastest integration that is at least as accurate as our time step.
-
-    Accuracy is the RMS difference of the bogie frames' lateral displacement above the wheelsets from a tight
-    solution, over its RMS. Of each method the loosest tolerance that is as good as our step competes.
-
-    Raises
-    ------
-    StudyError
-        No method is as accurate at any tolerance that is tried.
-    """
-    exact, _ = FirstOrder(model, speed, span).solve(*TIGHT)
-    own = Simulator(model, speed, seed=0).advance(_samples(model, span), motion=True).motion
-    system = FirstOrder(model, speed, span)
-    step_error = _difference(own @ system.simulator.plant.measure.T, exact)
-    candidates: list[tuple[float, Reference]] = []
-    for method in METHODS:
-        for tolerance in TOLERANCES:
-            system = FirstOrder(model, speed, span)
-            motion, elapsed = system.solve(method, tolerance)
-            error = _difference(motion, exact)
-            if error <= step_error:
-                count = system.evaluations
-                call = 1e6 * _call_time(system)
-                candidates.append(
-                    (elapsed, Reference(method, tolerance, error, step_error, count, call, span))
-                )
-                break
-    if not candidates:
-        raise StudyError(f"no scipy integrator came as near as {step_error:.1e} to the tight solution")
-    return min(candidates, key=lambda c: c[0])[1]
-
-
-def _difference(motion: Array, exact: Array) -> float:
-    return float(np.sqrt(np.mean((motion - exact) ** 2) / np.mean(exact**2)))
-
-
-def _call_time(system: FirstOrder, calls: int = 1000) -> float:
-    state = np.repeat(1e-2 * np.array(SCALES), [system.n, system.n, system.m])
-    begin = time.perf_counter()
-    for _ in range(calls):
-        system(0.0, state)
-    return (time.perf_counter() - begin) / calls
-
-
-def _starts(
-    scenario: Scenario, speed: float, effort: Effort, steps: _Steps
-) -> tuple[dict[str, Spread], dict[str, float] | None]:
-    """Time and memory of a short ``sayd evaluate``, with nothing compiled yet and with everything."""
-    results: dict[str, list[tuple[float, float]]] = {"first": [], "later": []}
-    with tempfile.TemporaryDirectory(prefix="sayd-bench-") as folder:
-        config = Path(folder) / "scenario.yaml"
-        config.write_text(json.dumps(scenario.model_dump(mode="json")))
-        command = [sys.executable, "-c", _PROGRAM + _PEAK, "evaluate", "--config", str(config), *_SHORT]
-        command += ["--speeds", f"{speed * KMH:.6g}"]
-        for k in range(effort.first_starts):
-            results["first"].append(_timed(command, Path(folder) / f"cache-{k}"))
-            steps.did("first start")
-        for _ in range(effort.later_starts):
-            results["later"].append(_timed(command, Path(folder) / "cache-0"))
-            steps.did("later start")
-    startup = {name: Spread.of([seconds for seconds, _ in pairs]) for name, pairs in results.items()}
-    memory = {name: float(np.median([peak for _, peak in pairs])) for name, pairs in results.items()}
-    return startup, memory if all(np.isfinite(list(memory.values()))) else None
-
-
-def _timed(command: list[str], cache: Path) -> tuple[float, float]:
-    """Wall time (s) and peak memory (MB, NaN if unknown) of a process."""
-    environment = os.environ | {"SAYD_CACHE_DIR": str(cache)}
-    begin = time.perf_counter()
-    process = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    elapsed = time.perf_counter() - begin
-    last = (process.stderr.strip().splitlines() or ["no message"])[-1]
-    if process.returncode != 0:
-        raise StudyError(f"a start of sayd failed: {last}")
-    return elapsed, 1.024e-3 * float(last) if last.isdecimal() else float("nan")
+    costs = {name: np.array(measured[name]) for name in PARTS}
+    costs |= {"integration": rest, "total": total}
+    if "sayd_single_processor_time" in measured:
+        valves, dampers = (np.array(measured[name]) for name in SAYD_PARTS)
+        whole = 1e6 * step / np.array(measured["sayd_single_processor_time"])
+        costs |= {"valves": valves, "hydraulics": dampers - valves, "total_sayd": whole}
+    return {name: Spread.of(values.tolist()) for name, values in costs.items()}
 
 
 def machine() -> dict[str, Any]:

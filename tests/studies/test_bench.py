@@ -7,18 +7,32 @@ import math
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
 from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.damper import load_sayd
 from sayd_env.config.scenario import load_scenario
-from sayd_env.physics.parts import PARTS
+from sayd_env.physics.parts import PARTS, SAYD_PARTS
 from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.studies import bench as module
-from sayd_env.studies.bench import BenchResult, Effort, FirstOrder, PartTimer, Spread, bench, match_accuracy
+from sayd_env.studies import bench_environment, bench_start
+from sayd_env.studies.bench import BenchResult, Effort, bench
+from sayd_env.studies.bench_environment import (
+    EnvironmentEffort,
+    StepTimer,
+    make_yardstick,
+    measure_environments,
+    whole_episodes,
+)
+from sayd_env.studies.bench_spread import Spread
+from sayd_env.studies.bench_vehicle import FirstOrder, PartTimer, SaydTimer, match_accuracy, with_dampers
 from sayd_env.studies.output import document, json_text
 
 SPEED = 350.0 / 3.6
@@ -30,15 +44,25 @@ def model() -> VehicleModel:
 
 
 @pytest.fixture(scope="module")
+def sayd_model() -> VehicleModel:
+    return VehicleModel(load_scenario(None, ("damper=sayd",)))
+
+
+@pytest.fixture(scope="module")
 def result() -> BenchResult:
-    """A quick bench whose starts are those of a program that only uses some memory."""
+    """A quick bench of a small batch, whose starts are those of a program that only uses some memory.
+
+    No yardstick, installed or not.
+    """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_PROGRAM", "block = bytearray(50_000_000); status = 0")
-        patch.setattr(module, "QUICK", Effort(2, 1.0, 1000, 0.1, 1, 2))
+        patch.setattr(bench_start, "_PROGRAM", "block = bytearray(50_000_000); status = 0")
+        patch.setattr(bench_environment, "BATCH", 4)
+        patch.setattr(bench_environment, "make_yardstick", lambda: None)
+        patch.setattr(module, "QUICK", Effort(2, 1.0, 1000, 0.1, 1, 2, EnvironmentEffort(1, 0.1, 50)))
         heard: list[tuple[float, float, str]] = []
         result = bench(load_scenario(), quick=True, progress=lambda *report: heard.append(report))
-    assert [done for done, _, _ in heard] == [1, 2, 3, 4, 5, 6]
-    assert {total for _, total, _ in heard} == {6}
+    assert [done for done, _, _ in heard] == [1, 2, 3, 4, 5, 6, 7]
+    assert {total for _, total, _ in heard} == {7}
     return result
 
 
@@ -51,12 +75,24 @@ def test_keys(result: BenchResult) -> None:
         "sayd_batch",
         "scipy_reference",
         "passive_single_processor_time",
+        "sayd_single_processor_time",
     }
-    assert set(content["step_us"]) == {*PARTS, "integration", "total"}
-    assert set(content["control_steps_per_second"]) == {"single", "batch", "overhead_us"}
+    assert set(content["step_us"]) == {
+        *PARTS,
+        "integration",
+        "total",
+        "valves",
+        "hydraulics",
+        "total_sayd",
+    }
+    control = content["control_steps_per_second"]
+    assert {"single", "batch", "overhead_us", "single_without_resets", "batch_without_resets"} <= set(control)
+    assert control["ant_v5"] is None
+    assert set(content["reset_s"]) == {"single", "batch"}
+    assert content["batch"]["environments"] == 4
     assert set(content["startup_s"]) == {"first", "later"}
-    for factor in ("passive_single", "passive_batch", "scipy_reference"):
-        assert content["realtime_factor"][factor] > 0.0
+    assert min(content["realtime_factor"].values()) > 0.0
+    assert min(value for value in control.values() if value is not None) > 0.0
     assert set(content["machine"]) == {"processor", "cores", "system", "date"}
     assert content["step_size_s"] == load_scenario().numerics.step
 
@@ -67,9 +103,11 @@ def test_parts_make_a_step(result: BenchResult) -> None:
     spread = result.step_us["total"]
     assert spread.minimum <= spread.median <= spread.maximum
     # The total is the single vehicle's time: h / (cost of a step) is its real-time factor.
-    factor = result.realtime["passive_single_processor_time"]
-    assert 1e6 * result.step / spread.minimum == pytest.approx(factor.maximum)
-    assert factor.maximum > 0.9 * result.realtime["passive_single"].maximum
+    for total, kind in (("total", "passive"), ("total_sayd", "sayd")):
+        factor = result.realtime[f"{kind}_single_processor_time"]
+        assert 1e6 * result.step / result.step_us[total].minimum == pytest.approx(factor.maximum)
+        assert factor.maximum > 0.9 * result.realtime[f"{kind}_single"].maximum
+    assert 0.0 < costs["valves"] < costs["hydraulics"] < costs["total_sayd"]
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system does not tell")
@@ -82,7 +120,10 @@ def test_summary_table_and_picture(result: BenchResult) -> None:
     console = Console(width=150, record=True)
     result.summary(console)
     text = console.export_text()
-    assert "one vehicle, one core" in text
+    assert "passive, one vehicle, one core" in text
+    assert "8 SAYDs, batch, all cores" in text
+    assert "step minus compiled call" in text
+    assert "no Ant-v5 beside them: mujoco is not installed" in text
     assert "later start" in text
     header, rows = result.tables()["bench"]
     assert all(len(row) == len(header) for row in rows)
@@ -119,9 +160,80 @@ def test_parts_of_a_moving_vehicle(model: VehicleModel) -> None:
             assert np.all(moved > np.finfo(float).tiny)
 
 
+def test_semi_active_dampers_of_a_moving_vehicle(sayd_model: VehicleModel) -> None:
+    """The repeated dampers move on: their pressures stay finite, change, and never become denormal."""
+    timer = SaydTimer(Simulator(sayd_model, SPEED), 20_000)
+    for part in range(len(SAYD_PARTS)):
+        before = timer.simulator.state.sayd.copy()
+        assert timer.microseconds(part) > 0.0
+        after = timer.simulator.state.sayd
+        assert np.all(np.isfinite(after))
+        moved = np.abs(after[after != 0.0])
+        assert np.all(moved > np.finfo(float).tiny)
+        assert part == 0 or not np.array_equal(before, after)
+
+
+def test_both_kinds_of_dampers() -> None:
+    """Each scenario is measured with both: its own kind as it is, the other one from the package."""
+    own = load_scenario(None, ("damper.series_stiffness=4e6",))
+    passive, semi = with_dampers(own)
+    assert passive == own
+    assert semi.damper == load_sayd("sayd")
+    assert semi.model_copy(update={"damper": own.damper}) == own
+    own = load_scenario(None, ("damper=sayd", "damper.current=0.3"))
+    passive, semi = with_dampers(own)
+    assert semi == own
+    assert passive.damper == load_scenario().damper
+
+
+def test_rate_over_whole_episodes() -> None:
+    """2000 steps at 10 000 steps/s and a reset of 0.05 s take 0.25 s."""
+    assert whole_episodes(10_000.0, 2000, 0.05) == pytest.approx(8000.0)
+
+
+def _busy(seconds: float) -> None:
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        pass
+
+
+def test_overhead_is_what_is_outside_the_compiled_call() -> None:
+    """An environment that spends 2 ms in its compiled loop and 1 ms around it."""
+
+    class Known:
+        def __init__(self) -> None:
+            self.lanes = SimpleNamespace(_compiled=lambda: _busy(2e-3))
+            self.fleet = SimpleNamespace(steps=1000, lanes=self.lanes)
+            self.action_space = SimpleNamespace(sample=lambda: _busy(3e-3))
+            self.unwrapped = self
+
+        def reset(self) -> None:
+            _busy(5e-3)
+
+        def step(self, _: Any) -> None:
+            _busy(0.5e-3)
+            self.lanes._compiled()
+            _busy(0.5e-3)
+
+    env = Known()
+    loop = env.lanes._compiled
+    timer = StepTimer(env, 15)
+    assert timer.overhead() == pytest.approx(1000.0, rel=0.1)
+    assert timer.compiled == pytest.approx(2000.0, rel=0.1)
+    assert env.lanes._compiled is loop
+
+
+def test_yardstick_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: str) -> None:
+        raise gym.error.DependencyNotInstalled("no mujoco")
+
+    monkeypatch.setattr(gym, "make", refuse)
+    assert make_yardstick() is None
+
+
 def test_a_start_that_fails(tmp_path: Path) -> None:
     with pytest.raises(StudyError, match="a start of sayd failed: out of order"):
-        module._timed([sys.executable, "-c", "import sys; sys.exit('out of order')"], tmp_path)
+        bench_start._timed([sys.executable, "-c", "import sys; sys.exit('out of order')"], tmp_path)
 
 
 def test_a_speed_out_of_range() -> None:
@@ -143,11 +255,31 @@ def test_at_least_150_times_real_time(model: VehicleModel) -> None:
 
 
 @pytest.mark.timing
+def test_at_least_100_times_real_time_with_semi_active_dampers(sayd_model: VehicleModel) -> None:
+    """The required speed with eight of them, of one vehicle on one core; the best run counts."""
+    simulator = Simulator(sayd_model, SPEED)
+    simulator.advance(1000)
+    best = math.inf
+    for _ in range(5):
+        begin = time.perf_counter()
+        simulator.advance(4000)
+        best = min(best, time.perf_counter() - begin)
+    assert 4.0 / best > 100.0
+
+
+@pytest.mark.timing
+def test_required_control_steps() -> None:
+    """4,000 steps/s of one environment, 15,000 of a batch of 64 on two cores, 30 us around the kernel."""
+    control = measure_environments(EnvironmentEffort(3, 0.5, 1000), threads=2)
+    assert control.rates["single"].maximum >= 4000.0
+    assert control.rates["batch"].maximum >= 15_000.0
+    assert control.overhead_us.minimum < 30.0
+
+
+@pytest.mark.timing
 def test_starts_of_the_program() -> None:
     """The first start, which compiles, takes at most 60 s, later ones at most 3 s (best of three)."""
-    steps = module._Steps(lambda *_: None, module.QUICK)
-    effort = Effort(0, 0.0, 0, 0.0, 1, 3)
-    startup, memory = module._starts(load_scenario(), SPEED, effort, steps)
+    startup, memory = bench_start.measure_starts(load_scenario(), SPEED, 1, 3, lambda _: None)
     assert startup["first"].minimum < 60.0
     assert startup["later"].minimum < 3.0
     assert startup["later"].maximum < startup["first"].minimum
