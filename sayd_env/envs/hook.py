@@ -1,32 +1,29 @@
-"""The way from an environment to its pictures, which are loaded when the first one is wanted."""
+"""The way from an environment to its pictures: what draws them is loaded when the first one is wanted."""
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING
 
-from gymnasium.error import DependencyNotInstalled
+from sayd_env.envs.recorder import Recorder
 
-from sayd_env.envs.fleet import Fleet
+if TYPE_CHECKING:
+    from sayd_env.envs.rendering import Scene
 
 
-def open_scene(fleet: Fleet, vehicle: int, mode: str) -> Any:
-    """Picture of one vehicle of a fleet.
+def open_scene(recorder: Recorder, mode: str) -> Scene:
+    """Pictures of the vehicle that a recorder watches.
 
     Parameters
     ----------
-    fleet : Fleet
-    vehicle : int
+    recorder : Recorder
     mode : str
         ``rgb_array`` or ``human``.
 
     Raises
     ------
     gymnasium.error.DependencyNotInstalled
-        What draws is not installed.
+        pygame is not installed, or ``human`` finds no screen.
     """
-    try:
-        module = import_module("sayd_env.envs.rendering")
-    except ModuleNotFoundError as error:
-        raise DependencyNotInstalled(f"render_mode '{mode}' needs the module '{error.name}'") from None
-    return module.Scene(fleet, vehicle, mode)
+    from sayd_env.envs.rendering import Scene  # noqa: PLC0415 - Matplotlib's typeface takes its time
+
+    return Scene(recorder, mode)

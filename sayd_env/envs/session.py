@@ -20,6 +20,7 @@ from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.fleet import Flags, Fleet, Observation, VehicleState
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.loop import LOG
+from sayd_env.envs.recorder import Recorder
 from sayd_env.envs.running import RunningValues
 from sayd_env.envs.telling import of_the_vehicle
 
@@ -78,6 +79,13 @@ class Session:
         self._numbers = [0] * count
         self._running: list[RunningValues | None] = [None] * count
         self._log = np.zeros((count, self.fleet.settings.samples, LOG)) if full else None
+        self._recorder: Recorder | None = None
+
+    def watch(self) -> Recorder:
+        """Keep what pictures of the first vehicle show, from now on."""
+        if self._recorder is None:
+            self._recorder = Recorder(self.fleet)
+        return self._recorder
 
     def begin(
         self,
@@ -119,11 +127,15 @@ class Session:
             self._seeds[i], self._numbers[i], self.over[i] = seed, number, False
             if self.full:
                 self._run_in(i, before)
+        if self._recorder is not None and self._recorder.vehicle in which:
+            self._recorder.begin()
 
     def step(self, actions: Array, active: Flags | None = None) -> tuple[Observation, Array, Flags, Flags]:
         """Run one control period, as `Fleet.step` does."""
         fleet = self.fleet
         result = fleet.step(actions, log=self._log, active=active)
+        if self._recorder is not None:
+            self._recorder.take()
         if self._log is not None:
             choice = fleet.lanes.passed.values.choice.reshape(fleet.count, -1)
             for i, running in enumerate(self._running):
@@ -169,6 +181,8 @@ class Session:
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._running = list(copy.deepcopy(state.running))
         self.over[:] = state.over
+        if self._recorder is not None:
+            self._recorder.begin()
 
 
 def observation_box(interface: Interface) -> Any:

@@ -194,6 +194,8 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
             settings=settings,
         )
         self._session = Session(config, scenario, 1, num_threads=1, full=info == "full")
+        if self.render_mode is not None:
+            self._session.watch()
         self._scene: Any = None
         self.metadata = {**self.metadata, "render_fps": round(1.0 / config.control_period)}
         self.observation_space = observation_box(self.interface)
@@ -284,7 +286,7 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
             gym.logger.warn("render() needs a render_mode: give make render_mode='rgb_array' or 'human'")
             return None
         if self._scene is None:
-            self._scene = open_scene(self.fleet, 0, self.render_mode)
+            self._scene = open_scene(self._session.watch(), self.render_mode)
         return self._scene.draw()
 
     def close(self) -> None:

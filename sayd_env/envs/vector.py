@@ -118,6 +118,8 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
         )
         threads = None if num_threads is None else whole_number("num_threads", num_threads)
         self._session = Session(config, scenario, self.num_envs, num_threads=threads, full=info == "full")
+        if self.render_mode is not None:
+            self._session.watch()
         if max_episode_steps is not None and max_episode_steps != -1:
             self.fleet.steps = min(self.fleet.steps, _positive("max_episode_steps", max_episode_steps))
         self._begun = False
@@ -310,7 +312,7 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
             gym.logger.warn("render() needs a render_mode: give make_vec render_mode='rgb_array' or 'human'")
             return None
         if self._scene is None:
-            self._scene = open_scene(self.fleet, 0, self.render_mode)
+            self._scene = open_scene(self._session.watch(), self.render_mode)
         picture = self._scene.draw()
         return None if picture is None else (picture,)
 

@@ -1,0 +1,290 @@
+"""What a picture of a vehicle shows: its motion, forces and readings, as one value from one direction.
+
+The environment fills a recorder, the recorder makes a `Frame`, whoever draws needs nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config.fault import DamperLost, Fault, PowerLost, ValveStuck
+from sayd_env.config.scenario import Scenario
+from sayd_env.config.sensors import DAMPERS as DAMPER_NAMES
+from sayd_env.config.track import NoIrregularityConfig, SpectrumConfig
+from sayd_env.envs.draw import Episode
+from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, DAMPERS, NOT_FINITE, POINTS, RUNNING
+from sayd_env.physics import sayd
+from sayd_env.physics.multibody import Instance, Multibody
+from sayd_env.physics.plant import LANES
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.physics.track.realisation import TrackRealisation
+
+Array = npt.NDArray[np.float64]
+
+WINDOW = 10.0
+"""Time that a frame looks back, s."""
+SECOND = 1.0
+"""Time over which running values are taken, s: a step of the paper's MPPT."""
+BEHIND, AHEAD, SPACING = 40.0, 80.0, 0.25
+"""Track that a frame shows around the vehicle's centre, and the distance of its points, m."""
+
+# Columns of what is kept of each control period.
+_TIME = 0
+_ACCELERATION = 1
+_FORCE = _ACCELERATION + BOGIES
+_VALVE = _FORCE + BOGIES
+_COLUMNS = _VALVE + BOGIES
+
+
+@dataclass(frozen=True)
+class Pose:
+    """How far a body is from where it stands at rest."""
+
+    x: float
+    """m, forward."""
+    y: float
+    """m, to the left."""
+    yaw: float
+    """rad, to the left."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A vehicle at an instant, and the last seconds before it."""
+
+    time: float
+    """s after step 0."""
+    speed: float
+    """m/s."""
+    position: float
+    """Of the vehicle's centre along the track, m."""
+    wear: float
+    friction: float
+    track: str
+    poses: Mapping[str, Pose]
+    """Carbody, bogie frames and wheelsets by their names in the vehicle's model."""
+    rail_x: Array
+    """(k,) places along the track, seen from the vehicle's centre, m."""
+    alignment: Array
+    """(k,) lateral position of the track's centre line there, m."""
+    gauge: Array
+    """(k,) widening of the gauge there, m."""
+    damper_force: Array
+    """(DAMPERS,) on the bogie, positive in tension, N."""
+    opening: Array | None
+    """(DAMPERS,) acting valve commands, 0 closed to 1 open; None for passive dampers."""
+    command: Array | None
+    """(DAMPERS,) commands that were asked for; None for passive dampers."""
+    damper_faults: Mapping[int, str]
+    """What has happened to dampers and their valves, by damper."""
+    faults: tuple[str, ...]
+    """All faults that have happened, in words."""
+    ending: str | None
+    """Why the run has ended early; None if it has not."""
+    dominant_frequency: Array
+    """(BOGIES,) f_0 of the on-line filter, Hz."""
+    times: Array
+    """(t,) times of what follows, s after step 0."""
+    acceleration: Array
+    """(t, BOGIES) psi_y of eq. (27): RMS over the last second behind the on-line filter, m/s2."""
+    force: Array
+    """(t, BOGIES) psi_F: RMS over the last second, N."""
+    valve: Array | None
+    """(t, BOGIES) mean acting valve command of each bogie; None for passive dampers."""
+    cost: Array
+    """(t,) mean of the bogies' J over the last second."""
+    acceleration_limit: float
+    """y_lim of eq. (26), m/s2."""
+    force_reference: float
+    """F_max of eq. (27), N."""
+
+
+@dataclass
+class Recorder:
+    """Watches one vehicle of a fleet.
+
+    Parameters
+    ----------
+    fleet : Fleet
+    vehicle : int
+        Its place in the fleet.
+    """
+
+    fleet: Fleet
+    vehicle: int = 0
+    model: Multibody = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.model = VehicleModel(self.fleet.scenario).multibody
+        self._second = round(SECOND / self.fleet.config.control_period)
+        self._rows = np.zeros((round(WINDOW / self.fleet.config.control_period) + self._second, _COLUMNS))
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the past: an episode has begun, or the vehicle has been put to another state."""
+        self._count = 0
+        self._last = -1
+
+    def take(self) -> None:
+        """Keep what the charts show of the last control period; a vehicle that stood still adds nothing."""
+        fleet, i = self.fleet, self.vehicle
+        elapsed = int(fleet.elapsed[i])
+        if elapsed == self._last or int(fleet.lanes.status[i]) == NOT_FINITE:
+            return
+        self._last = elapsed
+        row, terms = self._rows[self._count % len(self._rows)], fleet.lanes.terms[i]
+        row[_TIME] = elapsed * fleet.config.control_period
+        row[_ACCELERATION:_FORCE] = terms[COST_ACCELERATION : COST_ACCELERATION + BOGIES]
+        row[_FORCE:_VALVE] = terms[COST_FORCE : COST_FORCE + BOGIES]
+        opening = self._opening()
+        row[_VALVE:] = 0.0 if opening is None else opening.reshape(BOGIES, -1).mean(axis=1)
+        self._count += 1
+
+    @property
+    def time(self) -> float:
+        """Seconds after step 0."""
+        return float(self.fleet.elapsed[self.vehicle]) * self.fleet.config.control_period
+
+    def _damper_force(self) -> Array:
+        """Forces that act: a damper that has come off has none, though its hydraulics go on."""
+        lanes, i = self.fleet.lanes, self.vehicle
+        force = lanes.memory.view(i).row[2 * POINTS :].copy()
+        states = lanes.state.view(i).sayd
+        return force if states.size == 0 else force * states.reshape(-1, LANES)[sayd.ATTACHED, :DAMPERS]
+
+    def _opening(self) -> Array | None:
+        states = self.fleet.lanes.state.view(self.vehicle).sayd
+        return None if states.size == 0 else states.reshape(-1, LANES)[sayd.CURRENT, :DAMPERS].copy()
+
+    def frame(self) -> Frame:
+        """The vehicle as it is now.
+
+        Raises
+        ------
+        ConfigError
+            Before the first reset.
+        """
+        fleet, i, lanes = self.fleet, self.vehicle, self.fleet.lanes
+        episode, scenario = fleet.episodes[i], fleet.scenario
+        assert episode is not None  # the fleet has lanes, so it has been reset
+        state, plant = lanes.state.view(i), lanes.plant.view(i)
+        position = float(state.clock[1])
+        rail_x = np.arange(-BEHIND, AHEAD + 0.5 * SPACING, SPACING)
+        track = TrackRealisation(
+            plant.irregularity_start, plant.irregularity_step, math.nan, plant.irregularity
+        )
+        rails, _ = track.evaluate(position + rail_x)
+        time = self.time
+        happened = [fault for fault in episode.faults if fault.start_s <= time + 1e-9]
+        rows, cost, ended = self._history(), scenario.cost, int(lanes.status[i]) != RUNNING
+        opening = self._opening()
+        limit = fleet.limits[i].acceleration
+        both = cost.acceleration_weight * rows[:, _ACCELERATION:_FORCE]
+        both = both + cost.force_weight * rows[:, _FORCE:_VALVE]
+        return Frame(
+            time=time,
+            speed=episode.speed,
+            position=position,
+            wear=scenario.wear if episode.wear is None else episode.wear,
+            friction=scenario.friction if episode.friction is None else episode.friction,
+            track=_track_name(episode, scenario),
+            poses=poses(self.model, np.nan_to_num(state.q)),
+            rail_x=rail_x,
+            alignment=rails[:, 0],
+            gauge=rails[:, 3],
+            damper_force=np.nan_to_num(self._damper_force()),
+            opening=None if opening is None else np.nan_to_num(opening),
+            command=None if opening is None else lanes.command[i].copy(),
+            damper_faults=_of_dampers(happened),
+            faults=tuple(in_words(fault) for fault in happened),
+            ending=fleet.ending(i) if ended else None,
+            dominant_frequency=fleet.dominant_frequency()[i],
+            times=rows[:, _TIME],
+            acceleration=limit * np.sqrt(rows[:, _ACCELERATION:_FORCE]),
+            force=cost.force_reference * np.sqrt(rows[:, _FORCE:_VALVE]),
+            valve=None if opening is None else rows[:, _VALVE:],
+            cost=both.mean(axis=1),
+            acceleration_limit=limit,
+            force_reference=cost.force_reference,
+        )
+
+    def _history(self) -> Array:
+        """What is kept, oldest first; the terms of the cost as sums over the last second.
+
+        Where less than a second is known, the sum is that of a second like the known part.
+        """
+        size, count = len(self._rows), self._count
+        kept = self._rows[:count] if count <= size else np.roll(self._rows, -(count % size), axis=0)
+        kept = kept.copy()
+        terms = kept[:, _ACCELERATION:_VALVE]
+        total = np.vstack([np.zeros(terms.shape[1]), np.cumsum(terms, axis=0)])
+        last = np.arange(1, len(kept) + 1)
+        first = np.maximum(last - self._second, 0)
+        known = (last - first)[:, None]
+        kept[:, _ACCELERATION:_VALVE] = np.maximum(total[last] - total[first], 0.0) * self._second / known
+        return kept if count <= size else kept[self._second :]
+
+
+def _track_name(episode: Episode, scenario: Scenario) -> str:
+    own = scenario.track.irregularity
+    irregularity = own if episode.irregularity is None else episode.irregularity
+    name = irregularity.density.type if isinstance(irregularity, SpectrumConfig) else irregularity.type
+    if isinstance(irregularity, NoIrregularityConfig):
+        return "even"
+    scale = irregularity.scale if episode.track_scale is None else episode.track_scale
+    return f"{Path(episode.track).stem if episode.track else name} \u00d7 {scale:.2f}"
+
+
+def poses(model: Multibody, q: Array) -> dict[str, Pose]:
+    """Displacements of carbody, frames and wheelsets.
+
+    Parameters
+    ----------
+    model : Multibody
+    q : ndarray, shape (n,)
+        Displacements of all degrees of freedom, m and rad.
+    """
+    shown = {
+        name: instance
+        for name, instance in model.instances.items()
+        if instance.body.role in ("carbody", "frame", "wheelset")
+    }
+
+    def along(body: Instance, dof: str) -> float:
+        return float(q[body.columns[dof]]) if dof in body.columns else 0.0
+
+    return {
+        name: Pose(along(body, "x"), along(body, "y"), along(body, "yaw")) for name, body in shown.items()
+    }
+
+
+_WORDS = {
+    "valve_stuck": "valve stuck",
+    "power_lost": "no power",
+    "damper_lost": "damper lost",
+    "sensor_dead": "sensor dead",
+    "sensor_frozen": "sensor frozen",
+    "sensor_biased": "sensor biased",
+    "sensor_noisy": "sensor noisy",
+}
+
+
+def in_words(fault: Fault) -> str:
+    """A fault in a few words, with its place."""
+    place = fault.damper if isinstance(fault, ValveStuck | PowerLost | DamperLost) else fault.signal
+    return f"{_WORDS[fault.kind]}: {place}"
+
+
+def _of_dampers(faults: list[Fault]) -> dict[int, str]:
+    return {
+        DAMPER_NAMES.index(fault.damper): _WORDS[fault.kind]
+        for fault in faults
+        if isinstance(fault, ValveStuck | PowerLost | DamperLost)
+    }

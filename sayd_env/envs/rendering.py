@@ -1,0 +1,446 @@
+"""Pictures of a vehicle: from above with exaggerated displacements, its dampers, and its last seconds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.envs.canvas import Align, Canvas, Colour, Picture, Window
+from sayd_env.envs.loop import BOGIES, DAMPERS
+from sayd_env.envs.recorder import AHEAD, BEHIND, WINDOW, Frame, Recorder
+from sayd_env.envs.scene import CYLINDER, PAIR_OFFSET, RAIL_HEAD, ROD, Placement, View, make_plan
+
+Array = npt.NDArray[np.float64]
+
+WIDTH, HEIGHT = 1280, 720
+EXAGGERATION = 20.0
+"""How many times as large displacements are drawn."""
+LARGEST_FORCE = 15e3
+"""Damper force of the strongest colour, N."""
+
+# Colours.
+PAPER: Colour = (238, 241, 245)
+PANEL: Colour = (255, 255, 255)
+INK: Colour = (24, 32, 44)
+SOFT: Colour = (104, 116, 132)
+FAINT: Colour = (222, 227, 233)
+FRONT: Colour = (32, 98, 196)
+REAR: Colour = (214, 108, 18)
+LIMIT: Colour = (196, 36, 44)
+GOOD: Colour = (30, 132, 84)
+CAR: Colour = (233, 238, 245)
+CAR_EDGE: Colour = (128, 144, 166)
+RAIL: Colour = (142, 148, 158)
+STEEL: Colour = (70, 80, 94)
+PUSH: Colour = (38, 84, 190)
+PULL: Colour = (200, 40, 48)
+NONE: Colour = (198, 204, 212)
+BOGIE_COLOURS = (FRONT, REAR)
+BOGIE_FILLS: tuple[Colour, Colour] = ((176, 204, 244), (250, 208, 166))
+
+# Layout: left, top, width, height.
+Box = tuple[float, float, float, float]
+VEHICLE: Box = (16, 70, 1248, 388)
+STRIP: Box = (16, 466, 1248, 62)
+CHARTS: tuple[Box, Box, Box] = ((16, 536, 408, 172), (436, 536, 408, 172), (856, 536, 408, 172))
+ROAD: Box = (17, 96, 1246, 361)
+SCALE = 95.0
+"""Pixels in a metre of the vehicle."""
+VIEW_HALF_LENGTH = 3.15
+GAUGE_X, GAUGE_LENGTH = 58.0, 92.0
+"""Opening bars: distance from a bogie's centre, and length, pixels."""
+
+
+class Scene:
+    """Draws a vehicle that a recorder watches.
+
+    Parameters
+    ----------
+    recorder : Recorder
+    mode : str
+        ``rgb_array`` or ``human``.
+    caption : str
+        Who drives, for the picture's head.
+    exaggeration : float
+        How many times as large displacements are drawn.
+
+    Raises
+    ------
+    gymnasium.error.DependencyNotInstalled
+        Without pygame, or with ``human`` and no screen.
+    """
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        mode: str = "rgb_array",
+        *,
+        caption: str = "",
+        exaggeration: float = EXAGGERATION,
+    ) -> None:
+        scenario = recorder.fleet.scenario
+        plan = make_plan(scenario.vehicle, recorder.model, scenario.track.gauge)
+        left, top, width, height = ROAD
+        middle = top + 0.5 * height
+        # Forward is right, so the front bogie has the right half.
+        views = tuple(
+            View(bogie.x, (left + share * width, middle), SCALE, VIEW_HALF_LENGTH)
+            for bogie, share in zip(plan.bogies, (0.75, 0.25), strict=True)
+        )
+        self.recorder = recorder
+        self.caption = caption
+        self.placement = Placement(plan, views, exaggeration)
+        self.canvas = Canvas(WIDTH, HEIGHT)
+        self.window = Window((WIDTH, HEIGHT), "Semi-active yaw dampers") if mode == "human" else None
+        self._ground()
+
+    def draw(self) -> Picture | None:
+        """Draw the vehicle as it is now: a new array of shape (height, width, 3), or None in a window."""
+        if self.window is None:
+            self._paint(self.recorder.frame())
+            return self.canvas.pixels()
+        if self.window.due(self.recorder.time):
+            self._paint(self.recorder.frame())
+            self.window.show(self.canvas.surface())
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self.window is not None:
+            self.window.close()
+
+    def _ground(self) -> None:
+        """Draw what never changes."""
+        canvas = self.canvas
+        canvas.fill(PAPER)
+        for box in (VEHICLE, STRIP, *CHARTS):
+            canvas.box(box, FAINT, radius=8)
+            canvas.box(_inner(box, 1), PANEL, radius=7)
+        left, top, width, _ = VEHICLE
+        factor = self.placement.exaggeration
+        title = canvas.text("Vehicle from above", (left + 12, top + 14), 13, INK, bold=True)
+        note = f"displacements and track \u00d7 {factor:g}, middle of the carbody left out"
+        canvas.text(note, (left + 24 + title, top + 14), 12, SOFT)
+        self._scale_bar(left + 612, top + 14)
+        self._legend(left + width - 12, top + 14)
+        canvas.text(
+            "direction of travel  →", (left + width - 14, ROAD[1] + ROAD[3] - 12), 12, SOFT, align="right"
+        )
+        canvas.text("left", (left + 12, ROAD[1] + 10), 11, SOFT)
+        canvas.text("right", (left + 12, ROAD[1] + ROAD[3] - 12), 11, SOFT)
+        canvas.keep_as_base()
+
+    def _scale_bar(self, x: float, y: float) -> None:
+        """Show how long 10 mm of displacement are."""
+        length = 0.01 * self.placement.exaggeration * SCALE
+        self.canvas.box((x, y - 1, length, 2), INK)
+        for end in (x, x + length):
+            self.canvas.box((end - 1, y - 5, 2, 10), INK)
+        self.canvas.text("10 mm", (x + length + 8, y), 12, SOFT)
+
+    def _legend(self, right: float, y: float) -> None:
+        canvas, start = self.canvas, right - 408
+        canvas.text("damper force", (start, y), 12, SOFT)
+        canvas.text("push", (start + 92, y), 12, PUSH)
+        for step in range(60):
+            share = 2.0 * step / 59 - 1.0
+            canvas.box((start + 128 + step, y - 5, 1.5, 10), force_colour(share * LARGEST_FORCE))
+        canvas.text("pull", (start + 196, y), 12, PULL)
+        canvas.box((start + 244, y - 5, 40, 10), FAINT, radius=3)
+        canvas.box((start + 244, y - 5, 24, 10), STEEL, radius=3)
+        canvas.box((start + 276, y - 7, 2, 14), INK)
+        canvas.text("valve: open, asked", (right, y), 12, SOFT, align="right")
+
+    def _paint(self, frame: Frame) -> None:
+        self.canvas.begin()
+        self._head(frame)
+        self._vehicle(frame)
+        self._track(frame)
+        for box, chart in zip(CHARTS, charts(frame), strict=True):
+            self._chart(box, frame.time, chart)
+
+    def _head(self, frame: Frame) -> None:
+        canvas = self.canvas
+        width = canvas.text(f"{frame.speed * 3.6:.0f}", (20, 36), 34, INK, bold=True)
+        canvas.text("km/h", (26 + width, 42), 15, SOFT)
+        first, second = frame.dominant_frequency
+        cost = f"{frame.cost[-1]:.3f}" if len(frame.cost) else "\u2013"
+        entries = [
+            ("POLICY", self.caption, 176),
+            ("TIME", f"{frame.time:.2f} s", 92),
+            ("J, LAST SECOND", cost, 122),
+            ("f\u2080 FRONT, REAR", f"{first:.1f}, {second:.1f} Hz", 122),
+            ("WEAR", f"{frame.wear:.2f}", 68),
+            ("FRICTION", f"{frame.friction:.2f}", 80),
+            ("TRACK", frame.track, 150),
+        ]
+        x = 164.0
+        for label, value, space in entries:
+            if value:
+                canvas.text(label, (x, 24), 10, SOFT)
+                canvas.text(value, (x, 44), 16, INK, bold=label.startswith("J"))
+                x += space
+        self._status(frame)
+
+    def _status(self, frame: Frame) -> None:
+        """Say at the upper right whether the vehicle runs, has faults, or has come to its end."""
+        colour, words = GOOD, "running"
+        if frame.faults:
+            colour, words = REAR, "1 fault" if len(frame.faults) == 1 else f"{len(frame.faults)} faults"
+        if frame.ending is not None:
+            colour, words = LIMIT, frame.ending.partition(":")[0]
+        width = self.canvas.text(words, (WIDTH - 30, 36), 13, PANEL, align="right", bold=True)
+        self.canvas.box((WIDTH - 44 - width, 22, width + 28, 28), colour, radius=14)
+
+    def _vehicle(self, frame: Frame) -> None:
+        canvas, placement = self.canvas, self.placement
+        canvas.clip(ROAD)
+        edges = []
+        for bogie in range(BOGIES):
+            outline, jagged = placement.carbody(frame, bogie)
+            canvas.polygon(outline, CAR)
+            edges.append((outline, jagged))
+        for bogie in range(BOGIES):
+            for rail in placement.rails(frame, bogie):
+                half = np.array([0.0, 0.5 * RAIL_HEAD * SCALE])
+                canvas.polygon(np.vstack([rail - half, (rail + half)[::-1]]), RAIL)
+            for axle, wheels in placement.wheelsets(frame, bogie):
+                canvas.polygon(axle, (150, 158, 170), STEEL)
+                for wheel in wheels:
+                    canvas.polygon(wheel, STEEL, INK)
+            parts = placement.frame(frame, bogie)
+            for part in parts:
+                canvas.polygon(part, BOGIE_FILLS[bogie], BOGIE_COLOURS[bogie], 1.5)
+            self._centre(frame, bogie)
+        for outline, jagged in edges:
+            canvas.line(np.vstack([outline, outline[:1]]), CAR_EDGE, 2.0)
+            canvas.line(jagged, PANEL, 3.5)
+            canvas.line(jagged, CAR_EDGE, 1.0)
+        for k in range(DAMPERS):
+            self._damper(frame, k)
+        canvas.clip(None)
+        if frame.faults:
+            words = ", ".join(frame.faults[:3]) + (", …" if len(frame.faults) > 3 else "")
+            middle = (ROAD[0] + 0.5 * ROAD[2], ROAD[1] + ROAD[3] - 12)
+            canvas.text(words, middle, 12, LIMIT, align="middle")
+
+    def _centre(self, frame: Frame, bogie: int) -> None:
+        """Mark the frame's centre, where it is at rest and where it is."""
+        rest, now = self.placement.centres(frame, bogie)
+        canvas = self.canvas
+        for arm in ((9.0, 0.0), (0.0, 9.0)):
+            canvas.line(np.array([rest - arm, rest + arm]), SOFT, 1.0)
+        canvas.disc((float(now[0]), float(now[1])), 4.0, BOGIE_COLOURS[bogie])
+
+    def _damper(self, frame: Frame, k: int) -> None:
+        """Draw a damper, its valve's bar and its force."""
+        canvas = self.canvas
+        bogie_end, car_end = self.placement.damper(frame, k)
+        force, fault = float(frame.damper_force[k]), frame.damper_faults.get(k)
+        colour = force_colour(force)
+        along = bogie_end - car_end
+        side = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9)
+        half_way = car_end + 0.62 * along
+        rod, body = ROD * SCALE * side, CYLINDER * SCALE * side
+        canvas.polygon(np.array([car_end + rod, bogie_end + rod, bogie_end - rod, car_end - rod]), STEEL)
+        canvas.polygon(
+            np.array([car_end + body, half_way + body, half_way - body, car_end - body]), colour, STEEL
+        )
+        for end in (bogie_end, car_end):
+            canvas.disc((float(end[0]), float(end[1])), 3.5, INK)
+        middle_x, middle_y = self.placement.views[k * BOGIES // DAMPERS].centre
+        y = middle_y - SCALE * float(self.placement.plan.dampers[k, 0, 1])
+        self._bar(frame, k, middle_x + GAUGE_X, y, colour)
+        words = f"{round(force * 1e-3, 1) + 0.0:+.1f} kN".replace("-", "\u2212")
+        canvas.text(words, (middle_x + GAUGE_X + GAUGE_LENGTH + 74, y), 13, INK, align="right")
+        if fault is not None:
+            canvas.text(fault, (middle_x - GAUGE_X - 46, y), 12, LIMIT, align="right", bold=True)
+            for turn in ((1.0, 1.0), (1.0, -1.0)):
+                arm = 9.0 * np.array(turn)
+                middle = 0.5 * (bogie_end + car_end)
+                canvas.line(np.array([middle - arm, middle + arm]), LIMIT, 3.0)
+
+    def _bar(self, frame: Frame, k: int, x: float, y: float, colour: Colour) -> None:
+        height = 1.15 * PAIR_OFFSET * SCALE
+        canvas = self.canvas
+        if frame.opening is None or frame.command is None:
+            canvas.text("passive", (x, y), 11, SOFT)
+            return
+        canvas.box((x, y - 0.5 * height, GAUGE_LENGTH, height), (208, 214, 222), radius=3)
+        share = min(max(float(frame.opening[k]), 0.0), 1.0)
+        if share > 0.02:
+            canvas.box((x, y - 0.5 * height, share * GAUGE_LENGTH, height), colour, radius=3)
+        asked = x + min(max(float(frame.command[k]), 0.0), 1.0) * GAUGE_LENGTH
+        canvas.box((asked - 1, y - 0.5 * height - 2, 2, height + 4), INK)
+
+    def _track(self, frame: Frame) -> None:
+        """Draw the track's alignment behind and ahead, and where the wheelsets are."""
+        canvas = self.canvas
+        left, top, width, height = STRIP
+        inner = (left + 118, top + 4, width - 134, height - 8)
+        canvas.text("Track alignment", (left + 12, top + 15), 13, INK, bold=True)
+        biggest = float(np.max(np.abs(frame.alignment)))
+        span = next(value for value in (2e-3, 5e-3, 1e-2, 2e-2, 5e-2, math.inf) if biggest <= value)
+        span = biggest if math.isinf(span) else span
+        canvas.text(f"± {span * 1e3:g} mm", (left + 12, top + 33), 11, SOFT)
+        canvas.text(f"km {frame.position * 1e-3:.3f}", (left + 12, top + 49), 11, SOFT)
+
+        def place(x: Array, y: Array) -> Array:
+            across = inner[0] + (x + BEHIND) / (BEHIND + AHEAD) * inner[2]
+            return np.column_stack([across, inner[1] + 0.5 * inner[3] * (1.0 - 0.9 * y / span)])
+
+        canvas.clip(inner)
+        ends = place(np.array([-BEHIND, AHEAD]), np.zeros(2))
+        canvas.line(ends, FAINT, 1.0)
+        first = 10.0 * math.ceil((frame.position - BEHIND) / 10.0)
+        marks = np.arange(first, frame.position + AHEAD, 10.0) - frame.position
+        for x in place(marks, np.zeros(len(marks)))[:, 0]:
+            canvas.box((float(x) - 0.5, inner[1], 1, inner[3]), FAINT)
+        canvas.line(place(frame.rail_x, frame.alignment), STEEL, 1.75)
+        for bogie, plan in enumerate(self.placement.plan.bogies):
+            for name in plan.wheelsets:
+                x = np.array([self.placement.plan.rest[name][0]])
+                spot = place(x, np.interp(x, frame.rail_x, frame.alignment))[0]
+                canvas.disc((float(spot[0]), float(spot[1])), 4.5, BOGIE_COLOURS[bogie])
+        canvas.clip(None)
+
+    def _chart(self, box: Box, now: float, chart: Chart) -> None:
+        canvas = self.canvas
+        left, top, width, height = box
+        plot = (left + 44, top + 30, width - 58, height - 52)
+        title = canvas.text(chart.title, (left + 12, top + 14), 13, INK, bold=True)
+        canvas.text(chart.unit, (left + 18 + title, top + 14), 12, SOFT)
+        right = left + width - 12
+        for values, colour in zip(chart.values.T[::-1], chart.colours[::-1], strict=True):
+            if len(values):
+                number = f"{values[-1] * chart.per_unit:.{chart.digits}f}"
+                right -= canvas.text(number, (right, top + 14), 13, colour, align="right", bold=True) + 10
+        largest = float(chart.values.max(initial=0.0)) * chart.per_unit
+        ceiling, tick = axis(max(largest, 1.25 * chart.limit * chart.per_unit, chart.least))
+        for value in np.arange(0.0, ceiling * (1.0 + 1e-9), tick):
+            y = plot[1] + plot[3] * (1.0 - value / ceiling)
+            canvas.box((plot[0], y - 0.5, plot[2], 1), FAINT)
+            canvas.text(f"{value:g}", (plot[0] - 6, y), 10, SOFT, align="right")
+        for ago in (10, 5, 0):
+            x = plot[0] + plot[2] * (1.0 - ago / WINDOW)
+            aligned: Align = "right" if ago == 0 else "middle"
+            label = f"\u2212{ago} s" if ago else "now"
+            canvas.text(label, (x, top + height - 11), 10, SOFT, align=aligned)
+
+        def place(values: Array) -> Array:
+            across = plot[0] + plot[2] * (1.0 - (now - chart.times) / WINDOW)
+            return np.column_stack([across, plot[1] + plot[3] * (1.0 - values * chart.per_unit / ceiling)])
+
+        if chart.limit > 0.0:
+            y = plot[1] + plot[3] * (1.0 - chart.limit * chart.per_unit / ceiling)
+            canvas.dashes((plot[0], y), (plot[0] + plot[2], y), LIMIT, width=1.5)
+            canvas.text(chart.limit_name, (plot[0] + 6, y - 9), 10, LIMIT)
+        canvas.clip((plot[0], plot[1] - 2, plot[2] + 2, plot[3] + 4))
+        thin = max(1, len(chart.times) // 500)
+        for values, colour in zip(chart.values.T, chart.colours, strict=True):
+            canvas.line(place(values)[::-1][::thin], colour, 2.0)
+        canvas.clip(None)
+
+
+class Chart:
+    """A quantity over the last seconds.
+
+    Parameters
+    ----------
+    title, unit : str
+    times : ndarray, shape (t,)
+        s after step 0.
+    values : ndarray, shape (t, lines)
+        SI.
+    colours : sequence of Colour
+        One for each line.
+    per_unit : float
+        Factor from SI to the unit.
+    limit : float
+        SI; 0 for none.
+    limit_name : str
+    least : float
+        The axis reaches at least this far, in the unit.
+    digits : int
+        Of the newest value, behind the point.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        unit: str,
+        times: Array,
+        values: Array,
+        colours: Sequence[Colour],
+        *,
+        per_unit: float = 1.0,
+        limit: float = 0.0,
+        limit_name: str = "",
+        least: float = 0.0,
+        digits: int = 2,
+    ) -> None:
+        self.title = title
+        self.unit = unit
+        self.times = times
+        self.values = values
+        self.colours = colours
+        self.per_unit = per_unit
+        self.limit = limit
+        self.limit_name = limit_name
+        self.least = least
+        self.digits = digits
+
+
+def charts(frame: Frame) -> tuple[Chart, Chart, Chart]:
+    """Acceleration and force with their limits, and the valves (J for passive dampers)."""
+    times = frame.times
+    acceleration = Chart(
+        "Frame acceleration, RMS of 1 s",
+        "m/s²",
+        times,
+        frame.acceleration,
+        BOGIE_COLOURS,
+        limit=frame.acceleration_limit,
+        limit_name=f"limit {frame.acceleration_limit:.2f}",
+    )
+    force = Chart(
+        "Damper force, RMS of 1 s",
+        "kN",
+        times,
+        frame.force,
+        BOGIE_COLOURS,
+        per_unit=1e-3,
+        limit=frame.force_reference,
+        limit_name=f"F max {frame.force_reference * 1e-3:g}",
+    )
+    if frame.valve is None:
+        last = Chart("Cost J of the last second", "", times, frame.cost[:, None], (INK,), least=0.1, digits=3)
+    else:
+        last = Chart("Valve opening, mean of a bogie", "", times, frame.valve, BOGIE_COLOURS, least=1.0)
+    return acceleration, force, last
+
+
+def axis(largest: float) -> tuple[float, float]:
+    """End of an axis from 0 that holds a value, and the distance of its ticks, a round number."""
+    decade = 10.0 ** math.floor(math.log10(max(largest, 1e-12)))
+    ticks = (step * decade for step in (0.2, 0.25, 0.5, 1.0, 2.0, 2.5))
+    tick = next(step for step in ticks if 5.0 * step >= largest - 1e-12)
+    return tick * math.ceil(largest / tick - 1e-9), tick
+
+
+def force_colour(force: float) -> Colour:
+    """Colour of a damper force (N): blue pushes, red pulls, grey is nothing."""
+    share = min(abs(force) / LARGEST_FORCE, 1.0)
+    target = PULL if force > 0.0 else PUSH
+    # The root makes small forces visible.
+    weight = math.sqrt(share)
+    red, green, blue = (round(a + weight * (b - a)) for a, b in zip(NONE, target, strict=True))
+    return red, green, blue
+
+
+def _inner(box: Box, margin: float) -> Box:
+    left, top, width, height = box
+    return left + margin, top + margin, width - 2 * margin, height - 2 * margin

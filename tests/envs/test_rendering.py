@@ -1,0 +1,413 @@
+"""Pictures: their form, what moves in them and by how much, charts against sums done by hand, both modes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gymnasium.error import DependencyNotInstalled
+from gymnasium.utils.env_checker import check_env
+
+from sayd_env.config import ConfigError
+from sayd_env.envs.draw import draw_episode
+from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.keywords import configured
+from sayd_env.envs.loop import COST_ACCELERATION, COST_FORCE
+from sayd_env.envs.recorder import Frame, Pose, Recorder
+from sayd_env.envs.single import SaydEnv
+
+pytest.importorskip("pygame")
+
+from sayd_env.envs import rendering
+from sayd_env.envs.rendering import FRONT, HEIGHT, REAR, SCALE, WIDTH, Scene, axis, force_colour
+from sayd_env.envs.scene import View, displaced, rectangle
+
+HALF = np.full(2, 0.5, dtype=np.float32)
+Picture = npt.NDArray[np.uint8]
+
+
+@pytest.fixture(autouse=True)
+def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+@pytest.fixture
+def env(quick: str) -> Iterator[SaydEnv]:
+    env = SaydEnv(quick, render_mode="rgb_array")
+    env.reset(seed=0)
+    yield env
+    env.close()
+
+
+def watched(
+    environment: str, steps: int, *, options: dict[str, Any] | None = None, **keywords: Any
+) -> Recorder:
+    """A recorder that has watched a vehicle for some steps with half-open valves."""
+    config, scenario = configured(environment, **keywords)
+    fleet = Fleet(config, 1, scenario=scenario, num_threads=1)
+    fleet.reset([0], [draw_episode(config, 0, 0, options)])
+    recorder = Recorder(fleet)
+    for _ in range(steps):
+        fleet.step(HALF[None])
+        recorder.take()
+    return recorder
+
+
+def at_rest(frame: Frame, **poses: Pose) -> Frame:
+    """The frame with all bodies and the track at rest, but for some bodies."""
+    still = {name: Pose(0.0, 0.0, 0.0) for name in frame.poses}
+    moved = {name.replace("_", "."): pose for name, pose in poses.items()}
+    even = np.zeros_like(frame.alignment)
+    return replace(frame, poses=still | moved, alignment=even, gauge=even, damper_force=np.zeros(8))
+
+
+def picture(scene: Scene, frame: Frame) -> Picture:
+    scene._paint(frame)
+    return scene.canvas.pixels()
+
+
+def middle_of(image: Picture, colour: tuple[int, int, int]) -> npt.NDArray[np.float64]:
+    """Mean pixel (x, y) of what has a colour in the vehicle's panel."""
+    left, top, width, height = (int(value) for value in rendering.ROAD)
+    part = image[top : top + height, left : left + width]
+    rows, columns = np.nonzero(np.all(np.abs(part.astype(int) - colour) <= 2, axis=2))
+    return np.array([columns.mean() + left, rows.mean() + top])
+
+
+def test_a_picture_is_a_new_array_of_bytes(env: SaydEnv) -> None:
+    one, other = env.render(), env.render()
+    assert one.shape == (HEIGHT, WIDTH, 3)
+    assert one.dtype == np.uint8
+    assert one is not other
+    assert not np.shares_memory(one, other)
+    np.testing.assert_array_equal(one, other)
+
+
+def test_pictures_change_with_time(env: SaydEnv) -> None:
+    before = env.render()
+    env.step(HALF)
+    assert np.any(env.render() != before)
+
+
+def test_same_seed_same_picture(quick: str) -> None:
+    images = []
+    for _ in range(2):
+        env = SaydEnv(quick, render_mode="rgb_array")
+        env.reset(seed=3)
+        env.step(HALF)
+        images.append(env.render())
+        env.close()
+    np.testing.assert_array_equal(*images)
+
+
+def test_watching_changes_no_bit(quick: str) -> None:
+    observations = []
+    for mode in (None, "rgb_array"):
+        env = SaydEnv(quick, render_mode=mode)
+        env.reset(seed=5)
+        for _ in range(5):
+            observation = env.step(HALF)[0]
+            if mode is not None:
+                env.render()
+        observations.append(observation)
+        env.close()
+    np.testing.assert_array_equal(observations[0], observations[1])
+
+
+def test_displaced_points_by_hand() -> None:
+    # 2 mm forward, 5 mm to the left and 1 mrad at an arm of (1, 2) m, twenty times as large.
+    found = displaced(np.array([[11.0, 2.0]]), (10.0, 0.0), Pose(0.002, 0.005, 0.001), 20.0)
+    np.testing.assert_allclose(found, [[11.0 + 20 * (0.002 - 0.002), 2.0 + 20 * (0.005 + 0.001)]], rtol=1e-12)
+
+
+def test_a_view_has_forward_right_and_left_up() -> None:
+    view = View(8.75, (950.0, 270.0), 100.0, 3.0)
+    np.testing.assert_allclose(view.pixels(np.array([[9.75, 0.5]])), [[1050.0, 220.0]])
+
+
+def test_rectangle_by_hand() -> None:
+    corners = {tuple(point) for point in rectangle(1.0, 2.0, 0.5, 0.25).tolist()}
+    assert corners == {(1.5, 2.25), (1.5, 1.75), (0.5, 2.25), (0.5, 1.75)}
+
+
+def test_the_plan_is_that_of_the_vehicle(quick: str) -> None:
+    # Positions of configs/vehicle/emu.yaml: pivots at 8.75 m, wheelbase 2.5 m, dampers 1.35 m off the middle.
+    plan = Scene(watched(quick, 0)).placement.plan
+    assert [bogie.x for bogie in plan.bogies] == [8.75, -8.75]
+    assert plan.bogies[1].wheelsets == ("wheelset.rear.leading", "wheelset.rear.trailing")
+    assert plan.rest["wheelset.rear.trailing"] == (-10.0, 0.0)
+    np.testing.assert_allclose(plan.dampers[:, 0, 0], [9.1] * 4 + [-8.4] * 4)
+    np.testing.assert_allclose(plan.dampers[:, 1, 0], [8.4] * 4 + [-9.1] * 4)
+    pairs = plan.dampers[:, 0, 1].reshape(4, 2).mean(axis=1)
+    np.testing.assert_allclose(pairs, [1.35, -1.35, 1.35, -1.35])
+
+
+def test_a_shifted_bogie_is_drawn_shifted(quick: str) -> None:
+    recorder = watched(quick, 1)
+    scene, frame = Scene(recorder), recorder.frame()
+    still = picture(scene, at_rest(frame))
+    moved = picture(scene, at_rest(frame, frame_front=Pose(0.0, 0.006, 0.0)))
+    # 6 mm to the left, twenty times as large: 11.4 pixels up at 95 pixels in a metre.
+    shift = middle_of(moved, FRONT) - middle_of(still, FRONT)
+    np.testing.assert_allclose(shift, [0.0, -0.006 * 20.0 * SCALE], atol=0.6)
+    np.testing.assert_allclose(middle_of(moved, REAR), middle_of(still, REAR), atol=0.05)
+
+
+def test_a_turned_bogie_is_drawn_turned(quick: str) -> None:
+    recorder = watched(quick, 1)
+    scene, frame = Scene(recorder), recorder.frame()
+    turned = at_rest(frame, frame_rear=Pose(0.0, 0.0, 0.004))
+    left = scene.placement.frame(turned, 1)[1]  # the left beam
+    ahead = left[left[:, 0] > left[:, 0].mean()].mean(axis=0)
+    behind = left[left[:, 0] < left[:, 0].mean()].mean(axis=0)
+    # To the left: the front end goes up, by 4 mrad times twenty of the beam's length.
+    assert (behind - ahead)[1] / (ahead - behind)[0] == pytest.approx(0.08, rel=1e-6)
+
+
+def test_the_carbody_moves_the_far_ends_of_the_dampers(quick: str) -> None:
+    recorder = watched(quick, 1)
+    scene, frame = Scene(recorder), recorder.frame()
+    still, swayed = at_rest(frame), at_rest(frame, carbody=Pose(0.03, 0.01, 0.0))
+    for k in range(8):
+        shift = scene.placement.damper(swayed, k) - scene.placement.damper(still, k)
+        # The train's lag of 30 mm shows in none of the bodies' places against the carbody.
+        np.testing.assert_allclose(shift[1], [0.0, -0.01 * 20.0 * SCALE], atol=1e-9)
+        np.testing.assert_allclose(shift[0], [-0.03 * 20.0 * SCALE, 0.0], atol=1e-9)
+
+
+def test_rails_follow_alignment_and_gauge(quick: str) -> None:
+    recorder = watched(quick, 1)
+    scene, frame = Scene(recorder), recorder.frame()
+    even = at_rest(frame)
+    bent = replace(even, alignment=even.alignment + 0.003, gauge=even.gauge + 0.002)
+    for side, shift in ((0, 0.003 + 0.001), (1, 0.003 - 0.001)):
+        moved = scene.placement.rails(bent, 0)[side] - scene.placement.rails(even, 0)[side]
+        np.testing.assert_allclose(moved[:, 0], 0.0, atol=1e-9)
+        np.testing.assert_allclose(moved[:, 1], -shift * 20.0 * SCALE, rtol=1e-9)
+
+
+def test_the_track_under_the_wheels_is_the_one_that_the_wheels_feel(quick: str) -> None:
+    recorder = watched(quick, 20)
+    frame, lanes = recorder.frame(), recorder.fleet.lanes
+    x = lanes.plant.view(0).wheelset_x
+    felt = lanes.work.view(0).rail
+    # The last step evaluated the track half a millisecond of travel ago at most: 5 cm.
+    np.testing.assert_allclose(np.interp(x, frame.rail_x, frame.alignment), felt[:, 0], atol=5e-5)
+
+
+def test_the_running_values_are_those_of_the_cost(quick: str) -> None:
+    config, scenario = configured(quick, episode_s=2.0, control_period=0.02)
+    fleet = Fleet(config, 1, scenario=scenario, num_threads=1)
+    fleet.reset([0], [draw_episode(config, 0, 0, None)])
+    recorder, terms = Recorder(fleet), []
+    for _ in range(90):
+        fleet.step(HALF[None])
+        recorder.take()
+        recorder.take()  # twice is once
+        terms.append(fleet.lanes.terms[0].copy())
+    frame, last = recorder.frame(), np.array(terms[-50:]).sum(axis=0)
+    acceleration = last[COST_ACCELERATION : COST_ACCELERATION + 2]
+    force = last[COST_FORCE : COST_FORCE + 2]
+    assert len(frame.times) == 90
+    assert frame.times[-1] == pytest.approx(1.8)
+    np.testing.assert_allclose(
+        frame.acceleration[-1], frame.acceleration_limit * np.sqrt(acceleration), rtol=1e-9
+    )
+    np.testing.assert_allclose(frame.force[-1], scenario.cost.force_reference * np.sqrt(force), rtol=1e-9)
+    # By the rewards, which are minus the mean J, eq. (27).
+    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
+    assert frame.cost[-1] == pytest.approx(
+        weights[0] * acceleration.mean() + weights[1] * force.mean(), rel=1e-9
+    )
+
+
+def test_a_long_run_keeps_ten_seconds(quick: str) -> None:
+    recorder = watched(quick, 0, episode_s=0.05, control_period=0.05)
+    fleet, whole = recorder.fleet, []
+    for _ in range(260):  # 13 s
+        fleet.step(HALF[None])
+        recorder.take()
+        whole.append(fleet.lanes.terms[0, COST_FORCE])
+    frame = recorder.frame()
+    np.testing.assert_allclose(frame.times[[0, -1]], [3.05, 13.0])
+    sums = np.convolve(whole, np.ones(20), "valid")[-200:]
+    np.testing.assert_allclose(frame.force[:, 0], frame.force_reference * np.sqrt(sums), rtol=1e-9)
+
+
+def test_faults_are_marked_when_they_happen(quick: str) -> None:
+    faults = [
+        {"kind": "valve_stuck", "damper": "front.left.upper", "current": 0.3, "start_s": 0.05},
+        {"kind": "damper_lost", "damper": "rear.right.lower", "start_s": 0.05},
+        {"kind": "sensor_dead", "signal": "speed", "start_s": 0.1},
+    ]
+    recorder = watched(quick, 4, options={"faults": faults})
+    assert recorder.frame().faults == ()
+    scene = Scene(recorder)
+    before = middle_of(picture(scene, recorder.frame()), rendering.INK)
+    for _ in range(4):
+        recorder.fleet.step(HALF[None])
+    frame = recorder.frame()
+    assert frame.faults == ("valve stuck: front.left.upper", "damper lost: rear.right.lower")
+    assert frame.damper_faults == {0: "valve stuck", 7: "damper lost"}
+    assert frame.damper_force[7] == 0.0
+    assert np.all(np.isfinite(before))
+    with_faults, without = picture(scene, frame), picture(scene, replace(frame, faults=(), damper_faults={}))
+    red = (
+        np.all(with_faults == rendering.LIMIT, axis=2).sum()
+        - np.all(without == rendering.LIMIT, axis=2).sum()
+    )
+    assert red > 200
+
+
+def test_an_ending_is_shown(quick: str) -> None:
+    recorder = watched(quick, 1)
+    scene, frame = Scene(recorder), recorder.frame()
+    assert frame.ending is None
+    ended = picture(scene, replace(frame, ending="derailment: a wheel has climbed over its rail"))
+    assert tuple(ended[25, WIDTH - 50]) == rendering.LIMIT
+    assert tuple(picture(scene, frame)[25, WIDTH - 50]) == rendering.GOOD
+
+
+def test_a_diverged_run_can_be_drawn(quick: str) -> None:
+    recorder = watched(quick, 2)
+    recorder.fleet.lanes.state.view(0).v[:] = np.nan
+    recorder.fleet.step(HALF[None])
+    recorder.take()
+    frame = recorder.frame()
+    assert frame.ending is not None
+    assert len(frame.times) == 2
+    assert picture(Scene(recorder), frame).shape == (HEIGHT, WIDTH, 3)
+
+
+def test_passive_dampers_have_no_valves(quick: str) -> None:
+    recorder = watched(quick, 2, damper="passive")
+    frame = recorder.frame()
+    assert frame.opening is None
+    assert frame.command is None
+    assert frame.valve is None
+    assert Scene(recorder).draw() is not None
+
+
+def test_valve_bars_show_what_acts_and_what_is_asked(quick: str) -> None:
+    recorder = watched(quick, 1, options={"initial_current": 0.25})
+    frame = recorder.frame()
+    assert frame.command is not None
+    assert frame.opening is not None
+    np.testing.assert_array_equal(frame.command, 0.5)
+    # 10 ms behind the command the valve has hardly moved.
+    np.testing.assert_allclose(frame.opening, 0.25, atol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("largest", "expected"),
+    [(12.0, (12.5, 2.5)), (1.0, (1.0, 0.2)), (6.8, (8.0, 2.0)), (0.1, (0.1, 0.02)), (15.0, (15.0, 5.0))],
+)
+def test_axes_end_at_round_numbers(largest: float, expected: tuple[float, float]) -> None:
+    assert axis(largest) == pytest.approx(expected)
+
+
+def test_force_colours() -> None:
+    assert force_colour(0.0) == rendering.NONE
+    assert force_colour(1e6) == rendering.PULL
+    assert force_colour(-1e6) == rendering.PUSH
+    assert force_colour(15e3 / 4) == tuple(
+        round((a + b) / 2) for a, b in zip(rendering.NONE, rendering.PULL, strict=True)
+    )
+
+
+def test_a_window_shows_the_run_and_closes_twice(quick: str) -> None:
+    env = gym.make("SAYD/Nominal-v0", environment=quick, render_mode="human")
+    env.reset(seed=0)
+    assert env.render() is None
+    for _ in range(3):
+        env.step(HALF)
+    env.close()
+    env.close()
+
+
+def test_a_window_that_is_closed_stays_closed(quick: str) -> None:
+    recorder = watched(quick, 1)
+    scene = Scene(recorder, "human")
+    pygame = scene.canvas.pygame
+    assert scene.window is not None
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    scene.draw()
+    assert not scene.window.open
+    scene.draw()
+    scene.close()
+
+
+def test_a_batch_shows_its_first_lane(quick: str) -> None:
+    batch = gym.make_vec(
+        "SAYD/Nominal-v0",
+        num_envs=2,
+        vectorization_mode="vector_entry_point",
+        environment=quick,
+        render_mode="rgb_array",
+    )
+    single = SaydEnv(quick, render_mode="rgb_array")
+    batch.reset(seed=4)
+    single.reset(seed=4)
+    for _ in range(3):
+        batch.step(np.full((2, 2), 0.5, dtype=np.float32))
+        single.step(HALF)
+    pictures = batch.render()
+    assert pictures is not None
+    np.testing.assert_array_equal(pictures[0], single.render())
+    batch.close()
+    single.close()
+
+
+def test_a_new_episode_begins_with_empty_charts(env: SaydEnv) -> None:
+    env.step(HALF)
+    state = env.get_state()
+    watcher = env._session.watch()
+    assert len(watcher.frame().times) == 1
+    env.reset()
+    assert len(watcher.frame().times) == 0
+    env.step(HALF)
+    env.set_state(state)
+    assert len(watcher.frame().times) == 0
+    assert watcher.frame().time == pytest.approx(0.01)
+
+
+def test_gymnasiums_checker_draws_in_both_modes(quick: str) -> None:
+    check_env(
+        gym.make("SAYD/Nominal-v0", environment=quick, episode_s=0.05, render_mode="rgb_array").unwrapped
+    )
+
+
+def test_a_picture_before_the_first_reset_is_refused(quick: str) -> None:
+    with pytest.raises(ConfigError, match="call reset first"):
+        SaydEnv(quick, render_mode="rgb_array").render()
+
+
+def test_without_pygame_the_message_says_what_to_install(quick: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = SaydEnv(quick, render_mode="rgb_array")
+    env.reset(seed=0)
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(DependencyNotInstalled, match=r"pip install 'sayd-env\[render\]'"):
+        env.render()
+
+
+def test_without_a_screen_the_message_says_so(quick: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "none-such")
+    env = SaydEnv(quick, render_mode="human")
+    with pytest.raises(DependencyNotInstalled, match="needs a screen"):
+        env.reset(seed=0)
+
+
+def test_pygame_is_loaded_for_the_first_picture_only() -> None:
+    code = (
+        "import sys, sayd_env.envs.single as s; e = s.SaydEnv(render_mode='rgb_array'); "
+        "assert not {'pygame', 'sayd_env.envs.rendering'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path.cwd())
