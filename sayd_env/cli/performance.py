@@ -14,7 +14,7 @@ from sayd_env.cli.scenario import scenario_from
 def bench(
     *,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Few and short measurements, for a trend; less than a minute.")
+        bool, typer.Option("--quick", help="Few and short measurements, for a trend; about a minute.")
     ] = False,
     speed: Annotated[
         float,
@@ -22,7 +22,7 @@ def bench(
             "--speed",
             parser=options.positive("--speed", "km/h"),
             metavar="KMH",
-            help="Speed of the measured vehicles.",
+            help="Speed of the simulator's vehicles.",
         ),
     ] = "350",  # type: ignore[assignment] # the parser turns the text into a number
     profile: options.Profile = None,
@@ -36,7 +36,7 @@ def bench(
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
-    """Measure the simulator here: speed beside scipy's, cost of a step by part, start-up and memory."""
+    """Measure simulator and environments here: speed, cost of a step by part, start-up and memory."""
     from sayd_env.studies.bench import bench as study  # noqa: PLC0415 - keeps --help fast
 
     scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)

@@ -212,7 +212,8 @@ class BenchResult:
         figure.set_size_inches(10.0, 8.0)
         factors, parts, control = figure.subplots(3, 1)
         _bars(factors, {FACTORS[name]: s for name, s in self.realtime.items()}, "simulated over wall time")
-        _bars(parts, self.step_us, f"processor time of a step of {self.step * 1e3:g} ms (us)")
+        costs = {_step_label(name): s for name, s in self.step_us.items()}
+        _bars(parts, costs, f"processor time of a step of {self.step * 1e3:g} ms (us)")
         _bars(control, {RATES[name]: s for name, s in self.control.rates.items()}, "control steps per second")
         factors.set_xscale("log")
         figure.suptitle(f"{self.machine['processor']}, {self.machine['cores']} cores", fontsize="small")
@@ -235,7 +236,7 @@ def _bars(axes: Axes, spreads: dict[str, Spread], label: str) -> None:
     low = medians - [s.minimum for s in spreads.values()]
     high = np.array([s.maximum for s in spreads.values()]) - medians
     bars = axes.barh(names, medians, xerr=(low, high), capsize=3)
-    axes.bar_label(bars, fmt="%.3g", padding=8)
+    axes.bar_label(bars, fmt=_figure, padding=8)
     axes.invert_yaxis()
     axes.margins(x=0.2)
     axes.set_xlabel(label)

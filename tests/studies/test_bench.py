@@ -6,6 +6,7 @@ import json
 import math
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -131,6 +132,19 @@ def test_summary_table_and_picture(result: BenchResult) -> None:
         figure = Figure()
         draw(figure)
         figure.draw_without_rendering()
+
+
+def test_a_vehicle_without_yaw_dampers(result: BenchResult) -> None:
+    """It has no figures with semi-active ones: null in the output, no rows, no share."""
+    passive = replace(
+        result,
+        realtime={name: s for name, s in result.realtime.items() if "sayd" not in name},
+        step_us={name: s for name, s in result.step_us.items() if name in (*PARTS, "integration", "total")},
+    )
+    assert passive.as_dict()["realtime_factor"]["sayd_single"] is None
+    console = Console(width=150, record=True)
+    passive.summary(console)
+    assert "SAYDs" not in console.export_text()
 
 
 def test_spread() -> None:
