@@ -174,7 +174,7 @@ class VehicleConfig(Model):
         "m", "Height above the rail of the bogie-frame accelerometers over the wheelsets", gt=0.0
     )
     floor_height: float | None = quantity(
-        "m", "Height above the rail of the carbody's floor, where ride comfort is measured", gt=0.0, default=None
+        "m", "Height above the rail of the floor, where ride comfort is measured", gt=0.0, default=None
     )
     speed_range: tuple[Number, Number] = Field(
         description="Lowest and highest speed for which the model stands (m/s)"

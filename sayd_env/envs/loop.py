@@ -337,7 +337,7 @@ def control_period(  # noqa: PLR0912 - a period from top to bottom
     if state.sayd.shape[0] > 0:
         for k in range(DAMPERS):
             state.sayd[sayd.COMMAND * LANES + k] = command[k]
-    status = RUNNING
+    status, taken = RUNNING, 0
     for t in range(samples):
         if memory.counter[0] >= 0 and memory.counter[0] % per_second == 0:
             retune(band, passed)
@@ -354,11 +354,12 @@ def control_period(  # noqa: PLR0912 - a period from top to bottom
         if log.shape[0] > 0:
             write_log(state, loop, memory, log[t])
         memory.counter[0] += 1
+        taken += 1
         status = judge(plant, state, work, loop, memory, terms)
         if status != RUNNING:
             break
     for k in range(SIGNALS):
-        signals[k] = memory.total[k] / samples
+        signals[k] = memory.total[k] / taken
     if loop.features > 0.0:
         write_features(band, felt, memory, command, samples, features)
     memory.counter[1] += 1

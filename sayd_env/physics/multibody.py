@@ -213,9 +213,10 @@ def _displacement(instance: Instance, position: Array, n: int) -> Array:
 
 def _add_rotation(rows: Array, columns: dict[str, int], arm: Array) -> None:
     """Add theta x arm for the rotations among the columns."""
-    for dof, axis in (("roll", 0), ("pitch", 1), ("yaw", 2)):
+    x, y, z = arm
+    for dof, turned in (("roll", (0.0, -z, y)), ("pitch", (z, 0.0, -x)), ("yaw", (-y, x, 0.0))):
         if dof in columns:
-            rows[:, columns[dof]] += np.cross(np.eye(3)[axis], arm)
+            rows[:, columns[dof]] += turned
 
 
 def _rotation(instance: Instance, axis: str, n: int) -> Array:

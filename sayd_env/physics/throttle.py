@@ -136,12 +136,12 @@ def _series_table(field: ThrottleField, check: SpringValve) -> Array:
     # Dense where the check valves begin to open; the root makes even steps of an orifice's flow.
     drop = np.linspace(0.0, math.sqrt(LARGEST_DROP), _SERIES_POINTS) ** 2
     nodes = ROOT_STEP * np.arange(ROOTS)
-    table = np.zeros((CURRENTS, ROOTS))
-    for k, current in enumerate(np.linspace(0.0, 1.0, CURRENTS)):
-        flow = field.at(current, drop)
-        over = drop + 2.0 * (spring_valve_drop(check, flow) - check.opening)
-        table[k] = np.interp(nodes, warped(over), flow)
-    return table
+    # The field is linear over the root between its own drops, so these and the largest say all.
+    knots = np.union1d(field.drop, LARGEST_DROP)
+    at_knots = field.at(np.linspace(0.0, 1.0, CURRENTS)[:, None], knots)
+    flows = np.array([np.interp(np.sqrt(drop), np.sqrt(knots), row) for row in at_knots])
+    over = warped(drop + 2.0 * (spring_valve_drop(check, flows) - check.opening))
+    return np.array([np.interp(nodes, x, flow) for x, flow in zip(over, flows, strict=True)])
 
 
 def read_throttle_table(path: Path) -> ThrottleField:

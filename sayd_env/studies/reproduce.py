@@ -192,7 +192,7 @@ def controlled_groups(
     scenario: Scenario, environment: EnvironmentConfig, seeds: Sequence[int]
 ) -> list[Group]:
     """The runs with controllers that the rows need; parameters of each controller are in its `PolicySpec`."""
-    # One run-in for the environment and the assessment: else the runs would not be those of the passive vehicle.
+    # One run-in for environment and assessment, or the runs would not be like those of the passive vehicle.
     environment = environment.model_copy(update={"run_in": scenario.assessment.run_in})
     specs = {name: PolicySpec(name, load_controller(name, {}).model_dump()) for name in POLICIES}
     return [
