@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sayd_env import __version__
-from sayd_env.cli import components, performance, stability, vehicle
+from sayd_env.cli import components, performance, pictures, stability, vehicle
 
 app = typer.Typer(
     name="sayd",
@@ -42,4 +42,5 @@ app.command()(stability.assess)
 app.command()(components.conicity)
 app.command()(components.hysteresis)
 app.command()(stability.modes)
+app.command()(pictures.render)
 app.command()(performance.bench)

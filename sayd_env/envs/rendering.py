@@ -441,6 +441,19 @@ def force_colour(force: float) -> Colour:
     return red, green, blue
 
 
+def palette() -> Picture:
+    """Colours that a film may need and its first picture may lack, shape (k, 3)."""
+    signals = (FRONT, REAR, LIMIT, GOOD, INK, SOFT, PUSH, PULL, *BOGIE_FILLS)
+    forces = [force_colour(share * LARGEST_FORCE) for share in np.linspace(-1.0, 1.0, 41)]
+    # Beside each signal colour its way to white, which is what smooth edges are made of.
+    edges = [
+        tuple(round(part + share * (255 - part)) for part in colour)
+        for colour in signals
+        for share in (0.0, 0.25, 0.5, 0.75)
+    ]
+    return np.array([*forces, *edges], dtype=np.uint8)
+
+
 def _inner(box: Box, margin: float) -> Box:
     left, top, width, height = box
     return left + margin, top + margin, width - 2 * margin, height - 2 * margin

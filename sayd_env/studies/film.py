@@ -1,0 +1,176 @@
+"""Files of pictures: PNG, GIF and MP4, complete or not at all."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from itertools import chain
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image  # comes with Matplotlib, which writes its own pictures with it
+
+from sayd_env.config import ConfigError, StudyError
+
+Picture = npt.NDArray[np.uint8]
+
+HUNDREDTHS = 100
+"""A GIF counts the time of its pictures in hundredths of a second; below two, browsers slow it down."""
+MOST_OF_A_GIF = 1500
+"""Pictures in a GIF: all of them are in memory when it is written, a megabyte each."""
+COLOURS = 255
+"""Of a GIF; one more means that nothing has changed."""
+
+
+def write_png(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
+    """Write the last picture."""
+    del fps, colours
+    last = None
+    for last in pictures:  # noqa: B007 - all of them are made on the way to the last
+        pass
+    if last is None:
+        raise StudyError("there is no picture to write")
+    Image.fromarray(last).save(path, format="PNG", optimize=True)
+
+
+def write_gif(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
+    """Write pictures that repeat for ever, with one palette for all, so that no colour flickers."""
+    waiting = iter(pictures)
+    first = next(waiting)
+    rows = np.resize(colours, (8, first.shape[1], 3))
+    palette = Image.fromarray(np.vstack([first, rows])).quantize(COLOURS, Image.Quantize.MEDIANCUT, kmeans=1)
+    frames = (
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+        for picture in chain([first], waiting)
+    )
+    start = next(frames)
+    duration = round(1000.0 / fps)
+    with path.open("wb") as stream:  # ours to close where a picture fails
+        start.save(stream, "GIF", save_all=True, append_images=frames, duration=duration, loop=0)
+
+
+def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
+    """Write a video (H.264) that browsers and slides play."""
+    del colours
+    waiting = iter(pictures)
+    first = next(waiting)
+    height, width, _ = first.shape
+    ffmpeg = importlib.import_module("imageio_ffmpeg")
+    film = ffmpeg.write_frames(
+        str(path), (width, height), fps=fps, quality=8, output_params=["-movflags", "+faststart"]
+    )
+    film.send(None)
+    count = 0
+    try:
+        for picture in chain([first], waiting):
+            film.send(np.ascontiguousarray(picture))
+            count += 1
+    except OSError as error:
+        raise StudyError(f"the video could not be written ({' '.join(str(error).split())[:200]})") from None
+    finally:
+        film.close()
+    # The encoder does not tell how it ended.
+    written, _ = ffmpeg.count_frames_and_secs(str(path))
+    if written != count:
+        raise StudyError(f"the video broke off: it holds {written} of {count} pictures")
+
+
+Writer = Callable[[Path, Iterable[Picture], float, Picture], None]
+WRITERS: MappingProxyType[str, Writer] = MappingProxyType(
+    {".gif": write_gif, ".mp4": write_mp4, ".png": write_png}
+)
+"""Writers of pictures by the suffix of the file's name."""
+
+
+def checked_film(path: Path, fps: float, count: int) -> None:
+    """Refuse a file that could not be written, before any picture has been made.
+
+    Parameters
+    ----------
+    path : Path
+        The file to be; its folder is made.
+    fps : float
+        Pictures per second.
+    count : int
+        Number of pictures.
+
+    Raises
+    ------
+    ConfigError
+        An unknown kind of file, a folder that cannot be written to, a video without what makes videos, a rate
+        or a length that a GIF cannot have.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in WRITERS:
+        raise ConfigError(f"-o {path}: expected a file name that ends in {', '.join(WRITERS)}")
+    if path.is_dir():
+        raise ConfigError(f"-o {path}: a folder is in the way, expected a file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise ConfigError(f"-o {path}: cannot be written ({error.strerror or error})") from None
+    if suffix == ".gif":
+        hundredths = HUNDREDTHS / fps
+        if hundredths < 2 or not math.isclose(hundredths, round(hundredths), rel_tol=1e-6):
+            raise ConfigError(
+                f"--fps {fps:g}: a GIF shows a picture for two or more whole hundredths of a second: 50, 25, "
+                "20, 12.5, 10 or 5; an .mp4 can have any rate"
+            )
+        if count > MOST_OF_A_GIF:
+            raise ConfigError(
+                f"-o {path}: {count} pictures are too many for a GIF, at most {MOST_OF_A_GIF}; "
+                "lower --fps or --seconds, or write an .mp4"
+            )
+    if suffix == ".mp4":
+        try:
+            importlib.import_module("imageio_ffmpeg")
+        except ImportError:
+            raise ConfigError(
+                f"-o {path}: videos need imageio-ffmpeg: pip install 'sayd-env[video]'; "
+                "a .gif or .png does without"
+            ) from None
+
+
+def write_film(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
+    """Write pictures into a file that appears when it is complete.
+
+    Parameters
+    ----------
+    path : Path
+        A name that `checked_film` has passed.
+    pictures : iterable of ndarray, each of shape (height, width, 3)
+    fps : float
+        Pictures per second.
+    colours : ndarray, shape (..., 3)
+        Colours that a palette must have room for beside those of the first picture.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be written.
+    """
+    with _replacing(path) as temporary:
+        WRITERS[path.suffix.lower()](temporary, pictures, fps, colours)
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A name beside a file, under which it grows until it replaces it."""
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        yield temporary
+        with temporary.open("rb") as stream:
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise ConfigError(f"-o {path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,301 @@
+"""A policy at work, in pictures: one run of one vehicle, drawn as a film or as its last picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.error import DependencyNotInstalled
+
+from sayd_env.config import ConfigError
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.scenario import Scenario
+from sayd_env.envs.draw import draw_episode
+from sayd_env.envs.fleet import Fleet, checked_actions
+from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, RUNNING
+from sayd_env.envs.recorder import Recorder
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.studies.film import Picture, checked_film, write_film
+from sayd_env.studies.output import Plot, Progress, Table, silent
+from sayd_env.studies.rollouts import PolicySpec, for_policy
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from sayd_env.envs.rendering import Scene
+
+KMH = 3.6
+HOLD = 1.0
+"""How long the last picture of a run that ended early stays, s."""
+COLUMNS = (
+    "time_s",
+    "J",
+    "acceleration_rms_front_m_s2",
+    "acceleration_rms_rear_m_s2",
+    "force_rms_front_n",
+    "force_rms_rear_n",
+    "valve_front",
+    "valve_rear",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """What is to be drawn, and where it goes."""
+
+    policy: PolicySpec
+    file: Path
+    seconds: float = 10.0
+    fps: float = 25.0
+    exaggeration: float | None = None
+    """How many times as large displacements are drawn; by default as the environment's pictures."""
+
+    @property
+    def pictures(self) -> int:
+        """Number of pictures; in a PNG there is one, of the end."""
+        return 1 if self.file.suffix.lower() == ".png" else max(1, round(self.seconds * self.fps))
+
+    def step(self, picture: int, control_period: float) -> int:
+        """Control periods before a picture, the first of which has number 0."""
+        time = self.seconds if self.file.suffix.lower() == ".png" else (picture + 1) / self.fps
+        return round(time / control_period)
+
+
+@dataclass(eq=False)
+class RenderResult:
+    """A film and the run that it shows."""
+
+    film: Film
+    speed: float
+    """m/s."""
+    seed: int
+    wear: float
+    friction: float
+    rows: list[tuple[float | None, ...]] = field(default_factory=list)
+    """One for each picture, by `COLUMNS`."""
+    pictures: int = 0
+    seconds: float = 0.0
+    """How long the vehicle ran, s."""
+    cost: float = 0.0
+    """Mean J over this time, eq. (27), on-line filter."""
+    cost_acceleration: float = 0.0
+    cost_force: float = 0.0
+    faults: tuple[str, ...] = ()
+    ending: str | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of ``--json``."""
+        return {
+            "file": str(self.film.file),
+            "policy": self.film.policy.title,
+            "speed_kmh": self.speed * KMH,
+            "wear": self.wear,
+            "friction": self.friction,
+            "seconds": self.seconds,
+            "fps": self.film.fps,
+            "pictures": self.pictures,
+            "J": self.cost,
+            "J_acceleration": self.cost_acceleration,
+            "J_force": self.cost_force,
+            "faults": list(self.faults),
+            "ending": self.ending,
+        }
+
+    def tables(self) -> Mapping[str, Table]:
+        """The charts' values at each picture."""
+        return {"pictures": (COLUMNS, self.rows)}
+
+    def plots(self) -> Mapping[str, Plot]:
+        """None: the film is the plot."""
+        return {}
+
+    def summary(self, console: Console) -> None:
+        """Print what has been drawn."""
+        console.print(
+            f"{self.film.policy.title} at {self.speed * KMH:g} km/h, wear {self.wear:g}, friction "
+            f"{self.friction:.3g}, seed {self.seed}: {self.seconds:g} s, J {self.cost:.4g} (acceleration "
+            f"{self.cost_acceleration:.4g}, force {self.cost_force:.4g})",
+            highlight=False,
+        )
+        for fault in self.faults:
+            console.print(f"fault: {fault}", highlight=False, markup=False)
+        if self.ending is not None:
+            console.print(f"ended early: {self.ending}", style="red", highlight=False, markup=False)
+        size = self.film.file.stat().st_size / 1e6 if self.film.file.exists() else 0.0
+        noun = "picture" if self.pictures == 1 else "pictures"
+        console.print(
+            f"{self.film.file}: {self.pictures} {noun}, {size:.1f} MB",
+            highlight=False,
+            markup=False,
+            soft_wrap=True,
+        )
+
+
+def render(
+    film: Film,
+    scenario: Scenario,
+    environment: EnvironmentConfig,
+    *,
+    seed: int = 0,
+    speed: float | None = None,
+    fixed: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+) -> RenderResult:
+    """Run a policy and write its film.
+
+    Parameters
+    ----------
+    film : Film
+        Policy, file, length and rate.
+    scenario : Scenario
+        The vehicle; it gets the yaw dampers that the policy needs.
+    environment : EnvironmentConfig
+        Sensors, control period, and laws by which the episode is drawn.
+    seed : int
+        Episode 0 of this seed is shown.
+    speed : float, optional
+        m/s; by default drawn.
+    fixed : mapping, optional
+        Further options of the episode, as for `draw_episode`.
+    progress : Progress
+        Told the number of finished pictures.
+
+    Raises
+    ------
+    ConfigError
+        A file, policy, speed, length or rate that cannot be; pygame is missing.
+    """
+    _check(film, environment.control_period)
+    fitted = for_policy(scenario, film.policy)
+    period = environment.control_period
+    config = environment.model_copy(
+        update={
+            "damper": fitted.damper.type,
+            "episode_s": max(environment.episode_s, period * math.ceil(film.seconds / period)),
+        }
+    )
+    options = dict(fixed or {}) | ({} if speed is None else {"speed_kmh": speed * KMH})
+    episode = draw_episode(config, seed, 0, options)
+    VehicleModel(fitted).check_speed(episode.speed)
+    fleet = Fleet(config, 1, scenario=fitted, num_threads=1)
+    policy = film.policy.make(fleet)
+    recorder = Recorder(fleet)
+    scene = _scene(recorder, film)
+    fleet.reset([0], [episode])
+    first = recorder.frame()
+    result = RenderResult(film, episode.speed, seed, first.wear, first.friction)
+    pictures = _pictures(film, result, fleet, policy, recorder, scene, progress)
+    from sayd_env.envs.rendering import palette  # noqa: PLC0415 - the scene has loaded it
+
+    write_film(film.file, pictures, film.fps, palette())
+    return result
+
+
+def fixed_laws(environment: EnvironmentConfig, names: Sequence[str]) -> EnvironmentConfig:
+    """Environment that leaves some quantities to the scenario.
+
+    Parameters
+    ----------
+    environment : EnvironmentConfig
+    names : sequence of str
+        Of ``wear``, ``friction`` and ``tracks``: those that are not drawn.
+    """
+    laws: dict[str, Any] = {name: () if name == "tracks" else None for name in names}
+    drawn = environment.randomisation.model_copy(update=laws)
+    return environment.model_copy(update={"randomisation": drawn})
+
+
+def _check(film: Film, control_period: float) -> None:
+    if not (math.isfinite(film.seconds) and film.seconds >= control_period):
+        raise ConfigError(
+            f"--seconds {film.seconds:g}: expected at least one control period, {control_period:g} s"
+        )
+    if not 0.0 < film.fps <= 1.0 / control_period + 1e-9:
+        raise ConfigError(
+            f"--fps {film.fps:g}: expected at most one picture in a control period, {1.0 / control_period:g}"
+        )
+    if film.exaggeration is not None and not (math.isfinite(film.exaggeration) and film.exaggeration > 0.0):
+        raise ConfigError(f"--exaggeration {film.exaggeration:g}: expected a number above 0")
+    checked_film(film.file, film.fps, film.pictures)
+
+
+def _scene(recorder: Recorder, film: Film) -> Scene:
+    try:
+        from sayd_env.envs.rendering import EXAGGERATION, Scene  # noqa: PLC0415 - needs an extra
+
+        exaggeration = EXAGGERATION if film.exaggeration is None else film.exaggeration
+        return Scene(recorder, caption=film.policy.title, exaggeration=exaggeration)
+    except DependencyNotInstalled as error:
+        raise ConfigError(str(error)) from None
+
+
+def _pictures(
+    film: Film,
+    result: RenderResult,
+    fleet: Fleet,
+    policy: Any,
+    recorder: Recorder,
+    scene: Scene,
+    progress: Progress,
+) -> Iterator[Picture]:
+    """Run the vehicle from picture to picture, and fill in the result on the way."""
+    period = fleet.config.control_period
+    observation, state = fleet.observations(), None
+    start, shape = np.ones(1, dtype=np.bool_), (1, fleet.interface.actions)
+    steps, sums, held = 0, np.zeros(2), 0
+    for n in range(film.pictures):
+        until = film.step(n, period)
+        while steps < until and int(fleet.lanes.status[0]) == RUNNING:
+            action, state = policy.predict(observation, state, start, deterministic=True)
+            start = np.zeros(1, dtype=np.bool_)
+            observation, _, _, _ = fleet.step(checked_actions(action, shape))
+            recorder.take()
+            steps += 1
+            sums += _terms(fleet)
+        picture = scene.draw()
+        assert picture is not None  # the scene has no window
+        result.pictures += 1
+        result.rows.append(_row(recorder))
+        progress(n + 1, film.pictures, f"{steps * period:.1f} s")
+        yield picture
+        if int(fleet.lanes.status[0]) != RUNNING:
+            held += 1
+            if held >= HOLD * film.fps:
+                break
+    _finish(result, recorder, steps * period, sums)
+
+
+def _terms(fleet: Fleet) -> npt.NDArray[np.float64]:
+    """Unweighted terms of the cost of a period, means of the bogies."""
+    terms = np.nan_to_num(fleet.lanes.terms[0], posinf=0.0)
+    return np.array(
+        [terms[start : start + BOGIES].mean() for start in (COST_ACCELERATION, COST_FORCE)], dtype=np.float64
+    )
+
+
+def _finish(result: RenderResult, recorder: Recorder, seconds: float, sums: npt.NDArray[np.float64]) -> None:
+    frame, weights = recorder.frame(), recorder.fleet.scenario.cost
+    result.seconds = seconds
+    if seconds > 0.0:
+        result.cost_acceleration, result.cost_force = (float(value) for value in sums / seconds)
+    result.cost = (
+        weights.acceleration_weight * result.cost_acceleration + weights.force_weight * result.cost_force
+    )
+    result.faults, result.ending = frame.faults, frame.ending
+
+
+def _row(recorder: Recorder) -> tuple[float | None, ...]:
+    frame = recorder.frame()
+    valves = (None, None) if frame.valve is None else tuple(float(value) for value in frame.valve[-1])
+    return (
+        frame.time,
+        float(frame.cost[-1]),
+        *(float(value) for value in frame.acceleration[-1]),
+        *(float(value) for value in frame.force[-1]),
+        *valves,
+    )
