@@ -22,7 +22,7 @@ run: $(VENV)/.installed
 	$(RUN_JOB)
 
 # Tests that measure time run alone, after the others.
-test: $(VENV)/.installed
+test: $(VENV)/.installed $(VENV)/.learning
 	$(WARM_UP)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not timing" $(PYTEST_OPTIONS)
 	$(BIN)/python -m pytest -m timing $(PYTEST_OPTIONS)
@@ -49,4 +49,10 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	"$$found" -m venv --clear $(VENV); \
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt setuptools; \
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint]'; \
+	touch $@
+
+# The learning part, with torch, is what the tests need besides. pip's options choose torch's build:
+# make test PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
+$(VENV)/.learning: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[onnx]'
 	touch $@

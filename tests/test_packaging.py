@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = ("pyproject.toml", "README.md", "LICENSE", "sayd_env", "baselines", "configs")
+SOURCES = ("pyproject.toml", "README.md", "LICENSE", "sayd_env", "agents", "baselines", "configs")
 RIDE = "time_s,speed_kmh,frame_m_s2\n" + "".join(f"{i / 250},300,{i % 50 / 50}\n" for i in range(4000))
 
 
@@ -60,7 +60,12 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_the_wheel_holds_every_module_and_every_configuration(wheel: Path):
     names = set(zipfile.ZipFile(wheel).namelist())
-    for folder, pattern in (("sayd_env", "*.py"), ("baselines", "*.py"), ("configs", "*.yaml")):
+    for folder, pattern in (
+        ("sayd_env", "*.py"),
+        ("agents", "*.py"),
+        ("baselines", "*.py"),
+        ("configs", "*.yaml"),
+    ):
         expected = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob(pattern)}
         assert expected - names == set()
     assert "sayd_env/py.typed" in names
@@ -78,9 +83,10 @@ def test_the_wheel_works_in_an_empty_environment(wheel: Path, tmp_path: Path):
     run(python, "-m", "pip", "install", "--quiet", "--constraint", constraints, wheel, cwd=elsewhere)
     run(python, "-m", "pip", "check", cwd=elsewhere)
     places = (
-        "import baselines, configs, sayd_env as s; print(baselines.__file__, configs.__file__, s.__file__)"
+        "import agents, baselines, configs, sayd_env as s; "
+        "print(agents.__file__, baselines.__file__, configs.__file__, s.__file__)"
     )
-    assert run(python, "-c", places, cwd=elsewhere).count("site-packages") == 3
+    assert run(python, "-c", places, cwd=elsewhere).count("site-packages") == 4
     run(python, "-c", "import importlib.util as u; assert u.find_spec('torch') is None", cwd=elsewhere)
     (elsewhere / "ride.csv").write_text(RIDE)
     sayd = environment / "bin" / "sayd"

@@ -1,0 +1,175 @@
+"""The batch of vehicles as a vector environment of Stable-Baselines3."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
+
+from sayd_env.config import ConfigError
+from sayd_env.envs.interface import Interface
+from sayd_env.envs.session import SEEDS
+from sayd_env.envs.vector import SaydVectorEnv
+
+Step = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]
+
+
+class SaydVecEnv(VecEnv):
+    """Many vehicles for algorithms of Stable-Baselines3, one compiled call for a step of all.
+
+    Lane i gives the same bits as `DummyVecEnv` with the environment of one vehicle. `seed(s)` gives lane i
+    the seed s + i at the next reset; without, a lane goes on with the next episode of its own.
+
+    Parameters
+    ----------
+    environment : str
+        A packaged environment (``nominal``, ``randomized``, ``faults``) or a path to a YAML file.
+    num_envs : int
+        Number of vehicles.
+    **keywords
+        Of `SaydVectorEnv`, except the autoreset mode, which Stable-Baselines3 prescribes.
+
+    Raises
+    ------
+    ConfigError
+        A keyword, an option or an action that cannot be used; the message names it and what is allowed.
+    """
+
+    def __init__(self, environment: str = "nominal", num_envs: int = 1, **keywords: Any) -> None:
+        if "autoreset_mode" in keywords:
+            raise ConfigError("autoreset_mode: Stable-Baselines3 prescribes 'SameStep'; leave it out")
+        self.batch = SaydVectorEnv(
+            environment, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **keywords
+        )
+        self._begun = False
+        self._actions: Any = None
+        super().__init__(num_envs, self.batch.single_observation_space, self.batch.single_action_space)
+
+    @property
+    def interface(self) -> Interface:
+        """What a policy may know of the environment."""
+        return self.batch.interface
+
+    def reset(self) -> npt.NDArray[np.float32]:
+        """Begin an episode in every lane, with the seeds and options that were set for it."""
+        first, others = self._options[0], self._options[1:]
+        if all(options == first for options in others):
+            observations, infos = self.batch.reset(seed=self._seeds, options=dict(first))
+            told = rows(infos, self.num_envs)
+        else:
+            observations, told = self._reset_apart()
+        self.reset_infos = told
+        self._begun = True
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def _reset_apart(self) -> tuple[npt.NDArray[np.float32], list[dict[str, Any]]]:
+        """Reset lane after lane, because their options differ."""
+        seeds = list(self._seeds)
+        if not self._begun:  # all vehicles must be there before one of them can be reset alone
+            seeds = [int(np.random.default_rng().integers(SEEDS)) if s is None else s for s in seeds]
+            self.batch.reset(seed=seeds)
+        observations, told = np.empty(0, np.float32), []
+        for i in range(self.num_envs):
+            alone = [seed if lane == i else None for lane, seed in enumerate(seeds)]
+            options = self._options[i] | {"reset_mask": np.arange(self.num_envs) == i}
+            observations, infos = self.batch.reset(seed=alone, options=options)
+            told.append(rows(infos, self.num_envs)[i])
+        return observations, told
+
+    def step_async(self, actions: npt.NDArray[np.float32]) -> None:
+        """Keep the valve commands for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> Step:
+        """Hold the valve commands for one control period; lanes that end begin their next episode."""
+        observations, rewards, terminated, truncated, batched = self.batch.step(self._actions)
+        last, final_info = batched.pop("final_obs", None), batched.pop("final_info", {})
+        dones = terminated | truncated
+        infos = rows(batched, self.num_envs)
+        if last is not None:
+            finals = rows(final_info, self.num_envs)
+            for i in map(int, np.flatnonzero(dones)):
+                self.reset_infos[i], infos[i] = infos[i], finals[i] | {"terminal_observation": last[i]}
+        for info, cut in zip(infos, (truncated & ~terminated).tolist(), strict=True):
+            info["TimeLimit.truncated"] = cut
+        return observations, rewards.astype(np.float32), dones, infos
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.batch.close()
+
+    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
+        """A picture of the first lane."""
+        pictures = self.batch.render()
+        return (None,) if pictures is None else tuple(pictures)
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the environment, once for each lane."""
+        return [getattr(self.batch, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the environment: of all lanes, which are one object.
+
+        Raises
+        ------
+        ConfigError
+            Only some lanes are meant.
+        """
+        if len(list(self._get_indices(indices))) != self.num_envs:
+            raise ConfigError(f"{attr_name}: the lanes are one object; set it for all of them")
+        setattr(self.batch, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> Any:
+        """Refuse to call a method of one lane, because the lanes are one object.
+
+        Raises
+        ------
+        ConfigError
+            Always.
+        """
+        raise ConfigError(
+            f"{method_name}: the lanes are one object without methods of their own; call those of `batch`"
+        )
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None
+    ) -> list[bool]:
+        """Nothing lies around a lane."""
+        return [False] * len(list(self._get_indices(indices)))
+
+
+def rows(batched: dict[str, Any], count: int) -> list[dict[str, Any]]:
+    """The info of each lane from Gymnasium's form: an array for each key with a mask ``_key``.
+
+    Parameters
+    ----------
+    batched : dict
+        Info of a vector environment.
+    count : int
+        Number of lanes.
+    """
+    infos: list[dict[str, Any]] = [{} for _ in range(count)]
+    for key, values in batched.items():
+        if key.startswith("_"):
+            continue
+        each = _of_lanes(values, count)
+        for i in np.flatnonzero(batched["_" + key]).tolist():
+            infos[i][key] = each[i]
+    return infos
+
+
+def _of_lanes(values: Any, count: int) -> Sequence[Any]:
+    """A key's values lane by lane: numbers as Python's own, arrays as rows."""
+    if isinstance(values, dict):
+        return rows(values, count)
+    alone = values.ndim == 1 and values.dtype != object
+    return values.tolist() if alone else values  # type: ignore[no-any-return]
