@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sayd_env import __version__
-from sayd_env.cli import components, performance, pictures, stability, vehicle
+from sayd_env.cli import components, performance, pictures, policies, stability, vehicle
 
 app = typer.Typer(
     name="sayd",
@@ -35,7 +35,7 @@ def sayd(
 
 
 app.command()(vehicle.critical_speed)
-app.command()(vehicle.evaluate)
+app.command()(policies.evaluate)
 app.command()(vehicle.reproduce)
 app.command()(vehicle.calibrate)
 app.command()(stability.assess)

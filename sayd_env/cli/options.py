@@ -33,6 +33,12 @@ class Numbers(tuple[float, ...]):
     __slots__ = ()
 
 
+class PolicyNames(tuple[str, ...]):
+    """Policies as they were typed, at least one."""
+
+    __slots__ = ()
+
+
 class Damper(StrEnum):
     """The yaw damper's kind."""
 
@@ -91,6 +97,11 @@ def _speeds_error(text: str, problem: str) -> ConfigError:
     return ConfigError(f"--speeds '{text}': {problem} (use 300,350,400 or 320:445:25)")
 
 
+def parse_policies(text: str) -> PolicyNames:
+    """Read ``passive,mppt1,constant:0.3``; whether there are such policies is checked where they are made."""
+    return PolicyNames(part.strip() for part in text.split(","))
+
+
 def parse_wear(text: str) -> float:
     """Read the wear of the wheel profile: 0 (new) to 1 (worn)."""
     return _bounded("--wear", text, 0.0, 1.0)
@@ -141,9 +152,26 @@ def positive_list(option: str, unit: str, most: float = math.inf) -> Callable[[s
     return lambda text: Numbers(one(part) for part in text.split(","))
 
 
+def share(option: str) -> Callable[[str], float]:
+    """Make the reader of an option that takes one number from 0 to 1."""
+    return lambda text: _bounded(option, text, 0.0, 1.0)
+
+
 def share_list(option: str) -> Callable[[str], Numbers]:
     """Make the reader of an option that takes numbers from 0 to 1, separated by commas."""
     return lambda text: Numbers(_bounded(option, part, 0.0, 1.0) for part in text.split(","))
+
+
+def several(one: Callable[[str], float], option: str) -> Callable[[str], Numbers]:
+    """Make the reader of an option that takes different numbers, separated by commas, each read by `one`."""
+
+    def read(text: str) -> Numbers:
+        values = Numbers(one(part.strip()) for part in text.split(","))
+        if len(set(values)) < len(values):
+            raise ConfigError(f"{option} {text}: a number stands there twice")
+        return values
+
+    return read
 
 
 def _bounded(option: str, text: str, low: float, high: float) -> float:
@@ -254,6 +282,53 @@ Friction = Annotated[
         metavar="MU",
         rich_help_panel=SCENARIO,
         help="Friction coefficient of wheel and rail.",
+    ),
+]
+Wears = Annotated[
+    Numbers | None,
+    typer.Option(
+        "--wear",
+        parser=several(parse_wear, "--wear"),
+        metavar="0..1,...",
+        rich_help_panel=SCENARIO,
+        help="Tread wear, 0 is new; one or several.",
+    ),
+]
+Frictions = Annotated[
+    Numbers | None,
+    typer.Option(
+        "--friction",
+        parser=several(parse_friction, "--friction"),
+        metavar="MU,...",
+        rich_help_panel=SCENARIO,
+        help="Friction coefficient of wheel and rail; one or several.",
+    ),
+]
+Policies = Annotated[
+    PolicyNames | None,
+    typer.Option(
+        "--policies",
+        parser=parse_policies,
+        metavar="A,B,...",
+        help="Controllers: passive, constant:V, mppt1, mppt2, perturb-and-observe, skyhook-onoff, "
+        "skyhook-continuous.",
+    ),
+]
+Reward = Annotated[
+    str | None,
+    typer.Option(
+        "--reward",
+        metavar="NAME",
+        help="Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's). "
+        "Others by --set cost.force_weight=0.3.",
+    ),
+]
+Environment = Annotated[
+    str,
+    typer.Option(
+        "--environment",
+        metavar="NAME|FILE",
+        help="Sensors, control period and length of an episode: nominal, randomized, faults or a YAML file.",
     ),
 ]
 Track = Annotated[

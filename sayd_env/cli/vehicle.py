@@ -53,35 +53,6 @@ def critical_speed(
     job.finish(result, config=scenario, seed=seed)
 
 
-def evaluate(
-    *,
-    speeds: options.SpeedList = None,
-    profile: options.Profile = None,
-    wear: options.Wear = None,
-    friction: options.Friction = None,
-    track: options.Track = None,
-    damper: options.DamperKind = None,
-    seed: options.Seed = 0,
-    seeds: options.Seeds = 10,
-    config: options.Config = None,
-    assignments: options.Set = None,
-    workers: options.Workers = None,
-    out: options.Out = None,
-    as_json: options.Json = False,
-) -> None:
-    """Run one configuration at given speeds (default 300, 350, 400 km/h): cost, limits, forces."""
-    from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
-
-    scenario = scenario_from(
-        config, assignments, profile=profile, wear=wear, friction=friction, track=track, damper=damper
-    )
-    job = Job("evaluate", out, as_json)
-    chosen = _metres_per_second(speeds) or [v / KMH for v in (300.0, 350.0, 400.0)]
-    with job.progress() as progress:
-        result = study(scenario, chosen, range(seed, seed + seeds), workers=workers, progress=progress)
-    job.finish(result, config=scenario, seed=seed)
-
-
 def _metres_per_second(speeds: Sequence[float] | None) -> list[float] | None:
     return None if speeds is None else [v / KMH for v in speeds]
 

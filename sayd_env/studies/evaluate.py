@@ -1,69 +1,74 @@
-"""How does one configuration run at given speeds? Cost, EN 14363 ratios and damper forces."""
+"""How do policies run the vehicle? Cost, EN 14363 ratios, forces, valves and comfort, side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from sayd_env.config import ConfigError
 from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
-from sayd_env.physics.simulator import Telemetry, VehicleModel
-from sayd_env.stability import (
-    Limits,
-    assess,
-    assessed_span,
-    averaged_spectra,
-    band_pass,
-    distance_run,
-)
-from sayd_env.studies.critical_speed import model_limits
+from sayd_env.envs.keywords import REWARDS
 from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.sweep import parallel, simulate
+from sayd_env.studies.policy_run import Row, policy_row
+from sayd_env.studies.rollouts import PASSIVE, Group, PolicySpec, for_policy, run_groups
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
-Array = npt.NDArray[np.float64]
 KMH = 3.6
-AVERAGED = (
-    "J",
-    "J_acceleration",
-    "J_force",
-    "acceleration_ratio",
-    "track_shift_ratio",
-    "force_rms_n",
-    "force_peak_n",
-)
+COSTS = ("J", "J_acceleration", "J_force", "J_run", "J_offline")
+RATIOS = ("acceleration_ratio", "track_shift_ratio")
+FORCES = ("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2")
+VALVES = ("valve_mean", "valve_travel_per_km", "switching_per_s")
+AVERAGED = (*COSTS, *RATIOS, *FORCES, "comfort", *VALVES)
 """Columns of a row that a summary averages."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """One run; units stand in the names, ratios are to the limits of EN 14363."""
+class Condition(NamedTuple):
+    """What the runs of one line of the table have in common, beside the policy."""
 
-    policy: str
-    speed_kmh: float
     wear: float
     friction: float
-    seed: int
-    J: float
-    """Mean cost of the bogies, eq. (27), with the off-line filter."""
-    J_acceleration: float
-    """(psi_y / y_lim)^2, unweighted."""
-    J_force: float
-    """(psi_F / F_max)^2, unweighted."""
-    acceleration_ratio: float
-    track_shift_ratio: float
-    force_rms_n: float
-    force_peak_n: float
-    valve_mean: float | None = None
-    """Mean valve command; None for a passive damper."""
-    valve_travel_per_km: float | None = None
+    speed_kmh: float
+
+
+class _Column(NamedTuple):
+    """A column of the printed table."""
+
+    name: str
+    header: str
+    scale: float = 1.0
+    digits: int = 2
+    best: bool = True
+    """The lowest value stands out."""
+    limit: float = math.inf
+
+
+_COST_COLUMNS = (
+    _Column("J", "J", digits=4),
+    _Column("J_acceleration", "acceleration", digits=4),
+    _Column("J_force", "force", digits=4),
+    _Column("J_offline", "J off-line", digits=4),
+    _Column("acceleration_ratio", "acceleration / limit", limit=1.0),
+    _Column("track_shift_ratio", "track shift / limit", limit=1.0),
+    _Column("comfort", "N_MV"),
+)
+_DAMPER_COLUMNS = (
+    _Column("force_rms_n", "force RMS (kN)", 1e-3),
+    _Column("force_peak_n", "peak (kN)", 1e-3, 1),
+    _Column("force_power_above_10_hz_n2", "above 10 Hz (kN²)", 1e-6, 3),
+    _Column("valve_mean", "mean V", best=False),
+    _Column("valve_travel_per_km", "travel (1/km)", digits=1, best=False),
+    _Column("switching_per_s", "switching (1/s)", digits=1, best=False),
+)
 
 
 @dataclass(frozen=True)
@@ -73,84 +78,168 @@ class EvaluateResult:
     scenario: Scenario
     rows: list[Row]
 
+    @property
+    def policies(self) -> tuple[str, ...]:
+        """Policies in the order in which they were asked for."""
+        return tuple(dict.fromkeys(row.policy for row in self.rows))
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Conditions in the order of wear, friction and speed."""
+        return tuple(sorted({_condition(row) for row in self.rows}))
+
+    def runs(self, policy: str, condition: Condition | None = None) -> list[Row]:
+        """Runs of a policy, of one condition or of all."""
+        return [
+            row
+            for row in self.rows
+            if row.policy == policy and (condition is None or _condition(row) == condition)
+        ]
+
+    def medians(self, policy: str, condition: Condition) -> dict[str, float]:
+        """Medians over the seeds; NaN for what a policy does not have."""
+        return _over(np.median, self.runs(policy, condition))
+
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd evaluate --json``."""
-        policies = sorted({row.policy for row in self.rows})
         return {
             "rows": [asdict(row) for row in self.rows],
-            "summary": {policy: self._summary(policy) for policy in policies},
+            "summary": {policy: self._summary(policy) for policy in self.policies},
         }
 
     def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
-        """All runs."""
-        header = list(asdict(self.rows[0]))
-        return {"runs": (header, [list(asdict(row).values()) for row in self.rows])}
+        """All runs, and the medians over the seeds that the printed table shows."""
+        runs = [list(asdict(row).values()) for row in self.rows]
+        medians = [
+            [policy, *condition, *self.medians(policy, condition).values(), self._derailed(policy, condition)]
+            for condition in self.conditions
+            for policy in self.policies
+        ]
+        header = ("policy", *Condition._fields, *AVERAGED, "derailed")
+        return {"runs": ([f.name for f in fields(Row)], runs), "medians": (header, medians)}
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
-        """Ratios and damper force over speed."""
-        return {"evaluate": self._draw}
+        """Cost, ratios, force and comfort over speed by policy, one picture for each wear and friction."""
+        pairs = list(dict.fromkeys((c.wear, c.friction) for c in self.conditions))
+        if len(pairs) == 1:
+            return {"evaluate": lambda figure: self._draw(figure, *pairs[0])}
+        return {
+            f"evaluate_wear_{wear:g}_friction_{friction:g}": (
+                lambda figure, pair=(wear, friction): self._draw(figure, *pair)  # type: ignore[misc]
+            )
+            for wear, friction in pairs
+        }
 
     def summary(self, console: Console) -> None:
-        """Print the medians over the seeds at each speed."""
+        """Print the medians over the seeds of each condition and policy, then each policy as a whole."""
+        seeds = len({row.seed for row in self.rows})
+        about = f"{self.scenario.vehicle.name}, medians of {seeds} seeds"
+        console.print(self._table(f"{about}: cost (its terms unweighted), limits, comfort", _COST_COLUMNS))
+        console.print(self._table(f"{about}: dampers and valves", _DAMPER_COLUMNS))
+        console.print(self._policies_table())
+        self._name_derailments(console)
+
+    def _table(self, title: str, columns: Sequence[_Column]) -> Any:
         from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
 
-        table = Table(
-            title=f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}: medians over the seeds"
-        )
-        for name in (
-            "policy",
-            "km/h",
-            "J",
-            "J_acceleration",
-            "J_force",
-            "acc. ratio",
-            "track shift ratio",
-            "force RMS (kN)",
-            "peak (kN)",
-        ):
+        table = Table(title=title)
+        varied = [
+            name for name in ("wear", "friction") if len({getattr(c, name) for c in self.conditions}) > 1
+        ]
+        for name in ("policy", "km/h", *varied, *(column.header for column in columns)):
             table.add_column(name, justify="left" if name == "policy" else "right")
-        for policy, speed in self._cases():
-            m = self._medians(policy, speed)
-            ratios = [f"[bold red]{m[k]:.2f}[/]" if m[k] > 1.0 else f"{m[k]:.2f}" for k in AVERAGED[3:5]]
-            costs = [f"{m[k]:.4f}" for k in AVERAGED[:3]]
-            forces = [f"{m[k] / 1e3:.2f}" for k in AVERAGED[5:]]
-            table.add_row(policy, f"{speed:.0f}", *costs, *ratios, *forces)
-        console.print(table)
+        for condition in self.conditions:
+            medians = {policy: self.medians(policy, condition) for policy in self.policies}
+            for policy in self.policies:
+                where = [f"{condition.speed_kmh:g}", *(f"{getattr(condition, name):g}" for name in varied)]
+                cells = [_cell(column, policy, medians) for column in columns]
+                table.add_row(policy, *where, *cells, end_section=policy == self.policies[-1])
+        return table
 
-    def _cases(self) -> list[tuple[str, float]]:
-        return sorted({(row.policy, row.speed_kmh) for row in self.rows})
+    def _policies_table(self) -> Any:
+        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
 
-    def _medians(self, policy: str, speed: float) -> dict[str, float]:
-        rows = [r for r in self.rows if r.policy == policy and r.speed_kmh == speed]
-        return {name: float(np.median([getattr(r, name) for r in rows])) for name in AVERAGED}
+        table = Table(title=f"all {len(self.conditions)} conditions: means over the runs")
+        for name in ("policy", "J", "J off-line", "largest ratio", "force (kN)", "N_MV", "derailed"):
+            table.add_column(name, justify="left" if name == "policy" else "right")
+        summaries = {policy: self._summary(policy) for policy in self.policies}
+        columns = (
+            _Column("J", "", digits=4),
+            _Column("J_offline", "", digits=4),
+            _Column("largest_ratio", "", limit=1.0),
+            _Column("force_rms_n", "", 1e-3),
+            _Column("comfort", ""),
+        )
+        for policy in self.policies:
+            cells = [_cell(column, policy, summaries) for column in columns]
+            count = len(self.runs(policy))
+            table.add_row(policy, *cells, f"{summaries[policy]['derailed']:.0f} of {count}")
+        return table
+
+    def _name_derailments(self, console: Console) -> None:
+        for policy in self.policies:
+            for condition in self.conditions:
+                if lost := self._derailed(policy, condition):
+                    console.print(
+                        f"[bold red]derailed[/]: {policy} at {condition.speed_kmh:g} km/h, wear "
+                        f"{condition.wear:g}, friction {condition.friction:g}: {lost} of "
+                        f"{len(self.runs(policy, condition))} runs; they count with infinite ratios and with "
+                        "the environment's charge in J"
+                    )
+
+    def _derailed(self, policy: str, condition: Condition | None = None) -> int:
+        return sum(row.ending is not None for row in self.runs(policy, condition))
 
     def _summary(self, policy: str) -> dict[str, float]:
-        rows = [r for r in self.rows if r.policy == policy]
-        return {name: float(np.mean([getattr(r, name) for r in rows])) for name in AVERAGED}
-
-    def _draw(self, figure: Figure) -> None:
-        panels = (
-            ("acceleration_ratio", 1.0, "acceleration, RMS over limit"),
-            ("track_shift_ratio", 1.0, "track shift force, RMS over limit"),
-            ("force_rms_n", 1e-3, "yaw damper force, RMS (kN)"),
+        """Means over all runs; the largest median of either ratio; how many runs derailed."""
+        largest = max(
+            max(m[name] for name in RATIOS) for m in (self.medians(policy, c) for c in self.conditions)
         )
-        figure.set_size_inches(8.0, 9.0)
-        axes = figure.subplots(3, 1, sharex=True)
+        means = _over(np.mean, self.runs(policy))
+        return means | {"largest_ratio": largest, "derailed": float(self._derailed(policy))}
+
+    def _draw(self, figure: Figure, wear: float, friction: float) -> None:
+        panels = (
+            ("J", 1.0, "J, on-line filter"),
+            ("acceleration_ratio", 1.0, "acceleration, RMS over limit"),
+            ("J_acceleration", 1.0, "acceleration's part of J, unweighted"),
+            ("track_shift_ratio", 1.0, "track shift force, RMS over limit"),
+            ("J_force", 1.0, "force's part of J, unweighted"),
+            ("force_rms_n", 1e-3, "yaw damper force, RMS (kN)"),
+            ("J_offline", 1.0, "J, off-line filter"),
+            ("comfort", 1.0, "comfort index N_MV"),
+        )
+        figure.set_size_inches(10.0, 12.0)
+        figure.suptitle(
+            f"{self.scenario.vehicle.name}, wear {wear:g}, friction {friction:g}: medians and seeds"
+        )
+        axes = figure.subplots(4, 2, sharex=True).ravel()
         for axis, (name, scale, label) in zip(axes, panels, strict=True):
-            for policy in sorted({row.policy for row in self.rows}):
-                rows = [r for r in self.rows if r.policy == policy]
-                speeds = sorted({r.speed_kmh for r in rows})
-                medians = [scale * self._medians(policy, v)[name] for v in speeds]
-                axis.plot(speeds, medians, "o-", label=policy)
-                axis.plot(
-                    [r.speed_kmh for r in rows], [scale * getattr(r, name) for r in rows], "k.", markersize=2
-                )
-            if name.endswith("ratio"):
-                axis.axhline(1.0, color="k", linestyle="--")
+            for policy in self.policies:
+                self._draw_policy(axis, policy, (wear, friction), name, scale)
+            if name in RATIOS:
+                axis.axhline(1.0, color="k", linestyle="--", linewidth=1.0)
+            if name in COSTS:  # a hunting vehicle costs a hundred times as much
+                axis.set_yscale("log")
+            else:
+                axis.set_ylim(bottom=0.0)
             axis.set_ylabel(label)
             axis.grid(alpha=0.3)
-        axes[-1].set_xlabel("speed (km/h)")
-        axes[0].legend()
+        for axis in axes[-2:]:
+            axis.set_xlabel("speed (km/h)")
+        axes[0].legend(fontsize="small")
+
+    def _draw_policy(
+        self, axis: Axes, policy: str, pair: tuple[float, float], name: str, scale: float
+    ) -> None:
+        """Draw medians over speed with the seeds behind them; infinite values leave gaps."""
+        chosen = [c for c in self.conditions if (c.wear, c.friction) == pair]
+        speeds = [c.speed_kmh for c in chosen]
+        values = np.array([scale * self.medians(policy, c)[name] for c in chosen])
+        (line,) = axis.plot(speeds, np.where(np.isfinite(values), values, np.nan), "o-", label=policy)
+        runs = [(c.speed_kmh, scale * getattr(row, name)) for c in chosen for row in self.runs(policy, c)]
+        finite = [(speed, value) for speed, value in runs if math.isfinite(value)]
+        axis.plot(*zip(*finite, strict=True), ".", color=line.get_color(), markersize=2) if finite else None
 
 
 def evaluate(
@@ -158,10 +247,15 @@ def evaluate(
     speeds: Sequence[float],
     seeds: Sequence[int] = range(10),
     *,
+    policies: Sequence[PolicySpec] = (),
+    wear: Sequence[float] = (),
+    friction: Sequence[float] = (),
+    environment: EnvironmentConfig | None = None,
+    initial_current: float = 0.0,
     workers: int | None = None,
     progress: Progress = silent,
 ) -> EvaluateResult:
-    """Run one configuration at given speeds.
+    """Run policies over speeds, wear, friction and seeds, all of them on the same tracks.
 
     Parameters
     ----------
@@ -170,7 +264,16 @@ def evaluate(
     speeds : sequence of float
         Speeds, m/s.
     seeds : sequence of int
-        Track seeds.
+        Track seeds, the same for every policy and condition.
+    policies : sequence of PolicySpec
+        By default what the scenario's dampers do by themselves: passive ones, or semi-active ones at the
+        constant current of their configuration.
+    wear, friction : sequence of float
+        In place of the scenario's.
+    environment : EnvironmentConfig
+        Sensors, control period, length of an episode, charge for a derailment; ``nominal`` by default.
+    initial_current : float
+        Valve command of the run-in.
     workers : int, optional
         Threads.
     progress : Progress
@@ -179,61 +282,127 @@ def evaluate(
     Raises
     ------
     ConfigError
-        A speed outside the vehicle's range, a profile that cannot be used.
+        A speed outside the vehicle's range, a profile that cannot be used, a policy that does not fit.
     StudyError
         A run that diverged.
     """
-    model = VehicleModel(scenario)
-    for speed in speeds:
-        model.check_speed(speed)  # refused before any work
-    bounds = model_limits(model)
-    model.table  # noqa: B018 - made once, before the threads ask for it
-    cases = [(speed, seed) for speed in speeds for seed in seeds]
-    return EvaluateResult(scenario, parallel(lambda c: _row(model, bounds, *c), cases, workers, progress))
+    specs = tuple(policies) or (own_policy(scenario),)
+    groups = list(
+        policy_groups(
+            specs,
+            conditions(scenario, wear, friction),
+            speeds,
+            seeds,
+            environment or load_environment(),
+            initial_current=initial_current,
+        )
+    )
+    rows = run_groups(groups, policy_row, workers=workers, progress=progress)
+    return EvaluateResult(scenario, [row for group in rows for row in group])
 
 
-def _row(model: VehicleModel, bounds: Limits, speed: float, seed: int) -> Row:
-    scenario, signals = model.scenario, simulate(model, speed, seed)
-    settings = scenario.assessment
-    both = np.hstack([signals.acceleration, signals.track_shift])
-    peak = assess(both, settings.sample_rate, speed, settings).maximum
-    w = signals.acceleration.shape[1]
-    distance = distance_run(speed, settings.sample_rate, len(signals.time))
-    first, last = np.searchsorted(distance, assessed_span(distance, settings))
-    force = signals.damper_force[first:last]
-    j_acceleration = _acceleration_cost(model, signals, speed, bounds)[first:last].mean()
-    j_force = float(np.mean(force**2)) / scenario.cost.force_reference**2 if force.size else 0.0
+def own_policy(scenario: Scenario) -> PolicySpec:
+    """What the dampers of a scenario do without a controller."""
     damper = scenario.damper
-    valve = damper.current if isinstance(damper, SaydDamperConfig) else None
-    return Row(
-        policy="passive" if valve is None else "constant",
-        speed_kmh=speed * KMH,
-        wear=scenario.wear,
-        friction=scenario.friction,
-        seed=seed,
-        J=scenario.cost.acceleration_weight * j_acceleration + scenario.cost.force_weight * j_force,
-        J_acceleration=j_acceleration,
-        J_force=j_force,
-        acceleration_ratio=peak[:w].max() / bounds.acceleration,
-        track_shift_ratio=peak[w:].max() / bounds.track_shift_force,
-        force_rms_n=float(np.sqrt(np.mean(force**2))) if force.size else 0.0,
-        force_peak_n=float(np.max(np.abs(force))) if force.size else 0.0,
-        valve_mean=valve,
-        valve_travel_per_km=None if valve is None else 0.0,
+    if isinstance(damper, SaydDamperConfig):
+        return PolicySpec("constant", {"current": damper.current}, f"constant:{damper.current:g}")
+    return PolicySpec(PASSIVE)
+
+
+def conditions(
+    scenario: Scenario, wear: Sequence[float] = (), friction: Sequence[float] = ()
+) -> list[Scenario]:
+    """Scenarios of every wear with every friction; the scenario's own where there is none.
+
+    Raises
+    ------
+    ConfigError
+        No distance is assessed.
+    """
+    if scenario.assessment.length is None:
+        raise ConfigError("assessment.length: a simulation needs a distance, found null")
+    return [
+        scenario.model_copy(update={"wear": w, "friction": mu})
+        for w in tuple(wear) or (scenario.wear,)
+        for mu in tuple(friction) or (scenario.friction,)
+    ]
+
+
+def policy_groups(
+    policies: Iterable[PolicySpec],
+    scenarios: Sequence[Scenario],
+    speeds: Sequence[float],
+    seeds: Sequence[int],
+    environment: EnvironmentConfig,
+    *,
+    initial_current: float = 0.0,
+) -> Iterator[Group]:
+    """Runs of every policy in every scenario at every speed.
+
+    Raises
+    ------
+    ConfigError
+        A policy that stands there twice, or that does not fit the scenario's dampers.
+    """
+    seen: set[str] = set()
+    for spec in policies:
+        if spec.title in seen:
+            raise ConfigError(f"policy '{spec.title}' stands there twice")
+        seen.add(spec.title)
+        for scenario in scenarios:
+            fitted = for_policy(scenario, spec)
+            config = environment_of(fitted, environment)
+            for speed in speeds:
+                yield Group(spec, fitted, config, speed, tuple(seeds), initial_current)
+
+
+def environment_of(scenario: Scenario, environment: EnvironmentConfig) -> EnvironmentConfig:
+    """Environment whose wear, friction, track and run-in are those of a scenario, none of them drawn."""
+    laws = environment.randomisation.model_copy(update={"wear": None, "friction": None, "tracks": ()})
+    return environment.model_copy(
+        update={
+            "randomisation": laws,
+            "damper": scenario.damper.type,
+            "run_in": scenario.assessment.run_in,
+        }
     )
 
 
-def _acceleration_cost(model: VehicleModel, signals: Telemetry, speed: float, bounds: Limits) -> Array:
-    """(y / y_lim)^2 of the band-passed acceleration, mean over the points of each bogie and the bogies, (t,).
+def with_reward(scenario: Scenario, reward: str) -> Scenario:
+    """Scenario whose cost has the weights of a named reward, as the keyword ``reward`` of the environment.
 
-    One f_0 for each bogie (two neighbouring points), from the sum of their spectra.
+    Raises
+    ------
+    ConfigError
+        An unknown name.
     """
-    settings = model.scenario.assessment
-    distance = distance_run(speed, settings.sample_rate, len(signals.time))
-    span = assessed_span(distance, settings)
-    grid, spectra = averaged_spectra(signals.acceleration, settings.sample_rate, distance, settings, span)
-    width = 2 if len(spectra) % 2 == 0 else 1  # points of a bogie
-    pairs = spectra.reshape(-1, width, spectra.shape[-1]).sum(axis=1)
-    f0 = np.repeat(grid[np.argmax(pairs[:, 1:-1], axis=1) + 1], width)
-    filtered = band_pass(signals.acceleration, settings.sample_rate, f0, settings)
-    return np.asarray(np.mean((filtered / bounds.acceleration) ** 2, axis=1))
+    if reward not in REWARDS:
+        raise ConfigError(f"--reward {reward}: expected {' or '.join(REWARDS)}")
+    weights = REWARDS[reward]
+    if weights is None:
+        return scenario
+    cost = scenario.cost.model_copy(update={"acceleration_weight": weights[0], "force_weight": weights[1]})
+    return scenario.model_copy(update={"cost": cost})
+
+
+def _condition(row: Row) -> Condition:
+    return Condition(row.wear, row.friction, row.speed_kmh)
+
+
+def _over(statistic: Callable[[Any], Any], rows: Sequence[Row]) -> dict[str, float]:
+    values = {name: [getattr(row, name) for row in rows] for name in AVERAGED}
+    return {name: math.nan if None in column else float(statistic(column)) for name, column in values.items()}
+
+
+def _cell(column: _Column, policy: str, found: dict[str, dict[str, float]]) -> str:
+    """Value of a policy; the best one in bold, one beyond its limit in red, an infinite one in words."""
+    value = found[policy][column.name]
+    if math.isnan(value):
+        return "-"
+    if math.isinf(value):
+        return "[bold red]derailed[/]"
+    text = f"{column.scale * value:.{column.digits}f}"
+    others = [each[column.name] for each in found.values() if not math.isnan(each[column.name])]
+    bold = column.best and len(found) > 1 and value == min(others)
+    style = " ".join(word for word, on in (("bold", bold), ("red", value > column.limit)) if on)
+    return f"[{style}]{text}[/]" if style else text

@@ -222,19 +222,25 @@ def test_a_bad_irregularity_file_is_named(content: str | None, message: str, ref
     assert message in found
 
 
-@pytest.mark.parametrize("command", ["evaluate", "critical-speed"])
-def test_a_run_that_diverges_is_a_failed_study(command: str, refused: Refused):
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("evaluate", "the run of seed 0 at 300 km/h diverged"),
+        ("critical-speed", "the simulation at 300 km/h diverged after"),
+    ],
+)
+def test_a_run_that_diverges_is_a_failed_study(command: str, message: str, refused: Refused):
     stiff = ["--set", "vehicle.elements.arm_joint.stiffness=[1e12, 1e12, 1e12]"]
     run = [command, *SHORT, "--speeds", "300", "--seeds", "2", *stiff, "--out", "here"]
-    assert "the simulation at 300 km/h diverged after" in refused(*run, status=1)
+    assert message in refused(*run, status=1)
     assert list(Path("here").iterdir()) == []
 
 
 def test_too_little_memory_is_one_message(refused: Refused, monkeypatch: pytest.MonkeyPatch):
-    def exhausted(*_: object) -> None:
+    def exhausted(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("sayd_env.studies.evaluate.simulate", exhausted)
+    monkeypatch.setattr("sayd_env.studies.evaluate.run_groups", exhausted)
     assert "not enough memory" in refused(*EVALUATE, status=1)
 
 

@@ -1,0 +1,116 @@
+"""Commands that compare policies."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sayd_env.cli import options
+from sayd_env.cli.job import Job
+from sayd_env.cli.scenario import scenario_from
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from sayd_env.config.scenario import Scenario
+    from sayd_env.studies.rollouts import PolicySpec
+
+KMH = 3.6
+
+
+def evaluate(
+    *,
+    policies: options.Policies = None,
+    speeds: options.SpeedList = None,
+    profile: options.Profile = None,
+    wear: options.Wears = None,
+    friction: options.Frictions = None,
+    track: options.Track = None,
+    damper: options.DamperKind = None,
+    reward: options.Reward = None,
+    environment: options.Environment = "nominal",
+    initial_current: Annotated[
+        float,
+        typer.Option(
+            "--initial-current",
+            parser=options.share("--initial-current"),
+            metavar="0..1",
+            help="Valve command of the run-in, before the policies act.",
+        ),
+    ] = "0",  # type: ignore[assignment] # the parser turns the text into a number
+    seed: options.Seed = 0,
+    seeds: options.Seeds = 10,
+    config: options.Config = None,
+    assignments: options.Set = None,
+    workers: options.Workers = None,
+    out: options.Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Compare policies at given speeds (default 300, 350, 400 km/h): cost, limits, forces, valves, comfort.
+
+    All policies run through the environment, the passive vehicle too, on the same tracks: seed S is the same
+    track for each. Without --policies, what the dampers do by themselves: passive ones (default), or with
+    --damper sayd the constant current damper.current.
+
+    J is minus the mean reward per second of an episode of the environment with this seed: the on-line filter,
+    over the first 20 s behind the run-in (episode_s of --environment), weighted by --reward. A derailment is
+    charged in it as the environment does. J_run is the same over the whole assessed 5 km, J_offline with the
+    filter of the assessment. The weights do not change what the controllers mppt1 and mppt2 minimise.
+    """
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
+
+    scenario = _scenario(config, assignments, profile, wear, friction, track, damper, reward)
+    specs = _specs(policies)
+    laws = load_environment(environment)
+    job = Job("evaluate", out, as_json)
+    with job.progress() as progress:
+        result = study(
+            scenario,
+            _metres_per_second(speeds or (300.0, 350.0, 400.0)),
+            range(seed, seed + seeds),
+            policies=specs,
+            wear=wear or (),
+            friction=friction or (),
+            environment=laws,
+            initial_current=initial_current,
+            workers=workers,
+            progress=progress,
+        )
+    job.finish(result, config={**dict(scenario), "environment": laws}, seed=seed)
+
+
+def _scenario(
+    config: str | None,
+    assignments: list[str] | None,
+    profile: str | None,
+    wear: Sequence[float] | None,
+    friction: Sequence[float] | None,
+    track: str | None,
+    damper: str | None,
+    reward: str | None,
+) -> Scenario:
+    """Scenario of the first wear and friction of a list."""
+    from sayd_env.studies.evaluate import with_reward  # noqa: PLC0415 - keeps --help fast
+
+    scenario = scenario_from(
+        config,
+        assignments,
+        profile=profile,
+        wear=None if wear is None else wear[0],
+        friction=None if friction is None else friction[0],
+        track=track,
+        damper=damper,
+    )
+    return scenario if reward is None else with_reward(scenario, reward)
+
+
+def _specs(names: Iterable[str] | None) -> list[PolicySpec]:
+    from sayd_env.studies.rollouts import policy_spec  # noqa: PLC0415 - keeps --help fast
+
+    return [policy_spec(name) for name in names or ()]
+
+
+def _metres_per_second(speeds: Iterable[float]) -> list[float]:
+    return [v / KMH for v in speeds]
