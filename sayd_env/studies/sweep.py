@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 import numpy as np
@@ -167,12 +167,24 @@ def parallel(
 ) -> list[T]:
     """Results of `work` for all cases, in their order, computed in threads; the first error ends it all."""
     todo = list(cases)
-    results: dict[int, T] = {}
-    with threads(workers) as pool:
-        futures = {pool.submit(work, case): i for i, case in enumerate(todo)}
+    # Not `concurrent.futures.wait`: interrupted while it holds the futures' locks, it keeps them for ever.
+    outcomes: SimpleQueue[tuple[int, T | None, BaseException | None]] = SimpleQueue()
+
+    def run(i: int) -> None:
         try:
-            for done in _completed(set(futures)):
-                results[futures[done]] = done.result()
+            outcomes.put((i, work(todo[i]), None))
+        except BaseException as error:  # the thread that waits raises it
+            outcomes.put((i, None, error))
+
+    results: dict[int, Any] = {}
+    with threads(workers) as pool:
+        try:
+            for i in range(len(todo)):
+                pool.submit(run, i)
+            for i, result, error in _completed(outcomes, len(todo)):
+                if error is not None:
+                    raise error
+                results[i] = result
                 progress(len(results), len(todo))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -180,8 +192,12 @@ def parallel(
     return [results[i] for i in range(len(todo))]
 
 
-def _completed(futures: set[Future[T]]) -> Iterator[Future[T]]:
+def _completed(outcomes: SimpleQueue[T], count: int) -> Iterator[T]:
     # A short timeout lets Ctrl-C through while all threads are in compiled code.
-    while futures:
-        done, futures = wait(futures, timeout=0.2, return_when=FIRST_COMPLETED)
-        yield from done
+    while count:
+        try:
+            outcome = outcomes.get(timeout=0.2)
+        except Empty:
+            continue
+        count -= 1
+        yield outcome
