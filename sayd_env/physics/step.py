@@ -352,6 +352,13 @@ def step_sayds(plant: Plant, state: State, work: Work) -> None:
         inputs[place] = position
         inputs[LANES + place] = velocity
         inputs[2 * LANES + place] = before
+    for k in range(count):
+        if state.sayd[sayd.ATTACHED * LANES + k] == 0.0:
+            # Torn off the bogie, the rod goes with the housing.
+            stroke = state.sayd[sayd.STROKE * LANES + k]
+            inputs[sayd.END_1 * LANES + k] = inputs[sayd.END_2 * LANES + k] + stroke
+            inputs[sayd.RATE_1 * LANES + k] = inputs[sayd.RATE_2 * LANES + k]
+            inputs[sayd.OLD_RATE_1 * LANES + k] = inputs[sayd.OLD_RATE_2 * LANES + k]
     sayd.move_valves(plant.sayd_constant, state.sayd_line, inputs, state.sayd)
     sayd.integrate(
         plant.step, int(plant.sayd_substeps), plant.sayd_constant, plant.sayd_table, inputs, state.sayd
@@ -466,7 +473,11 @@ def record(plant: Plant, state: State, work: Work, row: Array) -> None:
         out = work.lane_out
         row[w + j] = -(out[FORCE_Y * LANES + 2 * j] + out[FORCE_Y * LANES + 2 * j + 1])
     for k in range(row.shape[0] - 2 * w):
-        row[2 * w + k] = state.sayd[sayd.FORCE_1 * LANES + k] if state.sayd.shape[0] > 0 else state.force[k]
+        if state.sayd.shape[0] > 0:
+            attached = state.sayd[sayd.ATTACHED * LANES + k]
+            row[2 * w + k] = attached * state.sayd[sayd.FORCE_1 * LANES + k]
+        else:
+            row[2 * w + k] = state.force[k]
 
 
 @kernel(allocates=False)

@@ -85,7 +85,7 @@ def test_closed_valve_is_an_oil_spring_between_two_mounts() -> None:
     assert found == pytest.approx(1.0 / compliance, rel=1e-4)
 
 
-@pytest.mark.parametrize("current", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize("current", [0.0, 0.5, 1.0])
 def test_incompressible_oil_gives_the_orifices_force(current: float) -> None:
     """E to infinity, rigid mounts: F = A dp(Q = A v) at every instant of a slow motion."""
     rigid = {"stiffness": 1e10, "damping": 1e6}
@@ -96,7 +96,7 @@ def test_incompressible_oil_gives_the_orifices_force(current: float) -> None:
         carbody_mount=rigid,
         step=4e-6,
     )
-    speed, omega = {0.0: 2e-3, 0.2: 0.01, 1.0: 0.05}[current], 2.0 * np.pi
+    speed, omega = {0.0: 2e-3, 0.5: 0.02, 1.0: 0.05}[current], 2.0 * np.pi
     history = run(
         config,
         lambda t: (speed / omega * (1.0 - np.cos(omega * t)), speed * np.sin(omega * t)),

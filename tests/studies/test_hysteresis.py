@@ -165,7 +165,8 @@ def test_semi_active_field_rises_with_velocity_and_falls_with_current() -> None:
     force = found.field.force
     assert force.shape == (4, len(found.field.velocity))
     assert np.all(np.diff(force, axis=1) > 0.0)
-    assert np.all(np.diff(force[:, 1:], axis=0) < 0.0)
+    assert np.all(np.diff(force[:, 1:], axis=0) <= 0.0)  # equal within the spool's overlap
+    assert np.all(force[0, 1:] > force[-1, 1:])
     assert found.field.as_dict()["current"] == [0.0, 0.25, 0.5, 1.0]
 
 
