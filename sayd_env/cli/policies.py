@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -114,3 +114,85 @@ def _specs(names: Iterable[str] | None) -> list[PolicySpec]:
 
 def _metres_per_second(speeds: Iterable[float]) -> list[float]:
     return [v / KMH for v in speeds]
+
+
+def map_(
+    *,
+    policies: options.Policies = None,
+    speeds: options.SpeedList = None,
+    condition_speeds: Annotated[
+        options.Speeds | None,
+        typer.Option(
+            "--condition-speeds",
+            parser=options.parse_speeds,
+            metavar="KMH",
+            help="Speeds for which the best constant current is looked for (default 300, 350, 400 km/h).",
+        ),
+    ] = None,
+    profile: options.Profile = None,
+    wear: options.Wears = None,
+    friction: options.Frictions = None,
+    track: options.Track = None,
+    damper: options.DamperKind = None,
+    reward: options.Reward = None,
+    environment: options.Environment = "nominal",
+    constants: Annotated[
+        bool, typer.Option("--constants/--no-constants", help="Look for the best constant currents, too.")
+    ] = True,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A coarse map from one seed, within a minute or two.")
+    ] = False,
+    seed: options.Seed = 0,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            "--seeds",
+            parser=options.whole("--seeds", 1, options.MAX_SEEDS),
+            metavar="N",
+            help="Number of track realisations: seeds S to S+N-1 (default 2, with --quick 1).",
+        ),
+    ] = None,
+    config: options.Config = None,
+    assignments: options.Set = None,
+    workers: options.Workers = None,
+    out: options.Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Map the critical speed over wear and friction by policy, and the best constant current with its J.
+
+    Defaults: the passive vehicle and the paper's four controllers, wear 0 to 1 in steps of 0.25, friction 0.2
+    to 0.5, speeds 280:440:40 and the middle of the interval in which a limit is crossed. The best constant
+    current is that of the lowest J on line (as in evaluate) and off line, to 1/16 of the range. Finished runs
+    are kept in the output directory: an interrupted map goes on where it stopped.
+    """
+    from dataclasses import replace  # noqa: PLC0415 - keeps --help fast
+
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415
+    from sayd_env.studies.map import POLICIES, QUICK, MapGrid, stability_map  # noqa: PLC0415
+
+    scenario = _scenario(config, assignments, profile, wear, friction, track, damper, reward)
+    given: dict[str, Any] = {
+        "wear": wear,
+        "friction": friction,
+        "speeds": speeds and _metres_per_second(speeds),
+        "condition_speeds": condition_speeds and _metres_per_second(condition_speeds),
+    }
+    changes: dict[str, Any] = {key: tuple(values) for key, values in given.items() if values}
+    grid = replace(QUICK if quick else MapGrid(), **changes)
+    specs = _specs(policies or POLICIES)
+    laws = load_environment(environment)
+    job = Job("map", out, as_json)
+    count = seeds or (1 if quick else 2)
+    with job.progress() as progress:
+        result = stability_map(
+            scenario,
+            specs,
+            range(seed, seed + count),
+            grid=grid,
+            best_constant=constants,
+            environment=laws,
+            workers=workers,
+            progress=progress,
+            folder=None if job.directory is None else job.directory.path / "runs",
+        )
+    job.finish(result, config={**dict(scenario), "environment": laws}, seed=seed)

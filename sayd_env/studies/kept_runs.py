@@ -1,0 +1,62 @@
+"""Groups of runs of which an interrupted study has finished some: only the others are run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from sayd_env.envs.rollout import Rollout
+from sayd_env.studies.checkpoint import RunStore
+from sayd_env.studies.output import Progress, silent
+from sayd_env.studies.rollouts import Group, run_groups
+
+Record = TypeVar("Record")
+Place = Callable[[Group, int], tuple[RunStore[Record] | None, str]]
+"""Store and name of the run of a group with a seed; None for a study that keeps nothing."""
+
+
+def run_kept(
+    groups: Sequence[Group],
+    analyse: Callable[[Group, Rollout], Record],
+    place: Place[Record],
+    *,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> list[list[Record]]:
+    """Results of all runs, those that are kept from the disk, the others computed and kept.
+
+    Parameters and errors are those of `run_groups`.
+
+    Returns
+    -------
+    list of list
+        The results of each group in the order of its seeds.
+    """
+    found: list[dict[int, Record]] = [{} for _ in groups]
+    for group, results in zip(groups, found, strict=True):
+        for seed in group.seeds:
+            store, name = place(group, seed)
+            kept = None if store is None else store.get(name)
+            if kept is not None:
+                results[seed] = kept
+    missing = [
+        replace(group, seeds=tuple(seed for seed in group.seeds if seed not in results))
+        for group, results in zip(groups, found, strict=True)
+    ]
+    before = sum(map(len, found))
+
+    def kept_analysis(group: Group, rollout: Rollout) -> Record:
+        record = analyse(group, rollout)
+        store, name = place(group, rollout.episode.seed)
+        if store is not None:
+            store.put(name, record)
+        return record
+
+    def report(done: float, total: float, what: str = "") -> None:
+        progress(before + done, before + total, what)
+
+    new = run_groups(missing, kept_analysis, workers=workers, progress=report)
+    for group, results, records in zip(missing, found, new, strict=True):
+        results.update(zip(group.seeds, records, strict=True))
+    return [[results[seed] for seed in group.seeds] for group, results in zip(groups, found, strict=True)]

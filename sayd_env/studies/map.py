@@ -1,0 +1,503 @@
+"""Where is the vehicle stable? Critical speed over wear and friction, and the best constant current."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sayd_env.config import ConfigError
+from sayd_env.config.environment import EnvironmentConfig, load_environment
+from sayd_env.config.scenario import Scenario
+from sayd_env.envs.rollout import Rollout
+from sayd_env.stability import Crossing, critical_speed
+from sayd_env.studies.checkpoint import RunStore
+from sayd_env.studies.evaluate import conditions, policy_groups
+from sayd_env.studies.kept_runs import run_kept
+from sayd_env.studies.output import Progress, silent
+from sayd_env.studies.policy_run import policy_row
+from sayd_env.studies.rollouts import Group, PolicySpec
+from sayd_env.studies.sweep import run_name
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+KMH = 3.6
+POLICIES = ("passive", "mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
+WEAR = (0.0, 0.25, 0.5, 0.75, 1.0)
+FRICTION = (0.2, 0.3, 0.4, 0.5)
+SPEEDS = tuple(v / KMH for v in range(280, 441, 40))
+"""Grid on which the crossing is looked for, m/s; the middle of the interval that holds it is run, too."""
+CONDITION_SPEEDS = tuple(v / KMH for v in (300, 350, 400))
+"""Speeds for which the best constant current is looked for, m/s."""
+CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Constant currents tried everywhere; around the best one half and then a quarter of the step."""
+DERAILED = 10.0
+"""Ratio to a limit with which a derailed run counts, so that a crossing can be interpolated."""
+CRITERIA = ("acceleration", "track_shift_force")
+
+
+@dataclass(frozen=True)
+class MapGrid:
+    """What the maps span."""
+
+    wear: tuple[float, ...] = WEAR
+    friction: tuple[float, ...] = FRICTION
+    speeds: tuple[float, ...] = SPEEDS
+    condition_speeds: tuple[float, ...] = CONDITION_SPEEDS
+    currents: tuple[float, ...] = CURRENTS
+    refinements: int = 2
+    """How often the step between the currents is halved around the best one."""
+
+
+QUICK = MapGrid(
+    wear=(0.0, 1.0),
+    friction=(0.3, 0.5),
+    speeds=tuple(v / KMH for v in (300, 360, 420)),
+    condition_speeds=(350 / KMH,),
+    currents=(0.0, 0.5, 1.0),
+    refinements=1,
+)
+"""For a look at what comes out, within a minute or two."""
+
+
+@dataclass(frozen=True)
+class MapRun:
+    """One run."""
+
+    J: float
+    """Cost by the on-line filter over the environment's episode."""
+    J_offline: float
+    """Cost by the off-line filter over the assessed length."""
+    acceleration_ratio: float
+    track_shift_ratio: float
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Critical speed of one policy for one wear and friction."""
+
+    policy: str
+    wear: float
+    friction: float
+    by_criterion: Mapping[str, tuple[float | None, Crossing]]
+    """Critical speed (km/h) by each criterion, and how the quantity runs over the grid."""
+
+    @property
+    def lowest(self) -> tuple[float | None, Crossing]:
+        """The lower one of both, km/h."""
+        found = [c for c in self.by_criterion.values() if c[1] is not Crossing.NOT_REACHED]
+        return (
+            min(found, key=lambda c: -math.inf if c[0] is None else c[0])
+            if found
+            else (
+                None,
+                Crossing.NOT_REACHED,
+            )
+        )
+
+
+@dataclass(frozen=True)
+class BestConstant:
+    """Best constant current for one condition."""
+
+    speed_kmh: float
+    wear: float
+    friction: float
+    current: float
+    """With the lowest J by the on-line filter."""
+    J: float
+    current_offline: float
+    """With the lowest J by the off-line filter."""
+    J_offline: float
+    J_closed: float
+    """J of a closed valve."""
+    J_open: float
+    """J of an open valve."""
+
+
+@dataclass(frozen=True)
+class MapResult:
+    """Maps over wear and friction."""
+
+    scenario: Scenario
+    grid: MapGrid
+    seeds: tuple[int, ...]
+    cells: list[Cell]
+    best: list[BestConstant]
+    reused: int = 0
+    """Runs that an earlier start had finished."""
+
+    @property
+    def policies(self) -> tuple[str, ...]:
+        """Policies of the maps of critical speeds."""
+        return tuple(dict.fromkeys(cell.policy for cell in self.cells))
+
+    def cell(self, policy: str, wear: float, friction: float) -> Cell:
+        """Critical speed of one policy for one wear and friction."""
+        key = (policy, wear, friction)
+        return next(c for c in self.cells if (c.policy, c.wear, c.friction) == key)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of ``sayd map --json``; tables are lists over wear of lists over friction."""
+
+        def table(policy: str, read: Callable[[Cell], Any]) -> list[list[Any]]:
+            return [
+                [read(self.cell(policy, wear, mu)) for mu in self.grid.friction] for wear in self.grid.wear
+            ]
+
+        return {
+            "critical_speed_kmh": {p: table(p, lambda c: c.lowest[0]) for p in self.policies},
+            "status": {p: table(p, lambda c: c.lowest[1].name.lower()) for p in self.policies},
+            "by_criterion": {
+                name: {p: table(p, lambda c, n=name: c.by_criterion[n][0]) for p in self.policies}  # type: ignore[misc]
+                for name in CRITERIA
+            },
+            "wear": list(self.grid.wear),
+            "friction": list(self.grid.friction),
+            "speeds_kmh": [v * KMH for v in self.grid.speeds],
+            "best_constant": [_best_dict(entry) for entry in self.best],
+            "seeds": list(self.seeds),
+        }
+
+    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+        """Critical speeds and best currents, one line for each condition."""
+        critical = [
+            [
+                *(cell.policy, cell.wear, cell.friction, cell.lowest[0], cell.lowest[1].name.lower()),
+                *(cell.by_criterion[name][0] for name in CRITERIA),
+            ]
+            for cell in self.cells
+        ]
+        header = ("policy", "wear", "friction", "critical_speed_kmh", "status")
+        tables: dict[str, tuple[Sequence[str], list[list[Any]]]] = {
+            "critical_speed": ((*header, *(f"by_{name}_kmh" for name in CRITERIA)), critical)
+        }
+        if self.best:
+            rows = [list(asdict(entry).values()) for entry in self.best]
+            tables["best_constant"] = (list(asdict(self.best[0])), rows)
+        return tables
+
+    def plots(self) -> dict[str, Callable[[Figure], None]]:
+        """Heat maps of the critical speed by policy, and of the best constant current by speed."""
+        plots: dict[str, Callable[[Figure], None]] = {"map_critical_speed": self._draw_critical}
+        if self.best:
+            plots["map_best_constant"] = self._draw_best
+        return plots
+
+    def summary(self, console: Console) -> None:
+        """Print the critical speeds of all policies, then the best currents."""
+        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+
+        count = len(self.seeds)
+        table = Table(title=f"critical speed (km/h), either limit: medians of {count} seeds")
+        for name in ("wear", "friction", *self.policies):
+            table.add_column(name, justify="right")
+        for wear, mu in product(self.grid.wear, self.grid.friction):
+            cells = [self.cell(policy, wear, mu) for policy in self.policies]
+            table.add_row(f"{wear:g}", f"{mu:g}", *(self._verdict(*cell.lowest) for cell in cells))
+        console.print(table)
+        if self.best:
+            console.print(self._best_table())
+        if self.reused:
+            console.print(f"{self.reused} runs had been finished by an earlier start and were not repeated")
+
+    def _best_table(self) -> Any:
+        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+
+        table = Table(title="best constant current, by J on line and off line")
+        for name in (
+            "km/h",
+            "wear",
+            "friction",
+            "current",
+            "J",
+            "J closed",
+            "J open",
+            "off line",
+            "J off-line",
+        ):
+            table.add_column(name, justify="right")
+        for e in self.best:
+            costs = (f"{e.J:.4f}", f"{e.J_closed:.4f}", f"{e.J_open:.4f}")
+            where = (f"{e.speed_kmh:.0f}", f"{e.wear:g}", f"{e.friction:g}")
+            table.add_row(*where, f"{e.current:g}", *costs, f"{e.current_offline:g}", f"{e.J_offline:.4f}")
+        return table
+
+    def _verdict(self, kmh: float | None, crossing: Crossing) -> str:
+        if crossing is Crossing.NOT_REACHED:
+            return f"> {self.grid.speeds[-1] * KMH:.0f}"
+        return f"< {self.grid.speeds[0] * KMH:.0f}" if kmh is None else f"{kmh:.0f}"
+
+    def _draw_critical(self, figure: Figure) -> None:
+        ends = self.grid.speeds[0] * KMH, self.grid.speeds[-1] * KMH
+
+        def value(policy: str, wear: float, mu: float) -> tuple[float, str]:
+            kmh, crossing = self.cell(policy, wear, mu).lowest
+            shown = ends[crossing is Crossing.NOT_REACHED] if kmh is None else kmh
+            return shown, self._verdict(kmh, crossing)
+
+        panels = {policy: lambda w, mu, p=policy: value(p, w, mu) for policy in self.policies}
+        self._draw(figure, panels, "critical speed (km/h)", "RdYlGn", ends)
+
+    def _draw_best(self, figure: Figure) -> None:
+        found = {(e.speed_kmh, e.wear, e.friction): e for e in self.best}
+        speeds = sorted({e.speed_kmh for e in self.best})
+
+        def value(speed: float, wear: float, mu: float) -> tuple[float, str]:
+            entry = found[speed, wear, mu]
+            return entry.current, f"{entry.current:.2g}\nJ {entry.J:.3f}"
+
+        panels = {f"{v:.0f} km/h": lambda w, mu, v=v: value(v, w, mu) for v in speeds}
+        self._draw(figure, panels, "best constant current", "viridis", (0.0, 1.0))
+
+    def _draw(
+        self,
+        figure: Figure,
+        panels: Mapping[str, Callable[..., tuple[float, str]]],
+        label: str,
+        colours: str,
+        span: tuple[float, float],
+    ) -> None:
+        """Heat maps of wear over friction side by side, every cell with its value."""
+        columns = min(len(panels), 3)
+        rows = math.ceil(len(panels) / columns)
+        figure.set_size_inches(1.5 + 4.0 * columns, 0.8 + 3.6 * rows)
+        axes = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axis in axes[len(panels) :]:
+            axis.set_axis_off()
+        image = None
+        for axis, (title, value) in zip(axes, panels.items(), strict=False):
+            cells = [[value(wear, mu) for mu in self.grid.friction] for wear in self.grid.wear]
+            numbers = [[number for number, _ in line] for line in cells]
+            image = axis.imshow(
+                numbers, origin="lower", aspect="auto", cmap=colours, vmin=span[0], vmax=span[1]
+            )
+            self._label(axis, title, [[text for _, text in line] for line in cells])
+        if image is not None:
+            figure.colorbar(image, ax=list(axes[: len(panels)]), label=label)
+
+    def _label(self, axis: Axes, title: str, texts: list[list[str]]) -> None:
+        for i, line in enumerate(texts):
+            for j, text in enumerate(line):
+                box = {"facecolor": "white", "alpha": 0.6, "edgecolor": "none", "pad": 1.0}
+                axis.text(j, i, text, ha="center", va="center", fontsize=8, bbox=box)
+        axis.set_xticks(range(len(self.grid.friction)), [f"{mu:g}" for mu in self.grid.friction])
+        axis.set_yticks(range(len(self.grid.wear)), [f"{w:g}" for w in self.grid.wear])
+        axis.set(title=title, xlabel="friction", ylabel="wear")
+
+
+def stability_map(
+    scenario: Scenario,
+    policies: Sequence[PolicySpec],
+    seeds: Sequence[int] = range(2),
+    *,
+    grid: MapGrid | None = None,
+    best_constant: bool = True,
+    environment: EnvironmentConfig | None = None,
+    workers: int | None = None,
+    progress: Progress = silent,
+    folder: Path | None = None,
+) -> MapResult:
+    """Map critical speeds over wear and friction, and the best constant current for each condition.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The configuration; wear and friction are those of the grid.
+    policies : sequence of PolicySpec
+        Policies whose critical speeds are mapped.
+    seeds : sequence of int
+        Track seeds, the same everywhere; medians over them are judged.
+    grid : MapGrid, optional
+    best_constant : bool
+        Whether the best constant current is looked for, too.
+    environment : EnvironmentConfig, optional
+        ``nominal`` by default.
+    workers : int, optional
+        Threads.
+    progress : Progress
+        Told after each run.
+    folder : Path, optional
+        Where finished runs are kept, so that an interrupted study goes on from there.
+
+    Raises
+    ------
+    ConfigError
+        A policy that does not fit, a value outside its range, a folder that cannot be written to.
+    StudyError
+        A run that diverged.
+    """
+    study = _Study(scenario, tuple(seeds), environment or load_environment(), folder, workers, progress)
+    chosen = grid or MapGrid()
+    if len(chosen.speeds) < 2 and policies:
+        raise ConfigError("--speeds: a critical speed needs at least two speeds")
+    cells = study.critical(policies, chosen) if policies else []
+    best = study.best_constant(chosen) if best_constant else []
+    return MapResult(scenario, chosen, tuple(seeds), cells, best, study.finish())
+
+
+Key = tuple[str, float, float, float]
+"""Policy, wear, friction, speed (m/s)."""
+
+
+class _Study:
+    """Runs of the maps: each once, whoever asks for it, and kept on the disk."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seeds: tuple[int, ...],
+        environment: EnvironmentConfig,
+        folder: Path | None,
+        workers: int | None,
+        progress: Progress,
+    ) -> None:
+        self.scenario, self.seeds, self.environment = scenario, seeds, environment
+        self.folder, self.workers, self.progress = folder, workers, progress
+        self._found: dict[Key, list[MapRun]] = {}
+        self._stores: dict[str, RunStore[MapRun]] = {}
+
+    def critical(self, policies: Sequence[PolicySpec], grid: MapGrid) -> list[Cell]:
+        """Critical speeds on the grid and, where a limit is crossed, on it with the interval halved."""
+        places = list(product(policies, grid.wear, grid.friction))
+        self._run(((spec, w, mu, v) for (spec, w, mu), v in product(places, grid.speeds)), "grid of speeds")
+        middles = [
+            (spec, w, mu, middle)
+            for spec, w, mu in places
+            for name in CRITERIA
+            if (middle := self._middle(spec.title, w, mu, name, grid.speeds)) is not None
+        ]
+        self._run(middles, "around the crossings")
+        return [
+            Cell(
+                *(spec.title, w, mu),
+                {
+                    name: self._crossing(spec.title, w, mu, name, self._speeds(spec.title, w, mu))
+                    for name in CRITERIA
+                },
+            )
+            for spec, w, mu in places
+        ]
+
+    def best_constant(self, grid: MapGrid) -> list[BestConstant]:
+        """Best constant currents: a grid, then half the step around the best one, and again."""
+        places = list(product(grid.condition_speeds, grid.wear, grid.friction))
+        tried = {place: set(grid.currents) for place in places}
+        self._run_currents(tried)
+        step = min(np.diff(sorted(grid.currents)), default=0.0)
+        for _ in range(grid.refinements):
+            step *= 0.5
+            for place, currents in tried.items():
+                best = {self._lowest(name, place, currents)[0] for name in ("J", "J_offline")}
+                around = {current + sign * step for current in best for sign in (-1.0, 1.0)}
+                currents |= {current for current in around if 0.0 <= current <= 1.0}
+            self._run_currents(tried)
+        return [self._best(place, tried[place]) for place in places]
+
+    def finish(self) -> int:
+        """Forget what other inputs have left; return how many runs came from the disk."""
+        for store in self._stores.values():
+            store.forget_former()
+        return sum(store.reused for store in self._stores.values())
+
+    def _best(self, place: tuple[float, float, float], currents: set[float]) -> BestConstant:
+        on_line, off_line = (self._lowest(name, place, currents) for name in ("J", "J_offline"))
+        ends = [self._cost("J", place, current) for current in (min(currents), max(currents))]
+        speed, wear, friction = place
+        return BestConstant(round(speed * KMH, 6), wear, friction, *on_line, *off_line, *ends)
+
+    def _lowest(
+        self, name: str, place: tuple[float, float, float], currents: Iterable[float]
+    ) -> tuple[float, float]:
+        cost, current = min((self._cost(name, place, current), current) for current in currents)
+        return current, cost
+
+    def _cost(self, name: str, place: tuple[float, float, float], current: float) -> float:
+        speed, wear, friction = place
+        return self._median(name, (_constant(current).title, wear, friction, speed))
+
+    def _run_currents(self, tried: Mapping[tuple[float, float, float], Iterable[float]]) -> None:
+        cases = [
+            (_constant(current), wear, mu, speed)
+            for (speed, wear, mu), currents in tried.items()
+            for current in sorted(currents)
+        ]
+        self._run(cases, "constant currents")
+
+    def _speeds(self, policy: str, wear: float, friction: float) -> list[float]:
+        return sorted(key[3] for key in self._found if key[:3] == (policy, wear, friction))
+
+    def _middle(
+        self, policy: str, wear: float, friction: float, name: str, speeds: Sequence[float]
+    ) -> float | None:
+        """Middle of the interval of the grid in which a quantity crosses its limit."""
+        kmh, _ = self._crossing(policy, wear, friction, name, speeds)
+        if kmh is None:
+            return None
+        i = min(int(np.searchsorted(speeds, kmh / KMH)), len(speeds) - 1)
+        return round(0.5 * (speeds[i - 1] + speeds[i]) * KMH, 6) / KMH
+
+    def _crossing(
+        self, policy: str, wear: float, friction: float, name: str, speeds: Sequence[float]
+    ) -> tuple[float | None, Crossing]:
+        column = "acceleration_ratio" if name == "acceleration" else "track_shift_ratio"
+        ratios = [min(self._median(column, (policy, wear, friction, v)), DERAILED) for v in speeds]
+        found = critical_speed(np.array(speeds), np.array(ratios), 1.0)
+        return None if found.speed is None else found.speed * KMH, found.crossing
+
+    def _median(self, name: str, key: Key) -> float:
+        return float(np.median([getattr(run, name) for run in self._found[key]]))
+
+    def _run(self, cases: Iterable[tuple[PolicySpec, float, float, float]], what: str) -> None:
+        """Run what has not been run before."""
+        groups: dict[Key, Group] = {}
+        for spec, wear, friction, speed in cases:
+            key = (spec.title, wear, friction, speed)
+            if key not in self._found and key not in groups:
+                scenarios = conditions(self.scenario, [wear], [friction])
+                (groups[key],) = policy_groups([spec], scenarios, [speed], self.seeds, self.environment)
+        found = run_kept(
+            list(groups.values()),
+            _map_run,
+            self._place,
+            workers=self.workers,
+            progress=lambda done, total, _="": self.progress(done, total, what),
+        )
+        self._found.update(zip(groups, found, strict=True))
+
+    def _place(self, group: Group, seed: int) -> tuple[RunStore[MapRun] | None, str]:
+        if self.folder is None:
+            return None, ""
+        # One store for all conditions and currents of a policy: they stand in the names of the runs.
+        spec = replace(group.policy, parameters={}) if group.policy.name == "constant" else group.policy
+        key = spec.name if spec.name == "constant" else spec.title
+        if key not in self._stores:
+            scenario = group.scenario.model_copy(update={"wear": 0.0, "friction": 1.0})
+            inputs = (scenario, group.config, spec.name, dict(spec.parameters))
+            self._stores[key] = RunStore(self.folder, f"map-{key}", MapRun, *inputs)
+        current = f"_V_{group.policy.parameters['current']:.9g}" if spec.name == "constant" else ""
+        where = f"wear_{group.scenario.wear:.9g}_friction_{group.scenario.friction:.9g}"
+        return self._stores[key], f"{where}{current}_{run_name(group.speed, seed)}"
+
+
+def _map_run(group: Group, rollout: Rollout) -> MapRun:
+    row = policy_row(group, rollout)
+    return MapRun(row.J, row.J_offline, row.acceleration_ratio, row.track_shift_ratio)
+
+
+def _constant(current: float) -> PolicySpec:
+    return PolicySpec("constant", {"current": current}, f"constant:{current:g}")
+
+
+def _best_dict(entry: BestConstant) -> dict[str, Any]:
+    content = asdict(entry)
+    names = ("speed_kmh", "wear", "friction")
+    return {"condition": {name: content.pop(name) for name in names}, **content}

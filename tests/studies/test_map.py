@@ -1,0 +1,133 @@
+"""Maps over wear and friction: crossings and best currents of made-up costs, runs that are not repeated."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sayd_env.cli import main
+from sayd_env.config import ConfigError
+from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.studies import map as module
+from sayd_env.studies.map import MapGrid, MapResult, MapRun, stability_map
+from sayd_env.studies.rollouts import Group, PolicySpec, policy_spec
+
+GRID = MapGrid(
+    wear=(0.0, 1.0),
+    friction=(0.2, 0.4),
+    speeds=tuple(v / 3.6 for v in (280, 320, 360, 400)),
+    condition_speeds=(350 / 3.6,),
+)
+Law = Callable[[Group, int], MapRun]
+
+
+def made_up(group: Group, seed: int) -> MapRun:
+    """Acceleration reaches its limit at 340 - 40 wear km/h (300 at wear 1), track shift force 20 km/h later.
+
+    J is lowest at the current 0.3 on line, at 0.9 off line.
+    """
+    kmh, wear = group.speed * 3.6, group.scenario.wear
+    current = float(group.policy.parameters.get("current", 0.0))
+    ratio = 1.0 + (kmh - (340.0 - 40.0 * wear)) / 100.0 + 0.01 * (seed - 1)
+    return MapRun((current - 0.3) ** 2, (current - 0.9) ** 2 + 1.0, ratio, ratio - 0.2)
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float, float]]:
+    """What is run, with a made-up vehicle in place of the simulation."""
+    asked: list[tuple[str, float, float, float]] = []
+
+    def run_kept(groups: list[Group], *_: Any, **__: Any) -> list[list[MapRun]]:
+        for g in groups:
+            asked.append((g.policy.title, g.scenario.wear, g.scenario.friction, round(g.speed * 3.6, 6)))
+        return [[made_up(group, seed) for seed in group.seeds] for group in groups]
+
+    monkeypatch.setattr(module, "run_kept", run_kept)
+    return asked
+
+
+@pytest.fixture
+def result(runs: list[Any], short_scenario: Scenario) -> MapResult:
+    return stability_map(short_scenario, [policy_spec("mppt1")], range(3), grid=GRID)
+
+
+def test_the_critical_speed_is_that_of_the_median_seed(result: MapResult):
+    found = result.as_dict()
+    assert found["critical_speed_kmh"]["mppt1"] == [[pytest.approx(340)] * 2, [pytest.approx(300)] * 2]
+    force = found["by_criterion"]["track_shift_force"]["mppt1"]
+    assert force == [[pytest.approx(360)] * 2, [pytest.approx(320)] * 2]
+    assert found["status"]["mppt1"] == [["found", "found"]] * 2
+
+
+def test_the_interval_of_the_crossing_is_halved(
+    result: MapResult, runs: list[tuple[str, float, float, float]]
+):
+    """At wear 0 acceleration crosses between 320 and 360, force between 320 or 360 and 400 km/h."""
+    speeds = sorted(kmh for title, wear, mu, kmh in runs if (title, wear, mu) == ("mppt1", 0.0, 0.2))
+    assert speeds[:2] == [280, 320]
+    assert 340 in speeds
+    assert len(runs) == len(set(runs))
+
+
+def test_the_best_current_is_found_to_a_sixteenth(result: MapResult):
+    for entry in result.best:
+        assert entry.current == pytest.approx(0.3, abs=1 / 16)
+        assert entry.current_offline == pytest.approx(0.9, abs=1 / 16)
+        assert (entry.J_closed, entry.J_open) == (pytest.approx(0.09), pytest.approx(0.49))
+        assert min(entry.J_closed, entry.J_open) >= entry.J
+    assert result.as_dict()["best_constant"][0]["condition"] == {
+        "speed_kmh": pytest.approx(350),
+        "wear": 0.0,
+        "friction": 0.2,
+    }
+
+
+def test_beyond_the_grid_is_told(runs: list[Any], short_scenario: Scenario):
+    high = MapGrid(wear=(0.0,), friction=(0.3,), speeds=(380 / 3.6, 400 / 3.6))
+    low = MapGrid(wear=(0.0,), friction=(0.3,), speeds=(280 / 3.6, 300 / 3.6))
+    for grid, status in ((high, "below_grid"), (low, "not_reached")):
+        found = stability_map(short_scenario, [PolicySpec("mppt1")], [1], grid=grid, best_constant=False)
+        assert found.as_dict()["status"] == {"mppt1": [[status]]}
+        assert found.as_dict()["critical_speed_kmh"] == {"mppt1": [[None]]}
+
+
+def test_one_speed_has_no_crossing(short_scenario: Scenario):
+    with pytest.raises(ConfigError, match="at least two speeds"):
+        stability_map(short_scenario, [PolicySpec("mppt1")], [0], grid=MapGrid(speeds=(100.0,)))
+
+
+def test_a_repeated_map_runs_nothing_again(tmp_path: Path):
+    """Also where the second one asks for more."""
+    scenario = load_scenario("estimates", ("assessment.run_in=200", "assessment.length=600"))
+    grid = MapGrid(
+        wear=(1.0,),
+        friction=(0.4,),
+        speeds=(100.0, 105.0),
+        condition_speeds=(100.0,),
+        currents=(0.0, 1.0),
+        refinements=0,
+    )
+    specs = [policy_spec("constant:1")]
+    first = stability_map(scenario, specs, [0], grid=grid, folder=tmp_path)
+    second = stability_map(scenario, specs, [0, 1], grid=grid, folder=tmp_path)
+    assert (first.reused, second.reused) == (0, 3)  # an open valve at both speeds, a closed one at the first
+    alone = stability_map(scenario, specs, [0], grid=grid)
+    assert alone.as_dict() == first.as_dict()
+
+
+def test_the_command_writes_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    settings = ["--set", "assessment.run_in=200", "--set", "assessment.length=600", "--config", "estimates"]
+    grid = ["--quick", "--wear", "1", "--friction", "0.4", "--speeds", "300,400", "--no-constants"]
+    command = ["map", *settings, *grid, "--policies", "passive", "--json", "--out", str(tmp_path)]
+    assert main(command) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["wear"], found["friction"], found["best_constant"]) == ([1.0], [0.4], [])
+    kmh, status = found["critical_speed_kmh"]["passive"], found["status"]["passive"]
+    assert len(kmh) == len(kmh[0]) == len(status) == 1
+    assert (kmh[0][0] is not None) == (status[0][0] == "found")
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"runs", "result.json", "critical_speed.csv", "map_critical_speed.png"}
