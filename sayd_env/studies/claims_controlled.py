@@ -6,7 +6,7 @@ from the controller's first command, at the end of the run-in.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -36,6 +36,15 @@ def required_runs() -> list[tuple[str, float, float]]:
     """Controller, speed (m/s) and initial current of every run that the rows need, for each seed."""
     closed = [(policy, speed, CLOSED) for policy in POLICIES for speed in SAYD_SPEEDS]
     return [*closed, (MPPT1, 400 / KMH, OPEN), (MPPT2, 300 / KMH, OPEN)]
+
+
+def skyhook_runs() -> list[tuple[str, float, float]]:
+    """Runs on which rows S1 to S6 rest: those of both skyhooks, and both MPPTs at 400 km/h (S3)."""
+    return [
+        (policy, speed, current)
+        for policy, speed, current in required_runs()
+        if current == CLOSED and (policy in (ON_OFF, CONTINUOUS) or round(speed * KMH) == 400)
+    ]
 
 
 def command_at(run: ControlledRun, time: float) -> float:
@@ -104,6 +113,8 @@ class ControlledMeasures:
         All of `required_runs`, on the same seeds.
     limits : Limits
         Limits of EN 14363.
+    required : sequence, optional
+        The runs that are there, of which the rows in question need no others: `skyhook_runs`.
 
     Raises
     ------
@@ -111,12 +122,19 @@ class ControlledMeasures:
         A run is missing.
     """
 
-    def __init__(self, runs: ControlledRuns, limits: Limits) -> None:
+    def __init__(
+        self,
+        runs: ControlledRuns,
+        limits: Limits,
+        required: Sequence[tuple[str, float, float]] | None = None,
+    ) -> None:
+        needed = required_runs() if required is None else required
         self.runs, self.limits = runs, limits
         self.count = len(runs.seeds)
         self.all = np.arange(self.count)
-        self.sweeps = {policy: runs.sweep(policy, CLOSED) for policy in POLICIES}
-        for policy, speed, current in required_runs():
+        closed = dict.fromkeys(policy for policy, _, current in needed if current == CLOSED)
+        self.sweeps = {policy: runs.sweep(policy, CLOSED) for policy in closed}
+        for policy, speed, current in needed:
             runs.at(policy, speed * KMH, current)  # refused here, not in the middle of the table
 
     def acceleration_ratios(self, policy: str) -> Array:
@@ -208,6 +226,11 @@ def controlled_claims(runs: ControlledRuns, limits: Limits) -> list[Claim]:
     """
     m = ControlledMeasures(runs, limits)
     return [*_mppt_rows(m), *_skyhook_rows(m), _critical_speed_row(m)]
+
+
+def skyhook_claims(runs: ControlledRuns, limits: Limits) -> list[Claim]:
+    """Judge rows S1 to S6 alone, from `skyhook_runs`; otherwise as `controlled_claims`."""
+    return _skyhook_rows(ControlledMeasures(runs, limits, skyhook_runs()))
 
 
 def _mppt_rows(m: ControlledMeasures) -> list[Claim]:

@@ -1,0 +1,158 @@
+"""Do the rows on skyhook control hang on the control period? S1 to S6 at several periods, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from sayd_env.config import ConfigError, validate
+from sayd_env.config.control import load_controller
+from sayd_env.config.environment import EnvironmentConfig, load_environment
+from sayd_env.config.scenario import Scenario
+from sayd_env.envs.rollout import Rollout
+from sayd_env.envs.vehicle import model_limits
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.studies.checkpoint import RunStore
+from sayd_env.studies.claims_controlled import skyhook_claims, skyhook_runs
+from sayd_env.studies.controlled import ControlledRun, ControlledRuns, controlled_run_of
+from sayd_env.studies.evaluate import environment_of
+from sayd_env.studies.judging import Claim
+from sayd_env.studies.kept_runs import run_kept
+from sayd_env.studies.output import Progress, silent
+from sayd_env.studies.rollouts import Group, PolicySpec, for_policy
+from sayd_env.studies.sweep import run_name
+
+PERIODS = (0.002, 0.005, 0.01)
+"""s."""
+
+
+@dataclass(frozen=True)
+class PeriodSensitivity:
+    """Rows S1 to S6 at each control period."""
+
+    claims: dict[float, list[Claim]]
+    """By control period (s)."""
+    reused: int = 0
+    """Runs that an earlier start had finished."""
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        return tuple(dict.fromkeys(claim.id for claims in self.claims.values() for claim in claims))
+
+    def claim(self, row: str, period: float) -> Claim:
+        """Verdict on a row at a control period (s)."""
+        return next(claim for claim in self.claims[period] if claim.id == row)
+
+    def as_dict(self) -> list[dict[str, Any]]:
+        """One entry for each row and period."""
+        return [
+            {"control_period_s": period, **self.claim(row, period).as_dict()}
+            for row in self.rows
+            for period in self.claims
+        ]
+
+    def table(self) -> tuple[Sequence[str], list[list[Any]]]:
+        """Row, control period, what is expected and measured, share of the seeds, whether it holds."""
+        header = ("id", "control_period_s", "expected", "measured", "fraction", "holds")
+        found = [(row, period, self.claim(row, period)) for row in self.rows for period in self.claims]
+        return header, [[row, p, c.expected, c.measured, c.fraction, c.holds] for row, p, c in found]
+
+
+def period_sensitivity(
+    scenario: Scenario,
+    seeds: Sequence[int] = range(10),
+    periods: Sequence[float] = PERIODS,
+    *,
+    environment: EnvironmentConfig | None = None,
+    workers: int | None = None,
+    progress: Progress = silent,
+    folder: Path | None = None,
+) -> PeriodSensitivity:
+    """Judge rows S1 to S6 with controllers that act at several periods.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The configuration, on worn wheels.
+    seeds : sequence of int
+        Track seeds, the same at each period.
+    periods : sequence of float
+        Control periods (s), different ones.
+    environment : EnvironmentConfig, optional
+        Sensors of the controllers; those of ``nominal`` by default.
+    workers : int, optional
+        Threads.
+    progress : Progress
+        Told after each run.
+    folder : Path, optional
+        Where finished runs are kept; each period has a folder of its own in it.
+
+    Raises
+    ------
+    ConfigError
+        A period that does not divide a second or stands there twice, or dampers that do not fit.
+    StudyError
+        A run that diverged or derailed.
+    """
+    if len(set(periods)) < len(periods) or not periods:
+        raise ConfigError(f"control periods {list(periods)}: expected different ones, at least one")
+    base = environment or load_environment()
+    # All periods are checked before any work.
+    configs = [
+        validate(EnvironmentConfig, dict(base) | {"control_period": period}, "control periods")
+        for period in periods
+    ]
+    limits = model_limits(VehicleModel(scenario))
+    total = len(periods) * len(skyhook_runs()) * len(seeds)
+    claims: dict[float, list[Claim]] = {}
+    reused = 0
+    for number, (period, config) in enumerate(zip(periods, configs, strict=True)):
+        before = number * total // len(periods)
+        report = partial(_report, progress, before, total, f"control period {1e3 * period:g} ms")
+        place = None if folder is None else folder / f"period_{1e3 * period:g}_ms"
+        runs, found = _runs(_groups(scenario, config, seeds), place, workers, report)
+        claims[period] = skyhook_claims(runs, limits)
+        reused += found
+    return PeriodSensitivity(claims, reused)
+
+
+def _groups(scenario: Scenario, config: EnvironmentConfig, seeds: Sequence[int]) -> list[Group]:
+    groups = []
+    for name, speed, current in skyhook_runs():
+        spec = PolicySpec(name, load_controller(name, {}).model_dump())
+        fitted = for_policy(scenario, spec)
+        groups.append(Group(spec, fitted, environment_of(fitted, config), speed, tuple(seeds), current))
+    return groups
+
+
+def _runs(
+    groups: Sequence[Group], folder: Path | None, workers: int | None, progress: Progress
+) -> tuple[ControlledRuns, int]:
+    """Assessed runs of all groups, and how many of them were there already."""
+    stores: dict[str, RunStore[ControlledRun]] = {}
+    for group in groups if folder is not None else ():
+        assert folder is not None
+        inputs = (group.scenario, group.config, dict(group.policy.parameters))
+        stores.setdefault(group.policy.name, RunStore(folder, group.policy.name, ControlledRun, *inputs))
+
+    def place(group: Group, seed: int) -> tuple[RunStore[ControlledRun] | None, str]:
+        return stores.get(group.policy.name), run_name(group.speed, seed)
+
+    def analyse(group: Group, rollout: Rollout) -> ControlledRun:
+        return controlled_run_of(group.policy.name, rollout, group.scenario.assessment)
+
+    found = run_kept(groups, analyse, place, workers=workers, progress=progress)
+    for store in stores.values():
+        store.forget_former()
+    return ControlledRuns(run for runs in found for run in runs), sum(s.reused for s in stores.values())
+
+
+def _report(
+    progress: Progress, before: int, total: int, what: str, done: float, _total: float, _what: str = ""
+) -> None:
+    """Progress of one period, as a part of all."""
+    progress(before + done, total, what)
