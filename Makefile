@@ -5,12 +5,13 @@ SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
 
-# The main job of `make run`: the critical speed of the passive vehicle on new and on worn wheels.
-RUN_JOB = $(BIN)/sayd critical-speed --profile new --out results/new && \
-          $(BIN)/sayd critical-speed --profile worn --out results/worn
+# The main job of `make run`: the passive vehicle and the paper's four controllers side by side, on worn wheels.
+RUN_JOB = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous \
+          --profile worn --speeds 300,350,400 --seeds 10
 
 # Compiles the kernels once, so that parallel test processes find them in the cache instead of racing for it.
-WARM_UP = $(BIN)/sayd evaluate --speeds 300 --seeds 1 --set assessment.length=600 --json > /dev/null
+SHORT = --speeds 300 --seeds 1 --set assessment.length=600 --json > /dev/null
+WARM_UP = $(BIN)/sayd critical-speed $(SHORT) && $(BIN)/sayd evaluate --policies passive,mppt2 $(SHORT)
 
 # Options for both test passes, for example `make test PYTEST_OPTIONS="-k contact"`.
 PYTEST_OPTIONS =

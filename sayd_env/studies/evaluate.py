@@ -57,8 +57,8 @@ _COST_COLUMNS = (
     _Column("J_acceleration", "acceleration", digits=4),
     _Column("J_force", "force", digits=4),
     _Column("J_offline", "J off-line", digits=4),
-    _Column("acceleration_ratio", "acceleration / limit", limit=1.0),
-    _Column("track_shift_ratio", "track shift / limit", limit=1.0),
+    _Column("acceleration_ratio", "acc. / limit", limit=1.0),
+    _Column("track_shift_ratio", "shift / limit", limit=1.0),
     _Column("comfort", "N_MV"),
 )
 _DAMPER_COLUMNS = (
@@ -147,7 +147,7 @@ class EvaluateResult:
             name for name in ("wear", "friction") if len({getattr(c, name) for c in self.conditions}) > 1
         ]
         for name in ("policy", "km/h", *varied, *(column.header for column in columns)):
-            table.add_column(name, justify="left" if name == "policy" else "right")
+            table.add_column(name, justify="left" if name == "policy" else "right", no_wrap=name == "policy")
         for condition in self.conditions:
             medians = {policy: self.medians(policy, condition) for policy in self.policies}
             for policy in self.policies:
