@@ -126,7 +126,7 @@ def map_(
             "--condition-speeds",
             parser=options.parse_speeds,
             metavar="KMH",
-            help="Speeds for which the best constant current is looked for (default 300, 350, 400 km/h).",
+            help="Speeds for which the best constant current is looked for (default 300, 400 km/h).",
         ),
     ] = None,
     profile: options.Profile = None,
@@ -162,7 +162,7 @@ def map_(
 
     Defaults: the passive vehicle and the paper's four controllers, wear 0 to 1 in steps of 0.25, friction 0.2
     to 0.5, speeds 280:440:40 and the middle of the interval in which a limit is crossed. The best constant
-    current is that of the lowest J on line (as in evaluate) and off line, to 1/16 of the range. Finished runs
+    current is that of the lowest J on line (as in evaluate) and off line, to 1/8 of the range. Finished runs
     are kept in the output directory: an interrupted map goes on where it stopped.
     """
     from dataclasses import replace  # noqa: PLC0415 - keeps --help fast

@@ -35,10 +35,10 @@ WEAR = (0.0, 0.25, 0.5, 0.75, 1.0)
 FRICTION = (0.2, 0.3, 0.4, 0.5)
 SPEEDS = tuple(v / KMH for v in range(280, 441, 40))
 """Grid on which the crossing is looked for, m/s; the middle of the interval that holds it is run, too."""
-CONDITION_SPEEDS = tuple(v / KMH for v in (300, 350, 400))
+CONDITION_SPEEDS = tuple(v / KMH for v in (300, 400))
 """Speeds for which the best constant current is looked for, m/s."""
 CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Constant currents tried everywhere; around the best one half and then a quarter of the step."""
+"""Constant currents tried everywhere; around the best one half of the step, again if wanted."""
 DERAILED = 10.0
 """Ratio to a limit with which a derailed run counts, so that a crossing can be interpolated."""
 CRITERIA = ("acceleration", "track_shift_force")
@@ -53,7 +53,7 @@ class MapGrid:
     speeds: tuple[float, ...] = SPEEDS
     condition_speeds: tuple[float, ...] = CONDITION_SPEEDS
     currents: tuple[float, ...] = CURRENTS
-    refinements: int = 2
+    refinements: int = 1
     """How often the step between the currents is halved around the best one."""
 
 

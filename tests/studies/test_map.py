@@ -21,6 +21,7 @@ GRID = MapGrid(
     friction=(0.2, 0.4),
     speeds=tuple(v / 3.6 for v in (280, 320, 360, 400)),
     condition_speeds=(350 / 3.6,),
+    refinements=2,
 )
 Law = Callable[[Group, int], MapRun]
 
