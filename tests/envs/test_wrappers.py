@@ -28,8 +28,14 @@ def test_ranges_become_minus_one_to_one(kind: str, quick: str) -> None:
     span = space.high.astype(float) - space.low
     back = space.low + (seen.astype(float) + 1.0) / 2.0 * span
     np.testing.assert_allclose(back, expected, atol=1e-6 * span.max(), rtol=0)
+
+
+def test_normalised_signals_pass_the_checker(quick: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = NormalizeSignals(gym.make("SAYD/Nominal-v0", environment=quick))
     with pytest.warns(UserWarning, match="different from the unwrapped version"):
-        check_env(env, skip_render_check=True)
+        check_env(env)
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
