@@ -1,0 +1,470 @@
+"""Do the environments hold under any command? Millions of random and extreme control steps, all checked.
+
+Besides, the largest cost J of one second over all that an episode may draw: twice of it is the charge that an
+environment takes for each second that a terminated episode did not run (`termination_cost`).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, astuple, dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import ConfigError
+from sayd_env.envs.loop import NOT_FINITE, RUNNING
+from sayd_env.envs.vector import SaydVectorEnv
+from sayd_env.studies.output import Progress, Table, silent
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Commands = npt.NDArray[np.float32]
+
+KINDS = {"held": 0.4, "fresh": 0.2, "open": 0.1, "closed": 0.1, "bang-bang": 0.2}
+"""Stretches of commands and how often they come: random and held, random anew at each step, all valves open,
+all closed, each valve between its ends in turn."""
+LONGEST = 2000
+"""Steps of the longest stretch: 20 s, in which hunting grows to its full size."""
+LONGEST_SIDE = 50
+"""Steps for which a bang-bang command stays at one end, at most."""
+DEFECTS = {
+    "observations": "observations that are not finite",
+    "observations_out_of_range": "observations out of range",
+    "rewards": "rewards that are not finite",
+    "states": "states that are not finite",
+    "diverged": "episodes that diverged",
+}
+"""What must not be and what it is called; counted by vehicle and step, the last by episode."""
+MARGIN = 2.0
+"""J_term over the largest J of a second: ending early never pays."""
+SHOWN = 5
+"""Seconds that the summary prints."""
+KEPT = 50
+"""Seconds that the table of the worst holds."""
+KMH = 3.6
+
+
+@dataclass(frozen=True)
+class Second:
+    """One second of an episode, and what it ran under."""
+
+    J: float
+    """Mean of the bogies' J; what came together until then, where the episode was terminated within it."""
+    cut: bool
+    """The episode was terminated within this second."""
+    second: int
+    """Number of the second in its episode, from 0."""
+    seed: int
+    episode: int
+    speed_kmh: float
+    wear: float
+    friction: float
+    track: str
+    faults: str
+    """Kinds of the episode's faults that had happened."""
+    commands: str
+    """The last kind of command in this second."""
+
+
+@dataclass(frozen=True)
+class SoakResult:
+    """What a soak found."""
+
+    environment: str
+    steps: int
+    """Control steps, without those at which an episode begins."""
+    lanes: int
+    episodes: int
+    """Episodes that began."""
+    truncated: int
+    endings: dict[str, int]
+    """Terminated episodes by their reason."""
+    defects: dict[str, int]
+    """Counts by the keys of `DEFECTS`."""
+    costs: Array
+    """J of every whole second."""
+    worst: tuple[Second, ...]
+    """The seconds of the largest J, cut ones among them, largest first."""
+    termination_cost: float
+    """What the environment charges now."""
+    wall_s: float
+
+    @property
+    def largest(self) -> float:
+        """Largest J of a second; NaN where none was run."""
+        return self.worst[0].J if self.worst else math.nan
+
+    @property
+    def recommended(self) -> float:
+        """Twice of it, the recommended `termination_cost`."""
+        return MARGIN * self.largest
+
+    @property
+    def failures(self) -> str:
+        """Defects in words; empty without any."""
+        return ", ".join(f"{DEFECTS[name]}: {count}" for name, count in self.defects.items() if count)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of ``sayd soak --json``."""
+        return {
+            "environment": self.environment,
+            "steps": self.steps,
+            "environments": self.lanes,
+            "episodes": self.episodes,
+            "truncated": self.truncated,
+            "terminated": sum(self.endings.values()),
+            "endings": self.endings,
+            "defects": self.defects,
+            "seconds": len(self.costs),
+            "largest_j": self.largest,
+            "quantiles_j": {f"{q:g}": v for q, v in zip(_QUANTILES, self._quantiles(), strict=True)},
+            "worst": [asdict(second) for second in self.worst[:SHOWN]],
+            "termination_cost": self.termination_cost,
+            "recommended_termination_cost": self.recommended,
+            "wall_s": self.wall_s,
+            "steps_per_s": self.steps / self.wall_s,
+        }
+
+    def tables(self) -> dict[str, Table]:
+        """Worst seconds with their conditions, and how often J lies within which bounds."""
+        counts, edges = self._histogram()
+        bins = list(zip(edges[:-1], edges[1:], counts, strict=True))
+        worst = [astuple(second) for second in self.worst]
+        return {
+            "worst_seconds": ([f.name for f in fields(Second)], worst),
+            "histogram": (("J_from", "J_to", "seconds"), bins),
+        }
+
+    def plots(self) -> dict[str, Callable[[Figure], None]]:
+        """How often which J of a second comes, unless no second is whole."""
+        return {"soak": self._draw} if np.any(self.costs > 0.0) else {}
+
+    def summary(self, console: Console) -> None:
+        """Print what was run and found, the worst seconds and the recommended charge."""
+        from rich.table import Table as Printed  # noqa: PLC0415 - only who prints pays for it
+
+        about = f"{self.steps:,} control steps of {self.lanes} vehicles, environment {self.environment}"
+        found = Printed(title=about)
+        found.add_column("")
+        found.add_column("count", justify="right")
+        rows: list[tuple[str, int]] = [("episodes", self.episodes), ("ran to their end", self.truncated)]
+        rows += [(f"terminated: {reason}", count) for reason, count in self.endings.items()]
+        for name, count in rows:
+            found.add_row(name, f"{count:,}")
+        found.add_section()
+        for name, count in self.defects.items():
+            found.add_row(DEFECTS[name], f"[bold red]{count:,}[/]" if count else "0")
+        console.print(found)
+        self._print_worst(console)
+        quantiles = ", ".join(
+            f"{100 * q:g} %: {v:.3g}" for q, v in zip(_QUANTILES, self._quantiles(), strict=True)
+        )
+        console.print(f"J of {len(self.costs):,} whole seconds: {quantiles}, largest {self.largest:.4g}")
+        console.print(
+            f"recommended termination_cost, {MARGIN:g} times the largest J: [bold]{self.recommended:.4g}[/] "
+            f"(configured: {self.termination_cost:g})"
+        )
+        console.print(f"{self.wall_s:.0f} s, {self.steps / self.wall_s:,.0f} steps/s with resets")
+
+    def _print_worst(self, console: Console) -> None:
+        from rich.table import Table as Printed  # noqa: PLC0415 - only who prints pays for it
+
+        table = Printed(title="seconds of the largest J")
+        for name in (
+            "J",
+            "second",
+            "seed",
+            "episode",
+            "km/h",
+            "wear",
+            "friction",
+            "track",
+            "commands",
+            "faults",
+        ):
+            table.add_column(name, justify="right" if name not in ("track", "commands", "faults") else "left")
+        for s in self.worst[:SHOWN]:
+            when = f"{s.second}{' (cut)' if s.cut else ''}"
+            numbers = (f"{s.speed_kmh:.0f}", f"{s.wear:g}", f"{s.friction:.2f}")
+            table.add_row(
+                f"{s.J:.4g}", when, str(s.seed), str(s.episode), *numbers, s.track, s.commands, s.faults
+            )
+        console.print(table)
+
+    def _quantiles(self) -> list[float]:
+        if not len(self.costs):
+            return [math.nan] * len(_QUANTILES)
+        return [float(value) for value in np.quantile(self.costs, _QUANTILES)]
+
+    def _histogram(self) -> tuple[npt.NDArray[np.int64], Array]:
+        """Counts of seconds in bins of equal ratio, ten in a decade."""
+        positive = self.costs[self.costs > 0.0]
+        if not len(positive):
+            return np.zeros(0, dtype=np.int64), np.ones(1)
+        first = math.floor(10.0 * math.log10(positive.min()))
+        last = math.floor(10.0 * math.log10(positive.max())) + 1
+        edges = 10.0 ** (np.arange(first, last + 1) / 10.0)
+        counts, _ = np.histogram(positive, edges)
+        return counts, edges
+
+    def _draw(self, figure: Figure) -> None:
+        counts, edges = self._histogram()
+        axis = figure.subplots()
+        axis.stairs(counts, edges, fill=True, color="C0", alpha=0.7, label="whole seconds")
+        axis.axvline(self.largest, color="C3", label=f"largest: {self.largest:.3g}")
+        axis.axvline(
+            self.recommended, color="k", linestyle="--", label=f"recommended charge: {self.recommended:.3g}"
+        )
+        axis.set(xscale="log", yscale="log", xlabel="J of a second", ylabel="seconds")
+        axis.set_title(f"{self.environment}: {self.steps:,} steps of random and extreme commands")
+        axis.grid(alpha=0.3)
+        figure.legend(loc="outside lower center", ncols=3)
+
+
+_QUANTILES = (0.5, 0.9, 0.99, 0.999)
+
+
+def soak(
+    environment: str = "faults",
+    steps: int = 2_000_000,
+    *,
+    lanes: int = 64,
+    seed: int = 0,
+    settings: Sequence[str] = (),
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> SoakResult:
+    """Run random and extreme commands through the batch environment and check every number that comes out.
+
+    Parameters
+    ----------
+    environment : str
+        A packaged environment or a path to a YAML file.
+    steps : int
+        Control steps of all vehicles together, at least; whole steps of the batch are run.
+    lanes : int
+        Vehicles side by side. Vehicle i has the seed ``seed + i``.
+    seed : int
+        Seed of the episodes and of the commands.
+    settings : sequence of str
+        ``key=value`` assignments for the scenario; what they set is not drawn.
+    workers : int, optional
+        Threads; results do not depend on it.
+    progress : Progress
+        Told after each step of the batch.
+
+    Raises
+    ------
+    ConfigError
+        An environment that cannot be used, no steps or no vehicles.
+    """
+    if steps < 1 or lanes < 1:
+        raise ConfigError(f"found {steps} steps of {lanes} vehicles; expected at least one of one")
+    begin = time.perf_counter()
+    env = SaydVectorEnv(environment, num_envs=lanes, num_threads=workers, settings=settings)
+    commands = RandomCommands(lanes, env.interface.actions, np.random.default_rng([seed, lanes]))
+    watch = _Watch(env, commands)
+    try:
+        observations, _ = env.reset(seed=seed)
+        watch.begun(np.ones(lanes, dtype=np.bool_))
+        watch.check(observations, np.zeros(lanes))
+        while watch.steps < steps:
+            watch.take(*env.step(commands.next())[:4])
+            progress(min(watch.steps, steps), steps, f"{watch.episodes} episodes")
+    finally:
+        env.close()
+    return watch.result(environment, time.perf_counter() - begin)
+
+
+class RandomCommands:
+    """Valve commands of several vehicles: stretches of random length, each of a random kind of `KINDS`.
+
+    Parameters
+    ----------
+    lanes, valves : int
+        Shape of the commands.
+    random : Generator
+    """
+
+    def __init__(self, lanes: int, valves: int, random: np.random.Generator) -> None:
+        self._random = random
+        self._names = list(KINDS)
+        self._shares = np.array(list(KINDS.values()))
+        self.kind = np.zeros(lanes, dtype=np.int64)
+        """Place of each vehicle's present kind in `KINDS`."""
+        self._left = np.zeros(lanes, dtype=np.int64)
+        self._age = np.zeros(lanes, dtype=np.int64)
+        self._side = np.ones(lanes, dtype=np.int64)
+        self._ends = np.zeros((2, lanes, valves), dtype=np.float32)
+
+    def names(self) -> list[str]:
+        """Each vehicle's present kind."""
+        return [self._names[kind] for kind in self.kind]
+
+    def next(self) -> Commands:
+        """Commands of the next step, a new array of shape (lanes, valves)."""
+        over = np.flatnonzero(self._left == 0)
+        if over.size:
+            self._begin(over)
+        fresh = self.kind == self._names.index("fresh")
+        second = (self._age // self._side) % 2 == 1
+        command: Commands = np.where(second[:, None], self._ends[1], self._ends[0])
+        if fresh.any():
+            command[fresh] = self._random.random(command[fresh].shape, dtype=np.float32)
+        self._age += 1
+        self._left -= 1
+        return command
+
+    def _begin(self, which: npt.NDArray[np.intp]) -> None:
+        """Draw new stretches for some vehicles."""
+        random, count, valves = self._random, len(which), self._ends.shape[2]
+        kind = random.choice(len(self._names), size=count, p=self._shares)
+        self.kind[which], self._age[which] = kind, 0
+        self._left[which] = _lengths(random, LONGEST, count)
+        self._side[which] = _lengths(random, LONGEST_SIDE, count)
+        held = random.random((count, valves), dtype=np.float32)
+        first_end = random.integers(2, size=(count, valves)).astype(np.float32)
+        for end, side in enumerate((first_end, 1.0 - first_end)):
+            of_kind: dict[str, Any] = {
+                "held": held,
+                "fresh": held,
+                "open": 1.0,
+                "closed": 0.0,
+                "bang-bang": side,
+            }
+            for place, name in enumerate(self._names):
+                chosen = kind == place
+                value: Any = of_kind[name]
+                self._ends[end, which[chosen]] = value[chosen] if isinstance(value, np.ndarray) else value
+
+
+def _lengths(random: np.random.Generator, longest: int, count: int) -> npt.NDArray[np.int64]:
+    """Lengths from 1 to the longest, short ones more often: uniform in their logarithms."""
+    drawn = np.exp(random.uniform(0.0, math.log(longest + 1), count)).astype(np.int64)
+    return np.clip(drawn, 1, longest)
+
+
+class _Watch:
+    """Counts what comes out of an environment whose episodes begin at the next step."""
+
+    def __init__(self, env: SaydVectorEnv, commands: RandomCommands) -> None:
+        self.env, self.commands = env, commands
+        self.steps = self.episodes = self.truncated = 0
+        self.endings: Counter[str] = Counter()
+        self.defects = dict.fromkeys(DEFECTS, 0)
+        self._ended = np.zeros(env.num_envs, dtype=np.bool_)
+        self._sum = np.zeros(env.num_envs)
+        self._per_second = round(1.0 / env.interface.control_period)
+        self._costs: list[Array] = []
+        self._worst: list[Second] = []
+        space: Any = env.observation_space
+        self._low, self._high = space.low, space.high
+
+    def begun(self, which: Flags) -> None:
+        """Note that episodes began."""
+        self.episodes += int(np.count_nonzero(which))
+        self._sum[which] = 0.0
+
+    def check(self, observations: npt.NDArray[np.float32], rewards: Array) -> None:
+        """Count numbers that are not finite, or beyond their space."""
+        finite = np.isfinite(observations)
+        if not finite.all():
+            self.defects["observations"] += _lanes_of(~finite)
+        outside = (observations < self._low) | (observations > self._high)
+        if outside.any():
+            self.defects["observations_out_of_range"] += _lanes_of(outside)
+        self.defects["rewards"] += int(np.count_nonzero(~np.isfinite(rewards)))
+        state = self.env.fleet.lanes.state
+        if not all(np.isfinite(values).all() for values in state.values):
+            self.defects["states"] += sum(
+                not all(np.isfinite(values).all() for values in state.view(i))
+                for i in range(self.env.num_envs)
+            )
+
+    def take(
+        self, observations: npt.NDArray[np.float32], rewards: Array, terminated: Flags, truncated: Flags
+    ) -> None:
+        """Count one step of the batch."""
+        if self._ended.any():
+            self.begun(self._ended)
+        self.check(observations, rewards)
+        stepped = ~self._ended
+        self.steps += int(np.count_nonzero(stepped))
+        self._add_costs(stepped, terminated)
+        self.truncated += int(np.count_nonzero(truncated))
+        for i in map(int, np.flatnonzero(terminated)):
+            self.endings[self.env.fleet.ending(i)] += 1
+            self.defects["diverged"] += int(self.env.fleet.lanes.status[i] == NOT_FINITE)
+        self._ended = terminated | truncated
+
+    def _add_costs(self, stepped: Flags, terminated: Flags) -> None:
+        """Add the steps' costs to their seconds, the charge for a termination left out."""
+        fleet = self.env.fleet
+        if np.count_nonzero(fleet.lanes.status) == 0:
+            self._sum[stepped] -= fleet.lanes.rewards[stepped]
+        else:
+            ran = stepped & (fleet.elapsed > 0) & (fleet.lanes.status != NOT_FINITE)
+            self._sum[ran] -= fleet.lanes.rewards[ran]
+        whole = stepped & (fleet.elapsed % self._per_second == 0) & (fleet.lanes.status == RUNNING)
+        done = whole | terminated
+        if not done.any():
+            return
+        if whole.any():
+            self._costs.append(self._sum[whole].copy())
+        least = self._worst[-1].J if len(self._worst) >= KEPT else -math.inf
+        high = [int(i) for i in np.flatnonzero(done) if self._sum[i] > least]
+        if high:
+            names = self.commands.names()
+            self._worst += [self._second(i, bool(terminated[i]), names[i]) for i in high]
+            self._worst = sorted(self._worst, key=lambda second: -second.J)[:KEPT]
+        self._sum[done] = 0.0
+
+    def _second(self, i: int, cut: bool, commands: str) -> Second:
+        fleet = self.env.fleet
+        episode, scenario, elapsed = fleet.episodes[i], fleet.scenario, int(fleet.elapsed[i])
+        assert episode is not None  # it has been run
+        time_s = elapsed * fleet.config.control_period
+        happened = [fault.kind for fault in episode.faults if fault.start_s <= time_s]
+        return Second(
+            J=float(self._sum[i]),
+            cut=cut,
+            second=max(elapsed - 1, 0) // self._per_second,
+            seed=episode.seed,
+            episode=episode.number,
+            speed_kmh=episode.speed * KMH,
+            wear=scenario.wear if episode.wear is None else episode.wear,
+            friction=scenario.friction if episode.friction is None else episode.friction,
+            track="of the study" if episode.track is None else episode.track,
+            faults=" ".join(happened),
+            commands=commands,
+        )
+
+    def result(self, environment: str, wall: float) -> SoakResult:
+        """What was counted."""
+        return SoakResult(
+            environment=environment,
+            steps=self.steps,
+            lanes=self.env.num_envs,
+            episodes=self.episodes,
+            truncated=self.truncated,
+            endings=dict(self.endings),
+            defects=dict(self.defects),
+            costs=np.concatenate(self._costs) if self._costs else np.zeros(0),
+            worst=tuple(self._worst),
+            termination_cost=self.env.config.termination_cost,
+            wall_s=wall,
+        )
+
+
+def _lanes_of(flags: npt.NDArray[np.bool_]) -> int:
+    """In how many lanes any flag is set."""
+    return int(np.count_nonzero(flags.reshape(len(flags), -1).any(axis=1)))
