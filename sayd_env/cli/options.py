@@ -33,6 +33,12 @@ class Numbers(tuple[float, ...]):
     __slots__ = ()
 
 
+class Names(tuple[str, ...]):
+    """Names as they were typed, at least one."""
+
+    __slots__ = ()
+
+
 class PolicyNames(tuple[str, ...]):
     """Policies as they were typed, at least one."""
 
@@ -100,6 +106,11 @@ def _speeds_error(text: str, problem: str) -> ConfigError:
 def parse_policies(text: str) -> PolicyNames:
     """Read ``passive,mppt1,constant:0.3``; whether there are such policies is checked where they are made."""
     return PolicyNames(part.strip() for part in text.split(","))
+
+
+def parse_names(text: str) -> Names:
+    """Read names, separated by commas."""
+    return Names(part.strip() for part in text.split(","))
 
 
 def parse_wear(text: str) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,17 +18,20 @@ from sayd_env.physics import sayd
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
 from sayd_env.studies.checkpoint import RunStore
-from sayd_env.studies.claims_controlled import POLICIES, controlled_claims, required_runs
+from sayd_env.studies.claims_controlled import controlled_claims, required_runs, skyhook_runs
 from sayd_env.studies.claims_passive import NEW_SPEEDS, WORN_SPEEDS, passive_claims
 from sayd_env.studies.conicity import conicity, plot_conicity
 from sayd_env.studies.controlled import ControlledRun, ControlledRuns, controlled_run_of
 from sayd_env.studies.controlled_figures import controlled_plots
 from sayd_env.studies.critical_speed import draw_trends, model_limits
+from sayd_env.studies.evaluate import environment_of
 from sayd_env.studies.hysteresis import HysteresisResult, hysteresis
 from sayd_env.studies.judging import Claim, once
+from sayd_env.studies.kept_runs import run_kept
 from sayd_env.studies.output import Progress, silent
+from sayd_env.studies.period_sensitivity import PeriodSensitivity, period_sensitivity
 from sayd_env.studies.reproduce_page import reproduce_page
-from sayd_env.studies.rollouts import Group, PolicySpec, for_policy, run_groups
+from sayd_env.studies.rollouts import Group, PolicySpec, for_policy
 from sayd_env.studies.sweep import Run, Sweep, run_name, runs_table, sweep
 
 if TYPE_CHECKING:
@@ -39,6 +42,14 @@ KMH = 3.6
 DEGREES_OF_FREEDOM = 62
 YAW_DAMPERS = 8
 SAYD_STATES = 6
+ROWS = (
+    *(f"P{i}" for i in range(1, 12)),
+    *(f"M{i}" for i in range(1, 10)),
+    *(f"S{i}" for i in range(1, 7)),
+    "C1",
+    "C2",
+)
+"""Names of the rows, in the order of the table."""
 LEAST_SEEDS = 10
 """Track realisations that a verdict needs."""
 
@@ -58,6 +69,8 @@ class ReproduceResult:
     """Runs with semi-active dampers."""
     reused: int = 0
     """Runs that an earlier start had finished."""
+    sensitivity: PeriodSensitivity | None = None
+    """Rows S1 to S6 at other control periods."""
 
     @property
     def failed(self) -> list[str]:
@@ -66,7 +79,8 @@ class ReproduceResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd reproduce --json``."""
-        return {"claims": [c.as_dict() for c in self.claims], "seeds": list(self.new.seeds)}
+        periods = {} if self.sensitivity is None else {"control_periods": self.sensitivity.as_dict()}
+        return {"claims": [c.as_dict() for c in self.claims], "seeds": list(self.new.seeds), **periods}
 
     def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
         """Claims, and every run."""
@@ -77,6 +91,7 @@ class ReproduceResult:
             "runs_new": runs_table(self.new, self.wheelsets),
             "runs_worn": runs_table(self.worn, self.wheelsets),
             **self.controlled.tables(self.wheelsets),
+            **({} if self.sensitivity is None else {"control_periods": self.sensitivity.table()}),
         }
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
@@ -98,13 +113,18 @@ class ReproduceResult:
         """Print the table of claims."""
         from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
 
-        table = Table(title=f"what the paper shows, on {len(self.new.seeds)} track seeds")
-        for name in ("row", "expected", "measured", "share", "holds"):
-            table.add_column(name, justify="right" if name == "share" else "left")
-        for c in self.claims:
-            verdict = "yes" if c.holds else "[bold red]no[/]"
-            table.add_row(c.id, c.expected, c.measured, f"{100 * c.fraction:.0f} %", verdict)
-        console.print(table)
+        def shown(title: str, claims: Sequence[Claim]) -> None:
+            table = Table(title=title)
+            for name in ("row", "expected", "measured", "share", "holds"):
+                table.add_column(name, justify="right" if name == "share" else "left")
+            for c in claims:
+                verdict = "yes" if c.holds else "[bold red]no[/]"
+                table.add_row(c.id, c.expected, c.measured, f"{100 * c.fraction:.0f} %", verdict)
+            console.print(table)
+
+        shown(f"what the paper shows, on {len(self.new.seeds)} track seeds", self.claims)
+        for period, claims in () if self.sensitivity is None else self.sensitivity.claims.items():
+            shown(f"rows S1 to S6 with a control period of {1e3 * period:g} ms", claims)
         if len(self.new.seeds) < LEAST_SEEDS:
             console.print(f"fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
         held = len(self.claims) - len(self.failed)
@@ -128,6 +148,7 @@ def reproduce(
     seeds: Sequence[int] = range(10),
     *,
     environment: EnvironmentConfig | None = None,
+    control_periods: Sequence[float] = (),
     workers: int | None = None,
     progress: Progress = silent,
     folder: Path | None = None,
@@ -143,6 +164,8 @@ def reproduce(
         Track seeds.
     environment : EnvironmentConfig, optional
         Sensors and clock of the controllers; those of ``nominal`` by default.
+    control_periods : sequence of float
+        Control periods (s) at which rows S1 to S6 are judged besides.
     workers : int, optional
         Threads.
     progress : Progress
@@ -162,7 +185,8 @@ def reproduce(
         raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
     groups = controlled_groups(models[1].scenario, environment or load_environment(), seeds)
-    total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS) + len(groups))
+    rest = len(control_periods) * len(skyhook_runs())
+    total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS) + len(groups) + rest)
     done_before = 0
     sweeps = []
     stores = [_store(folder, model) for model in models]
@@ -172,6 +196,18 @@ def reproduce(
         done_before += len(seeds) * len(speeds)
     new, worn = sweeps
     runs, kept = controlled_runs(groups, folder, workers, partial(_report, progress, done_before, total))
+    done_before += len(seeds) * len(groups)
+    sensitivity = None
+    if control_periods:
+        sensitivity = period_sensitivity(
+            models[1].scenario,
+            seeds,
+            control_periods,
+            environment=environment,
+            workers=workers,
+            progress=partial(_report, progress, done_before, total),
+            folder=None if folder is None else folder / "control_periods",
+        )
     limits = model_limits(models[0])
     loops = hysteresis(scenario)
     claims = [
@@ -184,26 +220,25 @@ def reproduce(
     used: list[RunStore[Any]] = [store for store in (*stores, *kept) if store is not None]
     for store in used:
         store.forget_former()
-    reused = sum(store.reused for store in used)
-    return ReproduceResult(scenario, claims, new, worn, limits, names, loops, runs, reused)
+    reused = sum(store.reused for store in used) + (0 if sensitivity is None else sensitivity.reused)
+    return ReproduceResult(scenario, claims, new, worn, limits, names, loops, runs, reused, sensitivity)
 
 
 def controlled_groups(
     scenario: Scenario, environment: EnvironmentConfig, seeds: Sequence[int]
 ) -> list[Group]:
     """The runs with controllers that the rows need; parameters of each controller are in its `PolicySpec`."""
-    # One run-in for environment and assessment, or the runs would not be like those of the passive vehicle.
-    environment = environment.model_copy(update={"run_in": scenario.assessment.run_in})
-    specs = {name: PolicySpec(name, load_controller(name, {}).model_dump()) for name in POLICIES}
-    return [
-        Group(specs[name], for_policy(scenario, specs[name]), environment, speed, tuple(seeds), current)
-        for name, speed, current in required_runs()
-    ]
+    groups = []
+    for name, speed, current in required_runs():
+        spec = PolicySpec(name, load_controller(name, {}).model_dump())
+        fitted = for_policy(scenario, spec)
+        groups.append(Group(spec, fitted, environment_of(fitted, environment), speed, tuple(seeds), current))
+    return groups
 
 
 def controlled_runs(
     groups: Sequence[Group], folder: Path | None, workers: int | None, progress: Progress = silent
-) -> tuple[ControlledRuns, list[RunStore[ControlledRun] | None]]:
+) -> tuple[ControlledRuns, list[RunStore[ControlledRun]]]:
     """Assess the runs of all groups, those that an earlier start has finished from the disk.
 
     Returns
@@ -212,49 +247,21 @@ def controlled_runs(
     list of RunStore
         Where the runs of each controller are kept.
     """
-    stores = {group.policy.name: _controlled_store(folder, group) for group in groups}
+    stores: dict[str, RunStore[ControlledRun]] = {}
+    for group in groups if folder is not None else ():
+        assert folder is not None
+        inputs = (group.scenario, group.config, dict(group.policy.parameters))
+        stores.setdefault(group.policy.name, RunStore(folder, group.policy.name, ControlledRun, *inputs))
 
-    def found(group: Group, seed: int) -> ControlledRun | None:
-        store = stores[group.policy.name]
-        return None if store is None else store.get(_name(group, seed))
-
-    runs = [run for group in groups for seed in group.seeds if (run := found(group, seed)) is not None]
-    there = {(run.policy, run.speed, run.initial_current, run.seed) for run in runs}
-    missing = [
-        replace(group, seeds=tuple(seed for seed in group.seeds if (*_key(group), seed) not in there))
-        for group in groups
-    ]
+    def place(group: Group, seed: int) -> tuple[RunStore[ControlledRun] | None, str]:
+        name = f"{run_name(group.speed, seed)}_V0_{group.initial_current:g}"
+        return stores.get(group.policy.name), name
 
     def analyse(group: Group, rollout: Rollout) -> ControlledRun:
-        run = controlled_run_of(group.policy.name, rollout, group.scenario.assessment)
-        store = stores[group.policy.name]
-        if store is not None:
-            store.put(_name(group, run.seed), run)
-        return run
+        return controlled_run_of(group.policy.name, rollout, group.scenario.assessment)
 
-    before = len(runs)
-
-    def report(done: float, total: float, what: str = "") -> None:
-        progress(before + done, before + total, what)
-
-    new = run_groups(missing, analyse, workers=workers, progress=report)
-    return ControlledRuns([*runs, *(run for part in new for run in part)]), list(stores.values())
-
-
-def _key(group: Group) -> tuple[str, float, float]:
-    return group.policy.name, group.speed, group.initial_current
-
-
-def _name(group: Group, seed: int) -> str:
-    """Name of a run on the disk."""
-    return f"{run_name(group.speed, seed)}_V0_{group.initial_current:g}"
-
-
-def _controlled_store(folder: Path | None, group: Group) -> RunStore[ControlledRun] | None:
-    if folder is None:
-        return None
-    parameters = dict(group.policy.parameters)
-    return RunStore(folder, group.policy.name, ControlledRun, group.scenario, group.config, parameters)
+    runs = run_kept(groups, analyse, place, workers=workers, progress=progress)
+    return ControlledRuns(run for part in runs for run in part), list(stores.values())
 
 
 def _store(folder: Path | None, model: VehicleModel) -> RunStore[Run] | None:

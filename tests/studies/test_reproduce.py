@@ -15,16 +15,9 @@ from sayd_env.physics.simulator import VehicleModel
 from sayd_env.studies import sweep
 from sayd_env.studies.claims_passive import WORN_SPEEDS, passive_claims
 from sayd_env.studies.hysteresis import hysteresis
-from sayd_env.studies.reproduce import ReproduceResult, damper_claim, model_claim, reproduce
+from sayd_env.studies.reproduce import ROWS, ReproduceResult, damper_claim, model_claim, reproduce
 from sayd_env.studies.sweep import assessed_run
 
-ROWS = [
-    *(f"P{i}" for i in range(1, 12)),
-    *(f"M{i}" for i in range(1, 10)),
-    *(f"S{i}" for i in range(1, 7)),
-    "C1",
-    "C2",
-]
 RUNS = 11 + 22
 """Of one seed: passive ones on two speed grids, and those with controllers."""
 SHORT = ["--config", "estimates", "--set", "assessment.run_in=200", "--set", "assessment.length=600"]
@@ -46,7 +39,7 @@ def result(short_scenario: Scenario, told: list[tuple[float, float]]) -> Reprodu
 
 
 def test_every_row_is_judged(result: ReproduceResult):
-    assert [claim.id for claim in result.claims] == ROWS
+    assert [claim.id for claim in result.claims] == list(ROWS)
     assert result.claims[:10] == passive_claims(result.new, result.worn, result.limits)
     keys = result.as_dict()
     assert keys["seeds"] == [3]
@@ -118,7 +111,7 @@ def test_a_loop_that_dissipates_nothing_fails_row_11(short_scenario: Scenario):
 def test_the_command_writes_claims_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["reproduce", *SHORT, "--seeds", "1", "--json", "--out", str(tmp_path)]) == 0
     content = json.loads(capsys.readouterr().out)
-    assert [claim["id"] for claim in content["claims"]] == ROWS
+    assert [claim["id"] for claim in content["claims"]] == list(ROWS)
     assert content["seeds"] == [0]
     files = {path.name for path in tmp_path.iterdir()}
     assert {"result.json", "claims.csv", "runs_new.csv", "runs_worn.csv", "runs_controlled.csv"} <= files
@@ -158,3 +151,20 @@ def test_strict_fails_with_the_rows_that_do_not_hold(capsys: pytest.CaptureFixtu
     failed = [claim["id"] for claim in json.loads(out)["claims"] if not claim["holds"]]
     assert failed
     assert f"sayd: error: rows that do not hold: {', '.join(failed)}" in err
+
+
+def test_rows_that_are_allowed_to_fail_are_no_error(capsys: pytest.CaptureFixture[str]):
+    weak = ["--set", "damper.curve=[[0, 0], [0.2, 120.0], [1.0, 150.0]]"]
+    allowed = ["--strict", "--allow", ",".join(ROWS)]
+    assert main(["reproduce", *SHORT, *weak, *allowed, "--seeds", "1", "--json"]) == 0
+    assert main(["reproduce", *SHORT, "--strict", "--allow", "P12"]) == 2
+    assert "--allow P12: unknown row; expected P1, P2" in capsys.readouterr().err
+
+
+def test_rows_on_skyhook_at_another_control_period(short_scenario: Scenario):
+    """At the period that the environment has anyway, the rows are the same ones."""
+    found = reproduce(short_scenario, [3], control_periods=[0.01])
+    assert found.sensitivity is not None
+    rows = [claim for claim in found.claims if claim.id.startswith("S")]
+    assert found.sensitivity.claims[0.01] == rows
+    assert {entry["control_period_s"] for entry in found.as_dict()["control_periods"]} == {0.01}
