@@ -55,5 +55,5 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 # The learning part, with torch, is what the tests need besides. pip's options choose torch's build:
 # make test PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
 $(VENV)/.learning: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[onnx]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[train,onnx]'
 	touch $@

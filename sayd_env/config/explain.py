@@ -14,7 +14,7 @@ Path = tuple[int | str, ...]
 """Way to a value in nested data."""
 
 LONGEST_FOUND = 60
-TAGS = ("type", "law", "kind")
+TAGS = ("type", "law", "kind", "algorithm")
 """Fields by which the members of a union are told apart."""
 
 

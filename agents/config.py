@@ -1,0 +1,179 @@
+"""Schema of a training: environment, the network's inputs and outputs, algorithm, evaluation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from sayd_env.config import Model, quantity
+from sayd_env.config.base import Number
+from sayd_env.config.loader import read_overridden
+
+Count = Annotated[int, Field(strict=True, ge=1)]
+"""A whole number of 1 or more."""
+
+
+class LearningEnvironmentConfig(Model):
+    """The environment in which a policy learns; what is null stays as the environment has it."""
+
+    name: str = Field(min_length=1, description="Name of an environment, or a path to its YAML file")
+    lanes: int = Field(description="Vehicles side by side", strict=True, ge=1, le=4096)
+    threads: Count | None = Field(None, description="Threads of the simulator; null: all cores")
+    valves: Literal["bogie", "damper", "vehicle"]
+    observation: Literal["signals", "history", "features"]
+    history: Count | None = Field(None, description="Vectors in an observation of type 'history'")
+    control_period: float = quantity("s", "Time for which a command holds", gt=0.0, le=1.0)
+    episode_s: float = quantity("s", "Time at which an episode is truncated", gt=0.0)
+    reward: Literal["mppt1", "mppt2"] = Field(description="Weights of the cost")
+
+
+class InputConfig(Model):
+    """How a quantity enters the network: a fixed map."""
+
+    law: Literal["linear", "log"] = Field(
+        "linear", description="linear: (value - middle) / half. log: ln(value / middle) / half"
+    )
+    middle: Number = Field(description="Value that becomes 0, in the signal's unit")
+    half: Number = Field(
+        gt=0.0, description="What becomes 1: a difference in the signal's unit, or a logarithm of a ratio"
+    )
+
+    @model_validator(mode="after")
+    def _has_logarithm(self) -> InputConfig:
+        if self.law == "log" and self.middle <= 0.0:
+            raise ValueError(f"middle ({self.middle:g}) must be positive with law 'log'")
+        return self
+
+
+class OutputConfig(Model):
+    """What the network's output, -1 to 1, does to the valve command."""
+
+    kind: Literal["command", "change"] = Field(
+        description="command: -1 closes the valve and 1 opens it. change: added to the command that holds, "
+        "which the observation must contain"
+    )
+    rate: float = quantity("1/s", "Fastest change of a command, for 'change'", default=1.0, gt=0.0)
+
+
+class NetworkConfig(Model):
+    """A network of layers that are all connected."""
+
+    hidden: tuple[Annotated[int, Field(strict=True, ge=1, le=4096)], ...] = Field(
+        max_length=8, description="Units of each hidden layer; value functions have the same"
+    )
+    activation: Literal["tanh", "relu"]
+
+
+class PpoConfig(Model):
+    """Settings of PPO, as `stable_baselines3.PPO` calls them."""
+
+    algorithm: Literal["ppo"]
+    learning_rate: float = quantity("-", "Step of Adam", gt=0.0, le=1.0)
+    n_steps: Count = Field(description="Steps of each lane between updates")
+    batch_size: int = Field(description="Samples in a minibatch", strict=True, ge=2)
+    n_epochs: Count = Field(description="Passes over the samples in an update")
+    gae_lambda: float = quantity("-", "Lambda of the generalised advantage", ge=0.0, le=1.0)
+    clip_range: float = quantity("-", "Clipping of the ratio of probabilities", gt=0.0)
+    ent_coef: float = quantity("-", "Weight of the entropy", ge=0.0)
+    vf_coef: float = quantity("-", "Weight of the value's loss", ge=0.0)
+    max_grad_norm: float = quantity("-", "Largest norm of a gradient", gt=0.0)
+    log_std_init: float = quantity("-", "Logarithm of the first standard deviation of the output")
+
+
+class SacConfig(Model):
+    """Settings of SAC, as `stable_baselines3.SAC` calls them; the entropy's weight is tuned."""
+
+    algorithm: Literal["sac"]
+    learning_rate: float = quantity("-", "Step of Adam", gt=0.0, le=1.0)
+    buffer_size: Count = Field(description="Steps that are kept")
+    learning_starts: int = Field(description="Random steps before learning", strict=True, ge=0)
+    batch_size: int = Field(description="Samples in a minibatch", strict=True, ge=2)
+    tau: float = quantity("-", "Share of the way that the target networks go", gt=0.0, le=1.0)
+    train_freq: Count = Field(description="Steps of each lane between updates")
+    gradient_steps: Count = Field(description="Updates each time")
+
+
+class EvaluationConfig(Model):
+    """The scenarios on which a policy is judged while it learns: all combinations."""
+
+    every: Count = Field(description="Steps between evaluations")
+    speeds_kmh: tuple[Number, ...] = Field(min_length=1, description="Speeds (km/h)")
+    wear: tuple[Number, ...] = Field(min_length=1, description="Wear of the treads (-)")
+    seeds: tuple[Annotated[int, Field(strict=True, ge=0, lt=1_000_000)], ...] = Field(
+        min_length=1, description="Seeds of tracks; those of the training are a million and more"
+    )
+    initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
+    episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
+    references: tuple[str, ...] = Field((), description="Controllers that are judged once, to compare with")
+
+
+class CheckpointConfig(Model):
+    """How often what has been learned is put on the disk."""
+
+    every: Count = Field(description="Steps between checkpoints")
+    keep: Count = Field(description="Checkpoints that are kept")
+
+
+class TrainConfig(Model):
+    """A training: everything but the number of the run."""
+
+    description: str = ""
+    seed: int = Field(description="Of weights, exploration and episodes", strict=True, ge=0, lt=1_000_000)
+    total_steps: Count = Field(description="Steps of all lanes together")
+    torch_threads: Count = Field(description="Threads of torch; small networks want one")
+    discount_s: float = quantity("s", "Time after which a reward counts 1/e", gt=0.0)
+    reward_scale: float = quantity("-", "Factor on the reward per second", gt=0.0)
+    environment: LearningEnvironmentConfig
+    inputs: dict[str, InputConfig] = Field(min_length=1, description="Quantities that the network sees")
+    clip: float = quantity("-", "Largest input of the network", gt=0.0)
+    output: OutputConfig
+    network: NetworkConfig
+    learning: PpoConfig | SacConfig = Field(discriminator="algorithm")
+    evaluation: EvaluationConfig
+    checkpoint: CheckpointConfig
+
+    @property
+    def gamma(self) -> float:
+        """Discount of one step."""
+        return math.exp(-self.environment.control_period / self.discount_s)
+
+    @field_validator("inputs")
+    @classmethod
+    def _named(cls, inputs: dict[str, InputConfig]) -> dict[str, InputConfig]:
+        for name in inputs:
+            if "." in name:
+                raise ValueError(f"'{name}' is a signal; expected a quantity, such as '{name.split('.')[0]}'")
+        return inputs
+
+    @model_validator(mode="after")
+    def _fits(self) -> TrainConfig:
+        learning, lanes = self.learning, self.environment.lanes
+        if isinstance(learning, PpoConfig) and learning.n_steps * lanes % learning.batch_size:
+            raise ValueError(
+                f"learning.batch_size ({learning.batch_size}) must divide n_steps x lanes "
+                f"({learning.n_steps} x {lanes})"
+            )
+        if isinstance(learning, SacConfig) and learning.buffer_size < lanes:
+            raise ValueError(f"learning.buffer_size ({learning.buffer_size}) must hold a step of all lanes")
+        return self
+
+
+def load_train(name: str = "ppo", overrides: Iterable[str] = ()) -> TrainConfig:
+    """Read a training.
+
+    Parameters
+    ----------
+    name : str
+        A packaged training (``ppo``, ``sac``) or a path to a YAML file.
+    overrides : iterable of str
+        ``key=value`` assignments, applied last, for example ``seed=3``.
+
+    Raises
+    ------
+    ConfigError
+        A file, key or value that cannot be used; the message names it and what is allowed.
+    """
+    return read_overridden(TrainConfig, "train", name, overrides)

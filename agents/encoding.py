@@ -1,0 +1,109 @@
+"""Between a vehicle's signals and a network: fixed maps in physical units, no running statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.config import InputConfig, OutputConfig
+from sayd_env.config import ConfigError, nearest
+from sayd_env.envs.interface import Interface
+
+Observation = npt.NDArray[np.float32]
+
+FLOOR = 1e-12
+"""Smallest ratio of which a logarithm is taken."""
+
+
+class Encoding:
+    """What the network of a policy sees, and what its output does to the valves.
+
+    Parameters
+    ----------
+    interface : Interface
+        The environment's.
+    inputs : mapping
+        How each quantity enters; others are left out.
+    clip : float
+        Inputs are cut off at plus and minus this.
+    output : OutputConfig
+
+    Raises
+    ------
+    ConfigError
+        The environment does not have a quantity, or no commands where the output changes them.
+    """
+
+    def __init__(
+        self, interface: Interface, inputs: Mapping[str, InputConfig], clip: float, output: OutputConfig
+    ) -> None:
+        quantities = [signal.name.partition(".")[0] for signal in interface.signals]
+        for name in inputs:
+            if name not in quantities:
+                raise ConfigError(
+                    f"inputs: observation '{interface.observation}' has no quantity '{name}'"
+                    f"{nearest(name, quantities)}; it has {', '.join(dict.fromkeys(quantities))}"
+                )
+        self.interface = interface
+        self.clip = clip
+        self._shape = interface.shape
+        self.columns = np.array([i for i, name in enumerate(quantities) if name in inputs], dtype=np.intp)
+        chosen = [inputs[quantities[i]] for i in self.columns]
+        self.middle = np.array([each.middle for each in chosen])
+        self.per_half = np.array([1.0 / each.half for each in chosen])
+        self.logarithmic = np.array([each.law == "log" for each in chosen])
+        self.held = _commands(interface) if output.kind == "change" else None
+        self.step = output.rate * interface.control_period
+        self.size = len(self.columns) * interface.history
+        """Inputs of the network."""
+        self.actions = interface.actions
+        """Outputs of the network."""
+
+    def rows(self, observation: npt.ArrayLike) -> tuple[Observation, bool]:
+        """Observations of N vehicles, shape (N, *obs), and whether it is a single one.
+
+        Raises
+        ------
+        ConfigError
+            Another shape.
+        """
+        values = np.asarray(observation, dtype=np.float32)
+        single = values.ndim == len(self._shape)
+        if values.ndim > len(self._shape) + 1 or values.shape[-len(self._shape) :] != self._shape:
+            raise ConfigError(
+                f"found an observation of shape {values.shape}; expected {self._shape} of a vehicle, or "
+                f"(N, {', '.join(map(str, self._shape))}) of N"
+            )
+        return (values[None] if single else values), single
+
+    def encode(self, observations: Observation) -> Observation:
+        """Inputs of the network, shape (N, size), of observations of shape (N, *obs)."""
+        values = observations[..., self.columns].astype(np.float64)
+        values = np.where(np.isnan(values), self.middle, values)
+        # The floor keeps the logarithm of a dead sensor finite; it lies far beyond the clip.
+        ratio = np.log(np.maximum(values / np.where(self.logarithmic, self.middle, 1.0), FLOOR))
+        values = np.where(self.logarithmic, ratio, values - self.middle) * self.per_half
+        bounded: Observation = np.clip(values, -self.clip, self.clip).astype(np.float32)
+        return bounded.reshape(len(values), self.size)
+
+    def decode(self, outputs: npt.NDArray[Any], observations: Observation) -> Observation:
+        """Valve commands, shape (N, A), of the network's outputs for these observations."""
+        bounded = np.clip(outputs.astype(np.float64), -1.0, 1.0)
+        if self.held is None:
+            return (0.5 * (bounded + 1.0)).astype(np.float32)
+        held = observations[..., self.held].astype(np.float64)
+        return np.clip(held + self.step * bounded, 0.0, 1.0).astype(np.float32)
+
+
+def _commands(interface: Interface) -> npt.NDArray[np.intp]:
+    """Where an observation has the command that each action holds."""
+    places = [i for i, signal in enumerate(interface.signals) if signal.name.startswith("command.")]
+    if not places:
+        raise ConfigError(
+            f"output: 'change' needs the commands, which observation '{interface.observation}' does not "
+            "have; use 'features' or output.kind=command"
+        )
+    return np.array(places[:: len(places) // interface.actions], dtype=np.intp)

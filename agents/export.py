@@ -1,0 +1,138 @@
+"""A learned policy as an ONNX model: signals in SI units in, valve commands out, for any runtime."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from agents.disk import write_file
+from agents.encoding import FLOOR, Encoding
+from agents.policy_file import LearnedPolicy, PolicyDescription, StoredPolicy, interface_like
+from sayd_env.config import StudyError
+
+OPSET = 17
+INPUT, OUTPUT = "observation", "command"
+
+
+def export_onnx(stored: StoredPolicy, path: Path) -> None:
+    """Write a policy as an ONNX model.
+
+    The model takes ``observation``, float32 of shape (N, *obs) in SI units, and gives ``command``, float32 of
+    shape (N, A), valve commands from 0 to 1. Its metadata holds the names of the signals, the layout of the
+    valves and the control period. Inside it computes in double precision, as `LearnedPolicy` does.
+
+    Parameters
+    ----------
+    stored : StoredPolicy
+    path : Path
+
+    Raises
+    ------
+    StudyError
+        The file cannot be written, or ONNX refuses the model.
+    """
+    model = onnx_model(stored)
+    try:
+        onnx.checker.check_model(model, full_check=True)
+    except onnx.checker.ValidationError as error:
+        raise StudyError(f"{stored.source}: ONNX refuses the model: {error}") from None
+    write_file(path, model.SerializeToString())
+
+
+def onnx_model(stored: StoredPolicy) -> Any:
+    """The ONNX model of a policy."""
+    policy = stored.bound(interface_like(stored.description))
+    graph = _Graph()
+    seen = graph.add("Cast", INPUT, to=TensorProto.DOUBLE)
+    values = _network(graph, policy, _encoded(graph, policy.encoding, seen))
+    command = _decoded(graph, policy.encoding, values, seen)
+    graph.add("Cast", command, to=TensorProto.FLOAT, result=OUTPUT)
+    shape = policy.interface.shape
+    made = helper.make_graph(
+        graph.nodes,
+        policy.name,
+        [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["N", *shape])],
+        [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["N", policy.encoding.actions])],
+        graph.constants,
+    )
+    model = helper.make_model(
+        made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=8, producer_name="sayd-env"
+    )
+    helper.set_model_props(model, _told(stored.description))
+    return model
+
+
+class _Graph:
+    """Nodes and constants in the order in which they are added."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def constant(self, value: Any) -> str:
+        """Add a constant; return its name."""
+        name = f"constant_{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.asarray(value), name))
+        return name
+
+    def add(self, kind: str, *inputs: str, result: str | None = None, **attributes: Any) -> str:
+        """Add a node; return the name of its output."""
+        name = result or f"value_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, list(inputs), [name], **attributes))
+        return name
+
+
+def _encoded(graph: _Graph, encoding: Encoding, seen: str) -> str:
+    """`Encoding.encode`."""
+    middle = graph.constant(encoding.middle)
+    values = graph.add("Gather", seen, graph.constant(encoding.columns.astype(np.int64)), axis=-1)
+    values = graph.add("Where", graph.add("IsNaN", values), middle, values)
+    divisor = graph.constant(np.where(encoding.logarithmic, encoding.middle, 1.0))
+    ratio = graph.add("Max", graph.add("Div", values, divisor), graph.constant(np.float64(FLOOR)))
+    linear = graph.add("Sub", values, middle)
+    values = graph.add("Where", graph.constant(encoding.logarithmic), graph.add("Log", ratio), linear)
+    values = graph.add("Mul", values, graph.constant(encoding.per_half))
+    values = _clipped(graph, values, -encoding.clip, encoding.clip)
+    # Single precision for a moment, as a learner saw it.
+    values = graph.add("Cast", graph.add("Cast", values, to=TensorProto.FLOAT), to=TensorProto.DOUBLE)
+    return graph.add("Reshape", values, graph.constant(np.array([-1, encoding.size], dtype=np.int64)))
+
+
+def _network(graph: _Graph, policy: LearnedPolicy, values: str) -> str:
+    """`LearnedPolicy.outputs`."""
+    activation = "Tanh" if policy.parameters.network.activation == "tanh" else "Relu"
+    for i, (weight, bias) in enumerate(policy.layers):
+        if i:
+            values = graph.add(activation, values)
+        product = graph.add("MatMul", values, graph.constant(weight))
+        values = graph.add("Add", product, graph.constant(bias))
+    return graph.add("Tanh", values) if policy.parameters.squash == "tanh" else values
+
+
+def _decoded(graph: _Graph, encoding: Encoding, values: str, seen: str) -> str:
+    """`Encoding.decode`."""
+    bounded = _clipped(graph, values, -1.0, 1.0)
+    if encoding.held is None:
+        one = graph.constant(np.float64(1.0))
+        return graph.add("Mul", graph.add("Add", bounded, one), graph.constant(np.float64(0.5)))
+    held = graph.add("Gather", seen, graph.constant(encoding.held.astype(np.int64)), axis=-1)
+    change = graph.add("Mul", bounded, graph.constant(np.float64(encoding.step)))
+    return _clipped(graph, graph.add("Add", held, change), 0.0, 1.0)
+
+
+def _clipped(graph: _Graph, values: str, low: float, high: float) -> str:
+    return graph.add("Clip", values, graph.constant(np.float64(low)), graph.constant(np.float64(high)))
+
+
+def _told(description: PolicyDescription) -> dict[str, str]:
+    return {
+        "observation": description.observation,
+        "signals": " ".join(description.signals),
+        "history": str(description.history),
+        "valves": description.valves,
+        "control_period": repr(description.control_period),
+    }

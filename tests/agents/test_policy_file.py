@@ -1,0 +1,254 @@
+"""Policies on the disk: what NumPy makes of them, and what is refused. Needs no torch."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import zipfile
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.config import InputConfig, NetworkConfig, OutputConfig
+from agents.encoding import Encoding
+from agents.policy_file import StoredPolicy, describe, load_policy, policy_bytes, read_policy, save_policy
+from sayd_env.config import ConfigError, DataError
+from sayd_env.config.errors import StudyError
+from sayd_env.envs.interface import Interface
+from sayd_env.envs.single import SaydEnv
+
+INPUTS = {
+    "acceleration_rms": InputConfig(law="log", middle=0.5, half=2.0),
+    "command": InputConfig(middle=0.5, half=0.5),
+    "speed": InputConfig(middle=80.0, half=20.0),
+}
+COMMAND, CHANGE = OutputConfig(kind="command"), OutputConfig(kind="change", rate=2.0)
+
+
+@pytest.fixture(scope="module")
+def interface() -> Interface:
+    return SaydEnv(observation="features", control_period=0.05).interface
+
+
+def stored(
+    interface: Interface, output: OutputConfig = COMMAND, squash: str = "clip", activation: Any = "tanh"
+) -> StoredPolicy:
+    random = np.random.default_rng(1)
+    widths = [13, 6, 5, interface.actions]  # 4 + 8 + 1 inputs
+    layers = [
+        (random.normal(size=(b, a)).astype(np.float32), random.normal(size=b).astype(np.float32))
+        for a, b in pairwise(widths)
+    ]
+    description = describe(
+        interface,
+        name="a policy",
+        inputs=INPUTS,
+        clip=3.0,
+        output=output,
+        network=NetworkConfig(hidden=(6, 5), activation=activation),
+        squash=squash,
+        made={"J": 0.5},
+    )
+    return StoredPolicy(description, tuple(layers))
+
+
+def observations(interface: Interface, count: int) -> Any:
+    random = np.random.default_rng(2)
+    low = np.array([signal.low for signal in interface.signals])
+    high = np.array([signal.high for signal in interface.signals])
+    return (low + random.random((count, len(low))) * (high - low)).astype(np.float32)
+
+
+def test_inputs_are_what_the_configuration_says(interface: Interface) -> None:
+    encoding = Encoding(interface, INPUTS, 3.0, COMMAND)
+    row = np.zeros((1, len(interface.signals)), np.float32)
+    row[0, [interface.index(f"acceleration_rms.{p}") for p in ("front.leading", "rear.trailing")]] = 0.5, 1.5
+    row[0, interface.index("command.rear.right.lower")] = 1.0
+    row[0, interface.index("speed")] = np.nan
+    found = encoding.encode(row)[0]
+    # ln(1.5 / 0.5) / 2; the accelerations of 0 are cut off; what is no number counts as the middle
+    expected = [0.0, -3.0, -3.0, 0.5 * np.log(3.0), *[-1.0] * 7, 1.0, 0.0]
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+    assert (found.dtype, encoding.size) == (np.float32, 13)
+
+
+def test_rows_of_a_history_follow_each_other() -> None:
+    interface = SaydEnv(observation="history", history=3).interface
+    encoding = Encoding(interface, {"speed": InputConfig(middle=0.0, half=1.0)}, 1e3, COMMAND)
+    block = np.zeros((2, *interface.shape), np.float32)
+    block[:, :, interface.index("speed")] = [[1, 2, 3], [4, 5, 6]]
+    np.testing.assert_array_equal(encoding.encode(block), [[1, 2, 3], [4, 5, 6]])
+
+
+def test_outputs_become_commands(interface: Interface) -> None:
+    seen = np.zeros((2, len(interface.signals)), np.float32)
+    outputs = np.array([[-1.0, 0.5], [7.0, 0.0]])
+    found = Encoding(interface, INPUTS, 3.0, COMMAND).decode(outputs, seen)
+    np.testing.assert_array_equal(found, np.float32([[0.0, 0.75], [1.0, 0.5]]))
+    seen[:, interface.index("command.front.left.upper")] = 0.4
+    seen[:, interface.index("command.rear.left.upper")] = 0.95
+    found = Encoding(interface, INPUTS, 3.0, CHANGE).decode(outputs, seen)  # 2 / s for 0.05 s
+    np.testing.assert_allclose(found, [[0.3, 1.0], [0.5, 0.95]], atol=1e-7)
+
+
+@pytest.mark.parametrize("squash", ["clip", "tanh"])
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_the_network_is_that_of_its_weights(squash: str, activation: str, interface: Interface) -> None:
+    policy = stored(interface, squash=squash, activation=activation)
+    bound = policy.bound(interface)
+    seen = observations(interface, 7)
+    inputs = bound.encoding.encode(seen)
+    for row, command in zip(inputs, bound.predict(seen)[0], strict=True):
+        values = row.astype(float)
+        for i, (weight, bias) in enumerate(policy.layers):
+            sums = [sum(w * v for w, v in zip(ws, values, strict=True)) for ws in weight.astype(float)]
+            values = np.array(sums) + bias
+            if i < 2:
+                values = np.tanh(values) if activation == "tanh" else np.where(values > 0, values, 0.0)
+        last = np.tanh(values) if squash == "tanh" else np.clip(values, -1.0, 1.0)
+        np.testing.assert_allclose(command, (last + 1.0) / 2.0, atol=1e-6)
+
+
+def test_a_vehicle_gets_the_same_commands_alone_and_among_others(interface: Interface) -> None:
+    policy, seen = stored(interface).bound(interface), observations(interface, 33)
+    together, state = policy.predict(seen)
+    assert state is None
+    for i in range(33):
+        np.testing.assert_array_equal(policy.predict(seen[i])[0], together[i])
+    with pytest.raises(ConfigError, match=r"\(31,\)"):
+        policy.predict(seen[:, :30])
+
+
+def test_what_is_written_is_read(interface: Interface, tmp_path: Path) -> None:
+    policy, path = stored(interface, CHANGE), tmp_path / "policy.npz"
+    save_policy(path, policy)
+    found = read_policy(path)
+    assert found.description == policy.description
+    assert found.description.made == {"J": 0.5}
+    for one, other in zip(found.layers, policy.layers, strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
+    assert [file.name for file in tmp_path.iterdir()] == ["policy.npz"]
+    seen = observations(interface, 3)
+    np.testing.assert_array_equal(
+        load_policy(path, interface).predict(seen)[0], policy.bound(interface).predict(seen)[0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"observation": "signals"}, "observation='features', the environment has 'signals'"),
+        ({"valves": "damper"}, "valves='bogie', the environment has 'damper'"),
+        ({"control_period": 0.01}, r"control_period=0.05, the environment has 0.01"),
+    ],
+)
+def test_another_environment_is_refused(
+    keywords: dict[str, Any], message: str, interface: Interface, tmp_path: Path
+) -> None:
+    save_policy(tmp_path / "policy.npz", stored(interface))
+    env = SaydEnv(**{"observation": "features", "control_period": 0.05} | keywords)
+    with pytest.raises(ConfigError, match=message):
+        load_policy(tmp_path / "policy.npz", env.interface)
+
+
+def test_damaged_files_are_refused(interface: Interface, tmp_path: Path) -> None:
+    good, path = policy_bytes(stored(interface)), tmp_path / "policy.npz"
+    broken = bytearray(good)
+    broken[len(good) // 3] ^= 0xFF
+    for content in (b"", b"text", good[: len(good) // 2], good[:-1], bytes(broken)):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match="damaged or no policy"):
+            read_policy(path)
+    with pytest.raises(ConfigError, match="No such file"):
+        read_policy(tmp_path / "none.npz")
+
+
+class Bomb:
+    """An object that would show if it were unpickled."""
+
+    fired = False
+
+    def __reduce__(self) -> Any:
+        return (setattr, (Bomb, "fired", True))
+
+
+def test_nothing_in_a_file_is_run(interface: Interface, tmp_path: Path) -> None:
+    path = tmp_path / "policy.npz"
+    save_policy(path, stored(interface))
+    with zipfile.ZipFile(path) as archive:
+        text = archive.read("policy.yaml")
+    stream = io.BytesIO()
+    np.savez(stream, weight_0=np.array([Bomb()], dtype=object), allow_pickle=True)
+    with zipfile.ZipFile(stream, "a") as archive:
+        archive.writestr("policy.yaml", text)
+        archive.writestr("bias_0.npy", pickle.dumps(Bomb()))
+    path.write_bytes(stream.getvalue())
+    with pytest.raises(DataError):
+        read_policy(path)
+    stream = io.BytesIO(policy_bytes(stored(interface)))
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("policy.yaml", "!!python/object/apply:os.abort []")
+    path.write_bytes(stream.getvalue())
+    with pytest.raises((DataError, ConfigError)):
+        read_policy(path)
+    assert not Bomb.fired
+
+
+def test_weights_that_do_not_fit_are_refused(interface: Interface, tmp_path: Path) -> None:
+    policy, path = stored(interface), tmp_path / "policy.npz"
+    save_policy(path, StoredPolicy(policy.description, policy.layers[:-1]))
+    with pytest.raises(DataError, match="weight_2"):
+        read_policy(path)
+    policy.layers[1][0][0, 0] = np.nan
+    save_policy(path, policy)
+    with pytest.raises(DataError, match="weight_1: expected finite"):
+        read_policy(path)
+
+
+def test_inputs_that_the_environment_lacks_are_refused(interface: Interface) -> None:
+    with pytest.raises(ConfigError, match="no quantity 'stroke'"):
+        Encoding(interface, {"stroke": InputConfig(middle=0.0, half=1.0)}, 3.0, COMMAND)
+    with pytest.raises(ConfigError, match="use 'features'"):
+        Encoding(SaydEnv().interface, {"speed": InputConfig(middle=0.0, half=1.0)}, 3.0, CHANGE)
+
+
+def test_a_full_disk_leaves_the_former_file(
+    interface: Interface, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "policy.npz"
+    save_policy(path, stored(interface))
+    before = path.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("agents.disk.os.fsync", full)
+    with pytest.raises(StudyError, match="No space left"):
+        save_policy(path, stored(interface, CHANGE))
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["policy.npz"]
+
+
+@pytest.mark.parametrize("output", [COMMAND, CHANGE], ids=["command", "change"])
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_onnxruntime_gives_the_same_commands(
+    output: OutputConfig, activation: str, interface: Interface, tmp_path: Path
+) -> None:
+    pytest.importorskip("onnx", reason="needs the extra 'onnx'")
+    runtime = pytest.importorskip("onnxruntime", reason="needs the extra 'onnx'")
+    from agents.export import export_onnx  # noqa: PLC0415
+
+    policy = stored(interface, output, "tanh", activation)
+    export_onnx(policy, tmp_path / "policy.onnx")
+    session = runtime.InferenceSession(tmp_path / "policy.onnx", providers=["CPUExecutionProvider"])
+    seen = observations(interface, 50)
+    seen[3, 0], seen[4, 1] = np.nan, 0.0
+    (found,) = session.run(None, {"observation": seen})
+    np.testing.assert_allclose(found, policy.bound(interface).predict(seen)[0], atol=1e-6, rtol=0)
+    told = session.get_modelmeta().custom_metadata_map
+    assert told["signals"].split() == [signal.name for signal in interface.signals]
+    assert (told["valves"], float(told["control_period"])) == ("bogie", 0.05)
