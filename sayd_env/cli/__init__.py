@@ -66,17 +66,20 @@ def _run(arguments: Sequence[str] | None) -> int:
     from typer.exceptions import TyperException  # noqa: PLC0415
 
     from sayd_env.cli.app import app  # noqa: PLC0415
-    from sayd_env.config.errors import SaydError, StudyError  # noqa: PLC0415
+    from sayd_env.config.errors import Interrupted, SaydError, StudyError  # noqa: PLC0415
 
     command = typer.main.get_command(app)
+    verdicts = {
+        Interrupted: ("interrupted; ", INTERRUPTED),
+        StudyError: ("error: ", FAILURE),
+        SaydError: ("error: ", INPUT_ERROR),
+    }
     try:
         status = command.main(args=arguments, prog_name="sayd", standalone_mode=False)
-    except StudyError as error:
-        _complain(f"error: {error}")
-        return FAILURE
     except SaydError as error:
-        _complain(f"error: {error}")
-        return INPUT_ERROR
+        kind, status = next(verdict for type_, verdict in verdicts.items() if isinstance(error, type_))
+        _complain(f"{kind}{error}")
+        return status
     except TyperException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see '{context.command_path} --help')" if context is not None else ""

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sayd_env import __version__
-from sayd_env.cli import components, performance, pictures, policies, stability, vehicle
+from sayd_env.cli import components, learning, performance, pictures, policies, stability, vehicle
 
 app = typer.Typer(
     name="sayd",
@@ -43,6 +43,8 @@ app.command()(stability.assess)
 app.command()(components.conicity)
 app.command()(components.hysteresis)
 app.command()(stability.modes)
+app.command()(learning.train)
+app.command()(learning.export)
 app.command()(pictures.render)
 app.command()(performance.bench)
 app.command()(performance.soak)

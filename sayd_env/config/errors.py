@@ -17,3 +17,7 @@ class DataError(SaydError):
 
 class StudyError(SaydError):
     """A study that ran but failed; the command line exits with status 1."""
+
+
+class Interrupted(SaydError):
+    """Work that was interrupted and has kept what it had; the message says how to go on."""

@@ -1,0 +1,141 @@
+"""The algorithms: made from a configuration, put on the disk and back without pickled objects."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO, SAC
+
+from agents.config import PpoConfig, TrainConfig
+from agents.disk import write_folder
+from agents.learning_env import EncodedVecEnv
+from agents.policy_file import Layers
+from sayd_env.config import DataError
+
+ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+STATE, REPLAY, PROGRESS = "state.pt", "replay.npz", "progress.json"
+REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a training has come."""
+
+    steps: int
+    updates: int
+    life: int
+    """How often it was resumed."""
+    seconds: float
+    """Time of all lives."""
+
+
+def make_model(config: TrainConfig, env: EncodedVecEnv) -> Any:
+    """A PPO or SAC model that has learned nothing yet."""
+    settings = config.learning.model_dump(exclude={"algorithm", "log_std_init"})
+    hidden, activation = list(config.network.hidden), ACTIVATIONS[config.network.activation]
+    common = {"gamma": config.gamma, "seed": config.seed, "device": "cpu", "verbose": 0}
+    if isinstance(config.learning, PpoConfig):
+        network = {
+            "net_arch": {"pi": hidden, "vf": hidden},
+            "activation_fn": activation,
+            "log_std_init": config.learning.log_std_init,
+        }
+        return PPO("MlpPolicy", env, policy_kwargs=network, **settings, **common)
+    network = {"net_arch": {"pi": hidden, "qf": hidden}, "activation_fn": activation}
+    return SAC("MlpPolicy", env, policy_kwargs=network, **settings, **common)
+
+
+def policy_layers(model: Any) -> tuple[Layers, str]:
+    """Weights of a model's policy, and what keeps its outputs within -1 and 1."""
+    if isinstance(model, PPO):
+        body, head, squash = model.policy.mlp_extractor.policy_net, model.policy.action_net, "clip"
+    else:
+        body, head, squash = model.actor.latent_pi, model.actor.mu, "tanh"
+    linear = [module for module in (*body, head) if isinstance(module, torch.nn.Linear)]
+    return tuple(
+        (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in linear
+    ), squash
+
+
+def save_model(path: Path, model: Any, progress: Progress) -> None:
+    """Write a checkpoint: a folder that is complete or not there.
+
+    Raises
+    ------
+    StudyError
+        It cannot be written.
+    """
+
+    def fill(folder: Path) -> None:
+        torch.save(_state(model), folder / STATE)
+        if isinstance(model, SAC):
+            _save_replay(folder / REPLAY, model.replay_buffer)
+        (folder / PROGRESS).write_text(json.dumps(asdict(progress)), encoding="utf-8")
+
+    write_folder(path, fill)
+
+
+def load_model(path: Path, model: Any) -> Progress:
+    """Put a checkpoint into a model that was made from the same configuration.
+
+    Raises
+    ------
+    DataError
+        A checkpoint that is damaged or that of another network.
+    """
+    try:
+        # With weights_only torch reads tensors, numbers and texts, and runs nothing from the file.
+        state = torch.load(path / STATE, weights_only=True, map_location="cpu")
+        progress = Progress(**json.loads((path / PROGRESS).read_text(encoding="utf-8")))
+        _restore(model, state, progress)
+        if isinstance(model, SAC):
+            _load_replay(path / REPLAY, model.replay_buffer)
+    except Exception as error:  # torch and zip files fail in many ways, which all mean the same
+        detail = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise DataError(f"{path}: is damaged or the checkpoint of another training ({detail})") from None
+    return progress
+
+
+def _state(model: Any) -> dict[str, Any]:
+    drawn: Any = np.random.get_state()  # noqa: NPY002 - what the library draws from
+    kind, keys, place, has_gauss, gauss = drawn
+    _, variables = model._get_torch_save_params()
+    return {
+        "parameters": model.get_parameters(),
+        "variables": {name: getattr(model, name).detach() for name in variables if _is_tensor(model, name)},
+        "torch_random": torch.get_rng_state(),
+        "numpy_random": [kind, torch.tensor(keys.astype(np.int64)), place, has_gauss, gauss],
+    }
+
+
+def _is_tensor(model: Any, name: str) -> bool:
+    return isinstance(getattr(model, name, None), torch.Tensor)
+
+
+def _restore(model: Any, state: dict[str, Any], progress: Progress) -> None:
+    model.set_parameters(state["parameters"], exact_match=True, device="cpu")
+    for name, value in state["variables"].items():
+        getattr(model, name).data.copy_(value)
+    torch.set_rng_state(state["torch_random"])
+    kind, keys, place, has_gauss, gauss = state["numpy_random"]
+    np.random.set_state((kind, keys.numpy().astype(np.uint32), place, has_gauss, gauss))  # noqa: NPY002
+    model.num_timesteps, model._n_updates = progress.steps, progress.updates
+
+
+def _save_replay(path: Path, buffer: Any) -> None:
+    filled = buffer.buffer_size if buffer.full else buffer.pos
+    arrays = {name: getattr(buffer, name)[:filled] for name in REPLAYED}
+    np.savez(path, place=buffer.pos, full=buffer.full, **arrays)
+
+
+def _load_replay(path: Path, buffer: Any) -> None:
+    with np.load(path, allow_pickle=False) as file:
+        for name in REPLAYED:
+            kept = file[name]
+            getattr(buffer, name)[: len(kept)] = kept
+        buffer.pos, buffer.full = int(file["place"]), bool(file["full"])

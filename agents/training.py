@@ -1,0 +1,355 @@
+"""Training: a learner on the batch environment, judged on a list of scenarios, safe against interruptions.
+
+A run is a folder::
+
+    config.yaml       everything that was chosen
+    run.yaml          command, versions and inputs of each start
+    progress.csv      what the algorithm tells, and tensorboard/ the same
+    evaluations.csv   J in each scenario while it learned
+    references.csv    J of the controllers to compare with
+    best.npz          policy with the lowest mean J (`agents.policy_file`)
+    last.npz          policy of the last checkpoint
+    checkpoints/      from which a killed run goes on
+
+All files are complete or not there. A resumed run goes on from its last checkpoint with the same weights,
+optimiser, replayed steps and random numbers of the learner; its vehicles begin new episodes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
+
+from agents.config import TrainConfig, load_train
+from agents.disk import new_folder, remove_leftovers, write_file
+from agents.learner import Progress, load_model, make_model, policy_layers, save_model
+from agents.learning_env import environment_keywords, make_learning_env, seed_lanes
+from agents.policy_file import StoredPolicy, describe, read_policy, save_policy
+from agents.scenarios import Judge
+from agents.table import Table
+from sayd_env.config import ConfigError
+from sayd_env.config.errors import Interrupted
+from sayd_env.envs.keywords import configured
+
+CONFIG, RUN, BEST, LAST, CHECKPOINTS = "config.yaml", "run.yaml", "best.npz", "last.npz", "checkpoints"
+LIBRARIES = ("torch", "stable_baselines3", "gymnasium", "numpy")
+REPORT_SECONDS = 0.5
+LOGS = 10
+"""Entries of the log from one checkpoint to the next."""
+MAY_CHANGE = {"total_steps"}
+"""Keys that a resumed run may have otherwise."""
+
+Report = Callable[[float, float, str], None]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a training has come to."""
+
+    folder: Path
+    config: TrainConfig
+    steps: int
+    seconds: float
+    best: float
+    """Mean J of the best policy over the scenarios."""
+    evaluations: list[dict[str, Any]]
+    references: list[dict[str, Any]]
+
+
+def train(
+    config: TrainConfig,
+    folder: Path,
+    *,
+    resume: bool = False,
+    about: Mapping[str, Any] | None = None,
+    progress: Report | None = None,
+) -> Trained:
+    """Train a policy.
+
+    Parameters
+    ----------
+    config : TrainConfig
+    folder : Path
+        Where the run lives: a new or empty folder, or with `resume` one of a run.
+    resume : bool
+        Go on with a run from its last checkpoint.
+    about : mapping, optional
+        Command line, versions and the like, to be written into the run.
+    progress : callable, optional
+        Told the steps done, the steps in all, and how things go.
+
+    Raises
+    ------
+    ConfigError
+        A configuration that does not fit, a folder that is not empty, a run whose configuration is another.
+    DataError
+        A damaged checkpoint.
+    StudyError
+        A file cannot be written; the last checkpoint stays.
+    Interrupted
+        By Ctrl-C or SIGTERM, after all was saved.
+    """
+    torch.set_num_threads(config.torch_threads)
+    run = _Run(config, folder, resume=resume, about=dict(about or {}))
+    try:
+        run.learn(progress or _silent)
+    except KeyboardInterrupt:
+        run.keep()
+        raise Interrupted(
+            f"saved at step {run.steps} of {config.total_steps}; go on with --resume {folder}"
+        ) from None
+    return run.outcome()
+
+
+def environment_digest(config: TrainConfig) -> str:
+    """Hash of environment and scenario with all numbers that stand behind their names."""
+    parts = [part.model_dump(mode="json") for part in configured(**environment_keywords(config))]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _silent(done: float, total: float, what: str) -> None:
+    """Report nothing."""
+
+
+class _Run:
+    """A run in its folder."""
+
+    def __init__(self, config: TrainConfig, folder: Path, *, resume: bool, about: dict[str, Any]) -> None:
+        self.config, self.folder = config, folder
+        self.digest = environment_digest(config)
+        starts = _starts(config, folder, self.digest) if resume else []
+        self.judge = Judge(config)
+        self.env, self.encoding = make_learning_env(config)
+        self.model = make_model(config, self.env)
+        if not resume:
+            new_folder(folder)
+            (folder / CHECKPOINTS).mkdir()
+        remove_leftovers(folder)
+        remove_leftovers(folder / CHECKPOINTS)
+        self.origin = Progress(0, 0, len(starts), 0.0)
+        found = _checkpoints(folder)
+        if found:
+            stored = load_model(found[-1], self.model)
+            self.origin = Progress(stored.steps, stored.updates, len(starts), stored.seconds)
+        self.steps, self.clock = self.origin.steps, time.monotonic()
+        seed_lanes(self.env, config.seed, self.origin.life)
+        self.model.action_space.seed(config.seed + self.origin.life)
+        self.evaluations = Table(folder / "evaluations.csv", until=self.steps)
+        self.log = Table(folder / "progress.csv", until=self.steps)
+        self.references = Table(folder / "references.csv")
+        self.best = _cost_of(folder / BEST)
+        self.about = about | {"libraries": {name: metadata.version(name) for name in LIBRARIES}}
+        start = {"begun": datetime.now(UTC).isoformat(timespec="seconds"), "step": self.steps} | self.about
+        text = {"environment_sha256": self.digest, "starts": [*starts, start]}
+        write_file(folder / CONFIG, _yaml(config.model_dump(mode="json")))
+        write_file(folder / RUN, _yaml(text))
+
+    def learn(self, report: Report) -> None:
+        """Run what is left of the training."""
+        if not self.references.rows:
+            for name in self.config.evaluation.references:
+                report(self.steps, self.config.total_steps, f"judging {name}")
+                self.references.add({"policy": name} | self._judged(self.judge.reference(name)))
+            self.references.save()
+        writers: list[KVWriter] = [_Writer(self.log)]
+        if _installed("tensorboard"):
+            writers.append(TensorBoardOutputFormat(str(self.folder / "tensorboard")))
+        self.model.set_logger(Logger(str(self.folder), writers))
+        try:
+            left = self.config.total_steps - self.steps
+            if left > 0:
+                self.model.learn(left, _Callback(self, report), log_interval=None, reset_num_timesteps=False)
+            self.keep()
+        finally:
+            self.model.logger.close()
+            self.env.close()
+
+    def stand(self) -> Progress:
+        """How far it has come."""
+        seconds = self.origin.seconds + time.monotonic() - self.clock
+        return Progress(self.steps, self.model._n_updates, self.origin.life, seconds)
+
+    def evaluate(self) -> None:
+        """Judge the policy as it is, and keep it if it is the best."""
+        stand, policy = self.stand(), self._policy(None)
+        costs = self.judge.learned(policy)
+        row = {"steps": stand.steps, "seconds": round(stand.seconds, 1)} | self._judged(costs)
+        self.evaluations.add(row)
+        self.model.logger.record("evaluation/J", row["J"])
+        if row["J"] < self.best:
+            save_policy(self.folder / BEST, self._policy(row["J"]))
+            self.best = row["J"]
+        self.evaluations.save()
+
+    def keep(self) -> None:
+        """Write a checkpoint, unless there is one of this step."""
+        path = self.folder / CHECKPOINTS / f"{self.steps:012d}"
+        if not path.exists():
+            save_model(path, self.model, self.stand())
+            save_policy(self.folder / LAST, self._policy(None))
+        self.log.save()
+        self.evaluations.save()
+        for old in _checkpoints(self.folder)[: -self.config.checkpoint.keep]:
+            shutil.rmtree(old, ignore_errors=True)
+
+    def outcome(self) -> Trained:
+        """What it has come to."""
+        stand = self.stand()
+        return Trained(
+            self.folder,
+            self.config,
+            stand.steps,
+            stand.seconds,
+            self.best,
+            self.evaluations.rows,
+            self.references.rows,
+        )
+
+    def _judged(self, costs: Any) -> dict[str, float]:
+        names = [f"J_{c.speed_kmh:g}_kmh_wear_{c.wear:g}_seed_{c.seed}" for c in self.judge.cases]
+        return {"J": float(np.mean(costs))} | dict(zip(names, map(float, costs), strict=True))
+
+    def _policy(self, cost: float | None) -> StoredPolicy:
+        layers, squash = policy_layers(self.model)
+        config, stand = self.config, self.stand()
+        made = {
+            "steps": stand.steps,
+            "seconds": round(stand.seconds, 1),
+            "J": cost,
+            "environment_sha256": self.digest,
+            "config": config.model_dump(mode="json"),
+            **self.about,
+        }
+        description = describe(
+            self.encoding.interface,
+            name=f"{config.learning.algorithm}-s{config.seed}",
+            inputs=config.inputs,
+            clip=config.clip,
+            output=config.output,
+            network=config.network,
+            squash=squash,
+            made=made,
+        )
+        return StoredPolicy(description, layers)
+
+
+class _Callback(BaseCallback):
+    """Evaluations, checkpoints and logs between the rollouts, where the learner is at rest."""
+
+    def __init__(self, run: _Run, report: Report) -> None:
+        super().__init__()
+        self._run, self._report = run, report
+        checkpoint = run.config.checkpoint.every
+        self._every = (max(checkpoint // LOGS, 1), run.config.evaluation.every, checkpoint)
+        self._next = [(run.steps // each + 1) * each for each in self._every]
+        self._fresh, self._told = True, 0.0
+
+    def _on_rollout_start(self) -> None:
+        run = self._run
+        run.steps = self.model.num_timesteps
+        if self._fresh and not run.evaluations.rows:  # what it is worth before it has learned anything
+            run.evaluate()
+        self._fresh = False
+        self._due()
+
+    def _on_training_end(self) -> None:
+        self._run.steps = self.model.num_timesteps
+        if not self._run.evaluations.rows or self._run.evaluations.rows[-1]["steps"] != self._run.steps:
+            self._run.evaluate()
+        self.model.dump_logs()
+
+    def _due(self) -> None:
+        run = self._run
+        for i, (every, work) in enumerate(
+            zip(self._every, (self.model.dump_logs, run.evaluate, run.keep), strict=True)
+        ):
+            if run.steps >= self._next[i]:
+                work()
+                self._next[i] = (run.steps // every + 1) * every
+
+    def _on_step(self) -> bool:
+        now = time.monotonic()
+        if now > self._told + REPORT_SECONDS:
+            self._told = now
+            best = f"best J {self._run.best:.4f}" if np.isfinite(self._run.best) else ""
+            self._report(self.model.num_timesteps, self._run.config.total_steps, best)
+        return True
+
+
+class _Writer(KVWriter):
+    """The learner's log as a table."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, Any], step: int = 0) -> None:
+        """Add a row."""
+        numbers = {key: value for key, value in sorted(key_values.items()) if isinstance(value, float | int)}
+        self._table.add({"steps": step} | numbers)
+
+    def close(self) -> None:
+        """Write the table."""
+        self._table.save()
+
+
+def _starts(config: TrainConfig, folder: Path, digest: str) -> list[dict[str, Any]]:
+    """Former starts of a run; refuse to go on with another configuration."""
+    if not (folder / CONFIG).is_file() or not (folder / RUN).is_file():
+        raise ConfigError(f"--resume {folder}: holds no run of 'sayd train' (no {CONFIG})")
+    mine, found = (_flat(c.model_dump(mode="json")) for c in (load_train(str(folder / CONFIG)), config))
+    changed = [key for key in sorted(mine | found) if mine.get(key) != found.get(key)]
+    refused = [key for key in changed if key not in MAY_CHANGE]
+    if refused:
+        told = "; ".join(f"{key}: the run has {mine.get(key)!r}, found {found.get(key)!r}" for key in refused)
+        raise ConfigError(f"--resume {folder}: {told}. Only {', '.join(sorted(MAY_CHANGE))} may change")
+    run = yaml.safe_load((folder / RUN).read_text(encoding="utf-8"))
+    if run["environment_sha256"] != digest:
+        raise ConfigError(
+            f"--resume {folder}: the environment '{config.environment.name}', or the study behind it, is "
+            "another one than when the run began; start a new run"
+        )
+    return list(run["starts"])
+
+
+def _flat(content: Any, above: str = "") -> dict[str, Any]:
+    if not isinstance(content, dict):
+        return {above: content}
+    return {
+        k: v for key, part in content.items() for k, v in _flat(part, f"{above}.{key}".strip(".")).items()
+    }
+
+
+def _checkpoints(folder: Path) -> list[Path]:
+    """Checkpoints of a run, the newest last."""
+    return sorted(path for path in (folder / CHECKPOINTS).glob("[0-9]*") if path.is_dir())
+
+
+def _cost_of(path: Path) -> float:
+    """J of the best policy so far; infinite if there is none."""
+    return float(read_policy(path).description.made["J"]) if path.is_file() else float("inf")
+
+
+def _installed(library: str) -> bool:
+    try:
+        metadata.version(library)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def _yaml(content: Any) -> bytes:
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True).encode()

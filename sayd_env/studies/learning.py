@@ -1,0 +1,177 @@
+"""How well does a policy learn to control the valves? Training, as a result to keep and to look at."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sayd_env.config import ConfigError
+from sayd_env.studies.output import Plot, Progress, Table, git_state, silent, versions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+    from agents.config import TrainConfig
+    from agents.training import Trained
+
+EXTRA = "needs torch and Stable-Baselines3: install them with pip install 'sayd-env[train]'"
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a training has come to."""
+
+    trained: Trained
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what scripts read."""
+        done = self.trained
+        return {
+            "algorithm": done.config.learning.algorithm,
+            "run": str(done.folder),
+            "steps": done.steps,
+            "seconds": done.seconds,
+            "best_J": done.best,
+            "references": {row["policy"]: row["J"] for row in done.references},
+            "evaluations": done.evaluations,
+        }
+
+    def tables(self) -> Mapping[str, Table]:
+        """Return none: the run keeps its own."""
+        return {}
+
+    def plots(self) -> Mapping[str, Plot]:
+        """Return the learning curve."""
+        return {"learning": self._draw}
+
+    def summary(self, console: Console) -> None:
+        """Print how good the best policy is beside the references."""
+        done = self.trained
+        lines = [("best policy", done.best), *((row["policy"], row["J"]) for row in done.references)]
+        console.print(f"{done.steps} steps in {done.seconds / 60:.1f} minutes; mean J of the scenarios:")
+        for name, cost in lines:
+            console.print(f"  {name:20s} {cost:.4f}", markup=False, highlight=False)
+
+    def _draw(self, figure: Figure) -> None:
+        done, axes = self.trained, figure.subplots()
+        steps = [row["steps"] for row in done.evaluations]
+        axes.plot(steps, [row["J"] for row in done.evaluations], marker=".", label="policy")
+        for i, row in enumerate(done.references):
+            axes.axhline(row["J"], color=f"C{i + 1}", linestyle="--", label=row["policy"])
+        axes.set(xlabel="steps", ylabel="mean J of the scenarios", ylim=(0.0, None))
+        axes.set_title(f"{done.config.learning.algorithm}, seed {done.config.seed}")
+        axes.grid(alpha=0.3)
+        axes.legend()
+
+
+@dataclass(frozen=True)
+class ExportResult:
+    """Files of an exported policy."""
+
+    policy: str
+    files: list[Path]
+    made: Mapping[str, Any]
+    """Where the policy comes from."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what scripts read."""
+        return {"policy": self.policy, "files": [str(file) for file in self.files], "made": self.made}
+
+    def tables(self) -> Mapping[str, Table]:
+        """Return none."""
+        return {}
+
+    def plots(self) -> Mapping[str, Plot]:
+        """Return none."""
+        return {}
+
+    def summary(self, console: Console) -> None:
+        """Print the files."""
+        for file in self.files:
+            console.print(str(file), markup=False, highlight=False, soft_wrap=True)
+
+
+def train(
+    config: TrainConfig, folder: Path, *, resume: bool = False, progress: Progress = silent
+) -> TrainResult:
+    """Train a policy.
+
+    Parameters
+    ----------
+    config : TrainConfig
+    folder : Path
+        Where the run lives.
+    resume : bool
+        Go on with the run in the folder.
+    progress : Progress
+        Told the steps.
+
+    Raises
+    ------
+    ConfigError
+        Torch or Stable-Baselines3 are not installed, or as `agents.training.train`.
+    DataError, StudyError, Interrupted
+        As `agents.training.train`.
+    """
+    try:
+        from agents.training import train as learn  # noqa: PLC0415 - imports torch, which may be missing
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"train {EXTRA} (no module '{error.name}')") from None
+    commit, modified = git_state(Path(__file__).resolve().parents[2])
+    about = {
+        "command": shlex.join(["sayd", *sys.argv[1:]]),
+        "versions": versions(),
+        "git_commit": commit,
+        "git_modified": modified,
+    }
+    return TrainResult(learn(config, folder, resume=resume, about=about, progress=progress))
+
+
+def export(source: Path, target: Path, *, onnx: bool) -> ExportResult:
+    """Write the policy of a run, or of a policy file, for others to use.
+
+    Parameters
+    ----------
+    source : Path
+        A policy file, or the folder of a run, of which the best policy is taken.
+    target : Path
+        Folder for the files.
+    onnx : bool
+        Write an ONNX model besides.
+
+    Raises
+    ------
+    ConfigError
+        No policy there, or onnx is not installed.
+    DataError
+        A damaged file.
+    StudyError
+        A file cannot be written.
+    """
+    from agents.policy_file import read_policy, save_policy  # noqa: PLC0415 - keeps the import of studies light
+
+    path = source / "best.npz" if source.is_dir() else source
+    stored = read_policy(path)
+    name = stored.description.name
+    files = [target / f"{name}.npz"]
+    if onnx:
+        files.append(target / f"{name}.onnx")
+    for file in files:
+        if file.exists():
+            raise ConfigError(f"{file}: exists already; nothing was written. Take another --out")
+    if onnx:
+        try:
+            from agents.export import export_onnx  # noqa: PLC0415 - imports onnx, which may be missing
+        except ModuleNotFoundError as error:
+            raise ConfigError(
+                "export --onnx needs onnx: install it with pip install 'sayd-env[onnx]' "
+                f"(no module '{error.name}')"
+            ) from None
+        export_onnx(stored, files[1])
+    save_policy(files[0], stored)
+    return ExportResult(name, files, stored.description.made)

@@ -1,0 +1,298 @@
+"""Training end to end, a few hundred steps: learn, judge, save, resume, load, export, be killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+
+from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
+from stable_baselines3.common.monitor import Monitor  # noqa: E402
+from stable_baselines3.common.vec_env import DummyVecEnv  # noqa: E402
+
+from agents.config import load_train  # noqa: E402
+from agents.learner import load_model, make_model  # noqa: E402
+from agents.learning_env import make_learning_env  # noqa: E402
+from agents.policy_file import load_policy, read_policy  # noqa: E402
+from agents.scenarios import Judge  # noqa: E402
+from agents.table import Table  # noqa: E402
+from agents.training import Trained, train  # noqa: E402
+from sayd_env.cli import main  # noqa: E402
+from sayd_env.config import ConfigError, DataError  # noqa: E402
+from sayd_env.config.errors import Interrupted, StudyError  # noqa: E402
+from sayd_env.envs.single import SaydEnv  # noqa: E402
+
+SMALL = [
+    "environment.lanes=4",
+    "environment.episode_s=0.5",
+    "evaluation.episode_s=1.0",
+    "evaluation.speeds_kmh=[350.0]",
+    "evaluation.wear=[1.0]",
+    "evaluation.seeds=[500, 501]",
+    "evaluation.every=100",
+    "checkpoint.every=80",
+    "total_steps=200",
+    "network.hidden=[16]",
+]
+OF = {
+    "ppo": ["learning.n_steps=16", "learning.batch_size=32", "learning.n_epochs=2"],
+    "sac": ["learning.learning_starts=20", "learning.batch_size=32", "learning.buffer_size=160"],
+}
+# Too many runs of 500 m before step 0 otherwise.
+RUN_IN = "base: randomized\nrun_in: 20.0\n"
+
+
+def settings(algorithm: str, folder: Path) -> list[str]:
+    environment = folder / "randomized_quick.yaml"
+    environment.write_text(RUN_IN)
+    return [*SMALL, *OF[algorithm], f"environment.name={environment}"]
+
+
+@pytest.fixture(scope="module", params=["ppo", "sac"])
+def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    folder = tmp_path_factory.mktemp(request.param)
+    return train(load_train(request.param, settings(request.param, folder)), folder / "run")
+
+
+def steps_on_disk(folder: Path) -> list[int]:
+    return sorted(int(path.name) for path in (folder / "checkpoints").iterdir())
+
+
+def test_a_run_holds_what_it_needs_to_be_understood(trained: Trained) -> None:
+    folder = trained.folder
+    names = {path.name for path in folder.iterdir()}
+    files = {"config.yaml", "run.yaml", "progress.csv", "evaluations.csv", "references.csv"}
+    assert names >= files | {"best.npz", "last.npz", "checkpoints"}
+    assert not [name for name in names if name.endswith(".tmp")]
+    assert load_train(str(folder / "config.yaml")) == trained.config
+    (start,) = yaml.safe_load((folder / "run.yaml").read_text())["starts"]
+    assert start["libraries"]["torch"] == torch.__version__
+    assert len(steps_on_disk(folder)) == trained.config.checkpoint.keep
+    assert trained.steps >= 200
+    rows = Table(folder / "evaluations.csv").rows
+    assert [row["steps"] for row in rows] == [row["steps"] for row in trained.evaluations]
+    assert rows[0]["steps"] == 0
+    assert trained.best == min(row["J"] for row in rows)
+    log = Table(folder / "progress.csv").rows
+    assert any("train/learning_rate" in row for row in log)
+    assert any((folder / "tensorboard").iterdir())
+
+
+def test_the_stored_policy_acts_as_the_model(trained: Trained) -> None:
+    env, encoding = make_learning_env(trained.config)
+    model = make_model(trained.config, env)
+    newest = max((trained.folder / "checkpoints").iterdir())
+    assert load_model(newest, model).steps == trained.steps
+    policy = load_policy(trained.folder / "last.npz", encoding.interface)
+    env.seed(7)
+    env.reset()
+    seen = env._seen
+    for _ in range(20):
+        outputs, _ = model.predict(encoding.encode(seen), deterministic=True)
+        expected = encoding.decode(outputs, seen)
+        found = policy.predict(seen)[0]
+        np.testing.assert_allclose(found, expected, atol=1e-6, rtol=0)
+        env.step(outputs)
+        seen = env._seen
+
+
+def test_the_judge_gives_what_evaluate_policy_gives(trained: Trained) -> None:
+    config = trained.config
+    costs = Judge(config).learned(read_policy(trained.folder / "best.npz"))
+    assert np.mean(costs) == pytest.approx(trained.best, abs=1e-12)
+    env = SaydEnv(
+        config.environment.name,
+        observation="features",
+        control_period=config.environment.control_period,
+        episode_s=1.0,
+    )
+    policy = load_policy(trained.folder / "best.npz", env.interface)
+    vector = DummyVecEnv([lambda: Monitor(env)])
+    for seed, cost in zip((500, 501), costs, strict=True):
+        vector.seed(seed)
+        vector.set_options({"speed_kmh": 350.0, "wear": 1.0, "initial_current": 0.0})
+        mean, _ = evaluate_policy(policy, vector, n_eval_episodes=1)
+        assert -mean == pytest.approx(cost, abs=1e-5)
+
+
+def test_a_run_is_exported(
+    trained: Trained, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", str(trained.folder), "--out", "here", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    (file,) = told["files"]
+    assert read_policy(file).description == read_policy(trained.folder / "best.npz").description
+    assert told["made"]["J"] == trained.best
+    assert main(["export", str(trained.folder), "--out", "here"]) == 2
+    assert "exists already" in capsys.readouterr().err
+    (tmp_path / "bad.npz").write_bytes(Path(file).read_bytes()[:500])
+    assert main(["export", "bad.npz", "--out", "there"]) == 2
+    assert "bad.npz: is damaged" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "what is to learn"),
+        (["ppo", "--set", "learning.tau=1"], "unknown key 'learning.tau'"),
+        (["ppo", "--config", "sac"], "is one of sac"),
+        (["--resume", "nowhere"], "holds no run"),
+        (["ppo", "--resume", "nowhere"], "leave out the algorithm"),
+        (["ppo", "--seed", "1000000"], "--seed 1000000: expected a whole number from 0 to 999999"),
+        (["ppo", "--set", "environment.name=nomnal"], "did you mean 'nominal'?"),
+        (["ppo", "--set", "inputs.stroke={middle: 0.0, half: 1.0}"], "has no quantity 'stroke'"),
+    ],
+)
+def test_bad_input_is_one_message(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *arguments]) == 2
+    found = capsys.readouterr().err
+    assert message in found
+    assert found.startswith("sayd: error: ")
+    assert not list(tmp_path.rglob("*.yaml"))
+
+
+def test_rewards_and_last_observations_are_encoded(tmp_path: Path) -> None:
+    config = load_train("ppo", settings("ppo", tmp_path))
+    env, encoding = make_learning_env(config)
+    raw = SaydEnv(config.environment.name, observation="features", control_period=0.05, episode_s=0.5)
+    env.seed(3)
+    np.testing.assert_array_equal(env.reset()[1], encoding.encode(raw.reset(seed=4)[0][None])[0])
+    for step in range(10):
+        outputs = np.full((4, 2), -0.5 + 0.1 * step, np.float32)
+        found, rewards, dones, infos = env.step(outputs)
+        commands = encoding.decode(outputs, env._seen)[1]
+        seen, reward, _, truncated, _ = raw.step(commands)
+        assert rewards[1] == pytest.approx(float(reward) * 10.0 / 0.05, rel=1e-6)
+        assert dones[1] == truncated == (step == 9)
+        last = infos[1]["terminal_observation"] if truncated else found[1]
+        np.testing.assert_array_equal(last, encoding.encode(seen[None])[0])
+
+
+def test_a_finished_run_can_be_prolonged(trained: Trained, tmp_path: Path) -> None:
+    config = trained.config.model_copy(update={"total_steps": trained.steps + 64})
+    folder = tmp_path / "run"
+    shutil.copytree(trained.folder, folder)
+    before = Table(folder / "evaluations.csv").rows
+    longer = train(config, folder, resume=True)
+    assert longer.steps >= trained.steps + 64
+    assert longer.evaluations[: len(before)] == before
+    assert longer.references == trained.references
+    assert longer.best <= trained.best
+    assert len(yaml.safe_load((folder / "run.yaml").read_text())["starts"]) == 2
+
+
+def test_what_a_resumed_run_may_not_change(trained: Trained, tmp_path: Path) -> None:
+    changed = trained.config.model_copy(update={"seed": 4, "discount_s": 1.0})
+    with pytest.raises(ConfigError, match=r"discount_s: the run has 5.0, found 1.0; seed: the run has 0"):
+        train(changed, trained.folder, resume=True)
+    with pytest.raises(ConfigError, match="holds no run"):
+        train(trained.config, tmp_path, resume=True)
+    with pytest.raises(ConfigError, match="is not empty"):
+        train(trained.config, trained.folder)
+    Path(trained.config.environment.name).write_text(RUN_IN + "termination_cost: 3.0\n")
+    try:
+        with pytest.raises(ConfigError, match="another one than when the run began"):
+            train(trained.config, trained.folder, resume=True)
+    finally:
+        Path(trained.config.environment.name).write_text(RUN_IN)
+
+
+def test_a_damaged_checkpoint_is_refused(trained: Trained, tmp_path: Path) -> None:
+    env, _ = make_learning_env(trained.config)
+    newest = max((trained.folder / "checkpoints").iterdir())
+    for file in newest.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes()[:-40])
+    with pytest.raises(DataError, match="damaged"):
+        load_model(tmp_path, make_model(trained.config, env))
+
+
+def test_ctrl_c_saves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load_train("sac", [*settings("sac", tmp_path), "checkpoint.every=100000"])
+
+    def interrupt(done: float, total: float, what: str) -> None:
+        if done > 60:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("agents.training.REPORT_SECONDS", 0.0)
+    with pytest.raises(Interrupted, match="saved at step 60 of 200; go on with --resume"):
+        train(config, tmp_path / "run", progress=interrupt)
+    assert steps_on_disk(tmp_path / "run") == [60]
+    assert train(config, tmp_path / "run", resume=True).steps == 200
+
+
+def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load_train("sac", settings("sac", tmp_path))
+    train(config.model_copy(update={"total_steps": 100}), tmp_path / "run")
+    kept = steps_on_disk(tmp_path / "run")
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("agents.learner.np.savez", full)
+        with pytest.raises(StudyError, match="No space left"):
+            train(config, tmp_path / "run", resume=True)
+    assert steps_on_disk(tmp_path / "run") == kept
+    assert train(config, tmp_path / "run", resume=True).steps == 200
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
+    given = settings("sac", tmp_path)
+    command = [sys.executable, "-m", "sayd_env", "train", "sac", "--out", "run"]
+    endless = [*given, "total_steps=1000000", "checkpoint.every=40", "evaluation.every=100000"]
+    command += [part for item in endless for part in ("--set", item)]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=dict(os.environ)
+    )
+    folder, deadline = tmp_path / "run", time.monotonic() + 120.0
+    while not list(folder.glob("checkpoints/0*")) or steps_on_disk_quietly(folder)[-1] < 200:
+        assert process.poll() is None, "the run ended by itself"
+        assert time.monotonic() < deadline, "no checkpoint"
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    # Whatever it was about to write when it was killed: what counts is whole.
+    (folder / "checkpoints" / ".000000000999.77.tmp").mkdir()
+    (folder / "checkpoints" / ".000000000999.77.tmp" / "state.pt").write_bytes(b"half")
+    newest = max(path for path in (folder / "checkpoints").iterdir() if path.name.startswith("0"))
+    config = load_train(str(folder / "config.yaml"))
+    model = make_model(config, make_learning_env(config)[0])
+    stand = load_model(newest, model)
+    assert stand.steps == int(newest.name) >= 200
+    assert stand.updates > 0
+    # The buffer of 40 steps of 4 lanes has been filled.
+    assert model.replay_buffer.size() == 40
+    assert np.abs(model.replay_buffer.rewards).min() > 0.0
+    longer = config.model_copy(update={"total_steps": stand.steps + 40})
+    result = train(longer, folder, resume=True)
+    assert result.steps == stand.steps + 40
+    assert result.evaluations[0]["steps"] == 0
+    assert not list(folder.glob("checkpoints/.*"))
+    starts = yaml.safe_load((folder / "run.yaml").read_text())["starts"]
+    assert [start["step"] for start in starts] == [0, stand.steps]
+
+
+def steps_on_disk_quietly(folder: Path) -> list[int]:
+    """Finished checkpoints while a run is writing others."""
+    return sorted(int(path.name) for path in (folder / "checkpoints").glob("0*")) or [0]
