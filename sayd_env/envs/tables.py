@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 
+from sayd_env.config.environment import LIMITS, EnvironmentConfig
+from sayd_env.config.fault import SensorErrorLaw, ValveStuckLaw
+from sayd_env.config.law import ChoiceLaw, FixedLaw, Law, NormalLaw
+from sayd_env.config.sensors import KINDS, UNITS, SensorsConfig
 from sayd_env.envs.interface import ACTIONS, BOGIES, DAMPERS, Signal
+from sayd_env.envs.options import NUMBERS
 
 LAYOUTS = {
     "bogie": [f"the four valves of the {bogie} bogie" for bogie in BOGIES],
@@ -36,6 +41,87 @@ def action_table() -> str:
         for number, what in enumerate(LAYOUTS[valves])
     ]
     return _table(("valves", "number", "command of", "closed", "open"), rows)
+
+
+def sensor_table(sensors: SensorsConfig) -> str:
+    """Table of the errors of a set of sensors."""
+    rows = []
+    for kind in KINDS:
+        sensor = getattr(sensors, kind)
+        corner = "-" if sensor.bandwidth is None else f"{sensor.bandwidth:g}"
+        numbers = (sensor.noise, sensor.bias_spread, sensor.resolution)
+        rows.append((kind, UNITS[kind], *(f"{n:g}" for n in numbers), corner, f"{1e3 * sensor.sampling:g}"))
+    head = ("sensor", "unit", "noise, RMS", "bias, up to", "resolution", "corner (Hz)", "sampling (ms)")
+    return _table(head, rows)
+
+
+def option_table() -> str:
+    """Table of the options of `reset` that are numbers."""
+    rows = [
+        (name, LIMITS[name].unit, f"{LIMITS[name].low:g}", f"{LIMITS[name].high:g}")
+        for name in (*NUMBERS, "track_scale")
+    ]
+    return _table(("option", "unit", "from", "to"), rows)
+
+
+def draw_table(environments: Mapping[str, EnvironmentConfig]) -> str:
+    """Table of what episodes draw, one column for each environment."""
+    rows = []
+    for name in (*NUMBERS, "sensor_bias", "sensor_noise"):
+        laws = [getattr(config.randomisation, name) for config in environments.values()]
+        rows.append((name, LIMITS[name].unit, *("the study's" if law is None else told(law) for law in laws)))
+    classes = [config.randomisation.tracks for config in environments.values()]
+    for track in dict.fromkeys(entry.name for entries in classes for entry in entries):
+        found = [next((entry for entry in entries if entry.name == track), None) for entries in classes]
+        cells = [
+            "-"
+            if entry is None
+            else f"weight {entry.weight:g}" + (f", {told(entry.scale)}" if entry.scale else "")
+            for entry in found
+        ]
+        rows.append((f"track {track}, scale", "-", *cells))
+    return _table(("quantity", "unit", *environments), rows)
+
+
+def tolerance_table(config: EnvironmentConfig) -> str:
+    """Table of the factors that an episode draws."""
+    groups = config.randomisation.tolerances
+    rows = [
+        (name, ", ".join(f"`{key}`" for key in group.keys), told(group.factor))
+        for name, group in groups.items()
+    ]
+    return _table(("group", "numbers", "factor"), rows)
+
+
+def fault_table(config: EnvironmentConfig) -> str:
+    """Table of the faults that an episode draws, with the share of each kind."""
+    faults = config.faults
+    if faults is None:
+        return ""
+    total = sum(law.weight for law in faults.kinds)
+    rows = []
+    for law in faults.kinds:
+        measure = "-"
+        if isinstance(law, ValveStuckLaw):
+            measure = f"current {told(law.current)}"
+        elif isinstance(law, SensorErrorLaw):
+            measure = f"{told(law.share)} of half the range"
+        rows.append((law.kind, f"{100.0 * law.weight / total:.0f} %", measure))
+    return _table(("fault", "share", "measure"), rows)
+
+
+def told(law: Law) -> str:
+    """A law in words."""
+    if isinstance(law, FixedLaw):
+        return f"{law.value:g}"
+    if isinstance(law, ChoiceLaw):
+        weights = law.weights or (1.0,) * len(law.values)
+        pairs = zip(law.values, weights, strict=True)
+        return ", ".join(f"{value:g} ({100.0 * weight / sum(weights):.0f} %)" for value, weight in pairs)
+    if isinstance(law, NormalLaw):
+        return f"{law.mean:g} ± {law.deviation:g}, {law.low:g} to {law.high:g}"
+    grid = "" if law.step is None else f" in steps of {law.step:g}"
+    return f"{law.low:g} to {law.high:g}{grid}"
 
 
 def _places(places: Sequence[str]) -> str:
