@@ -322,7 +322,7 @@ Policies = Annotated[
         parser=parse_policies,
         metavar="A,B,...",
         help="Controllers: passive, constant:V, mppt1, mppt2, perturb-and-observe, skyhook-onoff, "
-        "skyhook-continuous.",
+        "skyhook-continuous, or files of learned policies (.npz).",
     ),
 ]
 Reward = Annotated[

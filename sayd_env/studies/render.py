@@ -170,6 +170,7 @@ def render(
     ConfigError
         A file, policy, speed, length or rate that cannot be; pygame is missing.
     """
+    environment = film.policy.environment(environment)
     _check(film, environment.control_period)
     fitted = for_policy(scenario, film.policy)
     period = environment.control_period

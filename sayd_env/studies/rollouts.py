@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import baselines
-from sayd_env.config import ConfigError, nearest
+from agents.policy_file import StoredPolicy, read_policy
+from sayd_env.config import ConfigError, nearest, validate
 from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
@@ -24,16 +25,20 @@ KMH = 3.6
 LANES = 5
 """Vehicles side by side in one thread: enough to hide the controllers' time behind the vehicles'."""
 PASSIVE = "passive"
+LEARNED = ".npz"
+"""How the files of learned policies end."""
 
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """A policy by name: one of `baselines.NAMES`, with parameters, ``constant:0.3`` for short."""
+    """A policy: one of `baselines.NAMES` with parameters, ``constant:0.3`` for short, or a learned one."""
 
     name: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
     label: str = ""
     """How tables call it; its name by default."""
+    stored: StoredPolicy | None = None
+    """A learned policy."""
 
     @property
     def title(self) -> str:
@@ -42,7 +47,25 @@ class PolicySpec:
 
     def make(self, fleet: Fleet) -> Any:
         """Make the policy for a fleet."""
+        if self.stored is not None:
+            return self.stored.bound(fleet.interface)
         return baselines.make(self.name, fleet.interface, **self.parameters)
+
+    def environment(self, config: EnvironmentConfig) -> EnvironmentConfig:
+        """The environment as the policy needs it: a learned one brings signals, valves and clock of its own.
+
+        Raises
+        ------
+        ConfigError
+            A control period that does not fit the length of an episode.
+        """
+        if self.stored is None:
+            return config
+        learned = self.stored.description
+        changes = {"observation": learned.observation, "valves": learned.valves}
+        period = {"control_period": learned.control_period}
+        rows = {"history": learned.history} if learned.observation == "history" else {}
+        return validate(EnvironmentConfig, dict(config) | changes | period | rows, self.stored.source)
 
 
 def policy_spec(text: str) -> PolicySpec:
@@ -51,18 +74,25 @@ def policy_spec(text: str) -> PolicySpec:
     Parameters
     ----------
     text : str
-        A name of `baselines.NAMES`, or ``constant:V`` with a valve command V from 0 to 1.
+        A name of `baselines.NAMES`, ``constant:V`` with a valve command V from 0 to 1, or the path of a
+        learned policy's file, which ends in ``.npz``.
 
     Raises
     ------
     ConfigError
-        An unknown name, or a command that is not a number from 0 to 1.
+        An unknown name, a command that is not a number from 0 to 1, or no such file.
+    DataError
+        A damaged file.
     """
+    if text.strip().endswith(LEARNED):
+        stored = read_policy(text.strip())
+        return PolicySpec(stored.description.name, stored=stored)
     name, colon, value = text.strip().partition(":")
     if name not in baselines.NAMES:
         raise ConfigError(
             f"policy '{text}': unknown{nearest(name, baselines.NAMES)}; "
-            f"expected {', '.join(baselines.NAMES)} or constant:V"
+            f"expected {', '.join(baselines.NAMES)}, constant:V "
+            f"or a file of a learned policy (*{LEARNED})"
         )
     if not colon:
         return PolicySpec(name)
@@ -172,8 +202,9 @@ def run_groups(
 
 
 def _roll_out(group: Group, seeds: Sequence[int]) -> list[Rollout]:
-    fleet = Fleet(group.config, len(seeds), scenario=group.scenario, num_threads=1)
+    config = group.policy.environment(group.config)
+    fleet = Fleet(config, len(seeds), scenario=group.scenario, num_threads=1)
     options = {"speed_kmh": group.speed * KMH, "initial_current": group.initial_current}
-    episodes = [draw_episode(group.config, seed, 0, options) for seed in seeds]
-    steps = [assessed_steps(group.config, group.scenario, group.speed)] * len(seeds)
+    episodes = [draw_episode(config, seed, 0, options) for seed in seeds]
+    steps = [assessed_steps(config, group.scenario, group.speed)] * len(seeds)
     return roll_out(fleet, group.policy.make(fleet), episodes, steps)
