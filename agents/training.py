@@ -41,7 +41,7 @@ from agents.learning_env import environment_keywords, make_learning_env, seed_la
 from agents.policy_file import StoredPolicy, describe, read_policy, save_policy
 from agents.scenarios import Judge
 from agents.table import Table
-from sayd_env.config import ConfigError
+from sayd_env.config import ConfigError, DataError, parse_yaml, read_text
 from sayd_env.config.errors import Interrupted
 from sayd_env.envs.keywords import configured
 
@@ -316,8 +316,10 @@ def _starts(config: TrainConfig, folder: Path, digest: str) -> list[dict[str, An
     if refused:
         told = "; ".join(f"{key}: the run has {mine.get(key)!r}, found {found.get(key)!r}" for key in refused)
         raise ConfigError(f"--resume {folder}: {told}. Only {', '.join(sorted(MAY_CHANGE))} may change")
-    run = yaml.safe_load((folder / RUN).read_text(encoding="utf-8"))
-    if run["environment_sha256"] != digest:
+    run = parse_yaml(read_text(folder / RUN), str(folder / RUN))
+    if not isinstance(run, dict) or not isinstance(run.get("starts"), list):
+        raise DataError(f"{folder / RUN}: is damaged; expected the starts of the run")
+    if run.get("environment_sha256") != digest:
         raise ConfigError(
             f"--resume {folder}: the environment '{config.environment.name}', or the study behind it, is "
             "another one than when the run began; start a new run"

@@ -218,6 +218,15 @@ def test_what_a_resumed_run_may_not_change(trained: Trained, tmp_path: Path) -> 
         Path(trained.config.environment.name).write_text(RUN_IN)
 
 
+def test_a_damaged_record_of_the_run_is_refused(trained: Trained, tmp_path: Path) -> None:
+    for name in ("config.yaml", "run.yaml"):
+        shutil.copy(trained.folder / name, tmp_path / name)
+    for content in (b"", b"starts: [", b"- 1", b"\xff\xfe"):
+        (tmp_path / "run.yaml").write_bytes(content)
+        with pytest.raises((ConfigError, DataError), match=r"run.yaml"):
+            train(trained.config, tmp_path, resume=True)
+
+
 def test_a_damaged_checkpoint_is_refused(trained: Trained, tmp_path: Path) -> None:
     env, _ = make_learning_env(trained.config)
     newest = max((trained.folder / "checkpoints").iterdir())
