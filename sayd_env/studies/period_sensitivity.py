@@ -9,21 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from sayd_env.config import ConfigError, validate
-from sayd_env.config.control import load_controller
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
-from sayd_env.envs.rollout import Rollout
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.claims_controlled import skyhook_claims, skyhook_runs
-from sayd_env.studies.controlled import ControlledRun, ControlledRuns, controlled_run_of
-from sayd_env.studies.evaluate import environment_of
+from sayd_env.studies.controlled_runs import controlled_groups, controlled_runs
 from sayd_env.studies.judging import Claim
-from sayd_env.studies.kept_runs import run_kept
 from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.rollouts import Group, PolicySpec, for_policy
-from sayd_env.studies.sweep import run_name
 
 PERIODS = (0.002, 0.005, 0.01)
 """s."""
@@ -114,41 +107,11 @@ def period_sensitivity(
         before = number * total // len(periods)
         report = partial(_report, progress, before, total, f"control period {1e3 * period:g} ms")
         place = None if folder is None else folder / f"period_{1e3 * period:g}_ms"
-        runs, found = _runs(_groups(scenario, config, seeds), place, workers, report)
+        groups = controlled_groups(scenario, config, seeds, skyhook_runs())
+        runs, found = controlled_runs(groups, place, workers, report)
         claims[period] = skyhook_claims(runs, limits)
         reused += found
     return PeriodSensitivity(claims, reused)
-
-
-def _groups(scenario: Scenario, config: EnvironmentConfig, seeds: Sequence[int]) -> list[Group]:
-    groups = []
-    for name, speed, current in skyhook_runs():
-        spec = PolicySpec(name, load_controller(name, {}).model_dump())
-        fitted = for_policy(scenario, spec)
-        groups.append(Group(spec, fitted, environment_of(fitted, config), speed, tuple(seeds), current))
-    return groups
-
-
-def _runs(
-    groups: Sequence[Group], folder: Path | None, workers: int | None, progress: Progress
-) -> tuple[ControlledRuns, int]:
-    """Assessed runs of all groups, and how many of them were there already."""
-    stores: dict[str, RunStore[ControlledRun]] = {}
-    for group in groups if folder is not None else ():
-        assert folder is not None
-        inputs = (group.scenario, group.config, dict(group.policy.parameters))
-        stores.setdefault(group.policy.name, RunStore(folder, group.policy.name, ControlledRun, *inputs))
-
-    def place(group: Group, seed: int) -> tuple[RunStore[ControlledRun] | None, str]:
-        return stores.get(group.policy.name), run_name(group.speed, seed)
-
-    def analyse(group: Group, rollout: Rollout) -> ControlledRun:
-        return controlled_run_of(group.policy.name, rollout, group.scenario.assessment)
-
-    found = run_kept(groups, analyse, place, workers=workers, progress=progress)
-    for store in stores.values():
-        store.forget_former()
-    return ControlledRuns(run for runs in found for run in runs), sum(s.reused for s in stores.values())
 
 
 def _report(

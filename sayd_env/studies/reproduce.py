@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
-from sayd_env.config.control import load_controller
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
-from sayd_env.envs.rollout import Rollout
 from sayd_env.physics import sayd
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits
@@ -21,18 +19,16 @@ from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.claims_controlled import controlled_claims, required_runs, skyhook_runs
 from sayd_env.studies.claims_passive import NEW_SPEEDS, WORN_SPEEDS, passive_claims
 from sayd_env.studies.conicity import conicity, plot_conicity
-from sayd_env.studies.controlled import ControlledRun, ControlledRuns, controlled_run_of
+from sayd_env.studies.controlled import ControlledRuns
 from sayd_env.studies.controlled_figures import controlled_plots
+from sayd_env.studies.controlled_runs import controlled_groups, controlled_runs
 from sayd_env.studies.critical_speed import draw_trends, model_limits
-from sayd_env.studies.evaluate import environment_of
 from sayd_env.studies.hysteresis import HysteresisResult, hysteresis
 from sayd_env.studies.judging import Claim, once
-from sayd_env.studies.kept_runs import run_kept
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.period_sensitivity import PeriodSensitivity, period_sensitivity
 from sayd_env.studies.reproduce_page import reproduce_page
-from sayd_env.studies.rollouts import Group, PolicySpec, for_policy
-from sayd_env.studies.sweep import Run, Sweep, run_name, runs_table, sweep
+from sayd_env.studies.sweep import Run, Sweep, runs_table, sweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -184,7 +180,7 @@ def reproduce(
     if not isinstance(scenario.damper, PassiveDamperConfig):
         raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
-    groups = controlled_groups(models[1].scenario, environment or load_environment(), seeds)
+    groups = controlled_groups(models[1].scenario, environment or load_environment(), seeds, required_runs())
     rest = len(control_periods) * len(skyhook_runs())
     total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS) + len(groups) + rest)
     done_before = 0
@@ -195,7 +191,7 @@ def reproduce(
         sweeps.append(sweep(model, speeds, seeds, workers=workers, progress=report, store=store))
         done_before += len(seeds) * len(speeds)
     new, worn = sweeps
-    runs, kept = controlled_runs(groups, folder, workers, partial(_report, progress, done_before, total))
+    runs, taken = controlled_runs(groups, folder, workers, partial(_report, progress, done_before, total))
     done_before += len(seeds) * len(groups)
     sensitivity = None
     if control_periods:
@@ -217,51 +213,12 @@ def reproduce(
         model_claim(models[0]),
     ]
     names = tuple(name.removeprefix("wheelset.") for name, _ in models[0].multibody.measuring_points)
-    used: list[RunStore[Any]] = [store for store in (*stores, *kept) if store is not None]
-    for store in used:
+    kept = [store for store in stores if store is not None]
+    for store in kept:
         store.forget_former()
-    reused = sum(store.reused for store in used) + (0 if sensitivity is None else sensitivity.reused)
+    reused = taken + sum(store.reused for store in kept)
+    reused += 0 if sensitivity is None else sensitivity.reused
     return ReproduceResult(scenario, claims, new, worn, limits, names, loops, runs, reused, sensitivity)
-
-
-def controlled_groups(
-    scenario: Scenario, environment: EnvironmentConfig, seeds: Sequence[int]
-) -> list[Group]:
-    """The runs with controllers that the rows need; parameters of each controller are in its `PolicySpec`."""
-    groups = []
-    for name, speed, current in required_runs():
-        spec = PolicySpec(name, load_controller(name, {}).model_dump())
-        fitted = for_policy(scenario, spec)
-        groups.append(Group(spec, fitted, environment_of(fitted, environment), speed, tuple(seeds), current))
-    return groups
-
-
-def controlled_runs(
-    groups: Sequence[Group], folder: Path | None, workers: int | None, progress: Progress = silent
-) -> tuple[ControlledRuns, list[RunStore[ControlledRun]]]:
-    """Assess the runs of all groups, those that an earlier start has finished from the disk.
-
-    Returns
-    -------
-    ControlledRuns
-    list of RunStore
-        Where the runs of each controller are kept.
-    """
-    stores: dict[str, RunStore[ControlledRun]] = {}
-    for group in groups if folder is not None else ():
-        assert folder is not None
-        inputs = (group.scenario, group.config, dict(group.policy.parameters))
-        stores.setdefault(group.policy.name, RunStore(folder, group.policy.name, ControlledRun, *inputs))
-
-    def place(group: Group, seed: int) -> tuple[RunStore[ControlledRun] | None, str]:
-        name = f"{run_name(group.speed, seed)}_V0_{group.initial_current:g}"
-        return stores.get(group.policy.name), name
-
-    def analyse(group: Group, rollout: Rollout) -> ControlledRun:
-        return controlled_run_of(group.policy.name, rollout, group.scenario.assessment)
-
-    runs = run_kept(groups, analyse, place, workers=workers, progress=progress)
-    return ControlledRuns(run for part in runs for run in part), list(stores.values())
 
 
 def _store(folder: Path | None, model: VehicleModel) -> RunStore[Run] | None:
