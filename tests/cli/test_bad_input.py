@@ -274,8 +274,10 @@ def test_an_interrupted_study_ends_soon_and_leaves_no_result(command: str, tmp_p
 
 
 def test_no_warning_reaches_the_user(tmp_path: Path):
-    """A process with every warning shown prints none, neither for a good run nor for a refused one."""
-    for arguments, status in ((EVALUATE, 0), ([*EVALUATE, "--set", "track.irregularity.scale=1e6"], 1)):
+    """A process with every warning shown prints none: for a good run, a derailed one, and a failed study."""
+    wild = ["--set", "track.irregularity.scale=1e6"]
+    critical = ["critical-speed", *SHORT, "--speeds", "300,350", "--seeds", "1", "--json"]
+    for arguments, status in ((EVALUATE, 0), ([*EVALUATE, *wild], 0), ([*critical, *wild], 1)):
         done = subprocess.run(
             [sys.executable, "-W", "always", "-m", "sayd_env", *arguments],
             capture_output=True,
