@@ -91,14 +91,7 @@ def period_sensitivity(
     StudyError
         A run that diverged or derailed.
     """
-    if len(set(periods)) < len(periods) or not periods:
-        raise ConfigError(f"control periods {list(periods)}: expected different ones, at least one")
-    base = environment or load_environment()
-    # All periods are checked before any work.
-    configs = [
-        validate(EnvironmentConfig, dict(base) | {"control_period": period}, "control periods")
-        for period in periods
-    ]
+    configs = environments_at(periods, environment or load_environment())
     limits = model_limits(VehicleModel(scenario))
     total = len(periods) * len(skyhook_runs()) * len(seeds)
     claims: dict[float, list[Claim]] = {}
@@ -112,6 +105,22 @@ def period_sensitivity(
         claims[period] = skyhook_claims(runs, limits)
         reused += found
     return PeriodSensitivity(claims, reused)
+
+
+def environments_at(periods: Sequence[float], base: EnvironmentConfig) -> list[EnvironmentConfig]:
+    """Make the environment of each control period (s), all of them before any work.
+
+    Raises
+    ------
+    ConfigError
+        A period that does not divide a second or stands there twice, or none at all.
+    """
+    if len(set(periods)) < len(periods) or not periods:
+        raise ConfigError(f"control periods {list(periods)}: expected different ones, at least one")
+    return [
+        validate(EnvironmentConfig, dict(base) | {"control_period": period}, "control periods")
+        for period in periods
+    ]
 
 
 def _report(

@@ -26,7 +26,7 @@ from sayd_env.studies.critical_speed import draw_trends, model_limits
 from sayd_env.studies.hysteresis import HysteresisResult, hysteresis
 from sayd_env.studies.judging import Claim, once
 from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.period_sensitivity import PeriodSensitivity, period_sensitivity
+from sayd_env.studies.period_sensitivity import PeriodSensitivity, environments_at, period_sensitivity
 from sayd_env.studies.reproduce_page import reproduce_page
 from sayd_env.studies.sweep import Run, Sweep, runs_table, sweep
 
@@ -173,14 +173,18 @@ def reproduce(
     Raises
     ------
     ConfigError
-        A scenario without passive yaw dampers, or a folder that cannot be written to.
+        A scenario without passive yaw dampers, a control period that cannot be, or a folder that cannot be
+        written to.
     StudyError
         A run that diverged.
     """
     if not isinstance(scenario.damper, PassiveDamperConfig):
         raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
+    laws = environment or load_environment()
+    if control_periods:
+        environments_at(control_periods, laws)  # refused before any work
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
-    groups = controlled_groups(models[1].scenario, environment or load_environment(), seeds, required_runs())
+    groups = controlled_groups(models[1].scenario, laws, seeds, required_runs())
     rest = len(control_periods) * len(skyhook_runs())
     total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS) + len(groups) + rest)
     done_before = 0
@@ -199,7 +203,7 @@ def reproduce(
             models[1].scenario,
             seeds,
             control_periods,
-            environment=environment,
+            environment=laws,
             workers=workers,
             progress=partial(_report, progress, done_before, total),
             folder=None if folder is None else folder / "control_periods",

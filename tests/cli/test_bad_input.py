@@ -136,6 +136,13 @@ def test_bad_values_are_refused(arguments: list[str], message: str, refused: Ref
     assert message in refused(*EVALUATE, *arguments)
 
 
+@pytest.mark.parametrize("periods", ["0.003", "0.01,0.003", "0.01,0.01"])
+def test_bad_control_periods_are_refused_before_any_work(periods: str, refused: Refused):
+    found = refused("reproduce", *SHORT, "--quick", "--control-periods", periods, "--out", "here")
+    assert "control periods" in found
+    assert list(Path("here").iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
