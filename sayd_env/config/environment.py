@@ -23,6 +23,7 @@ from sayd_env.config.loader import (
     section,
     validate,
 )
+from sayd_env.config.scenario import CostConfig
 from sayd_env.config.sensors import SAMPLE, SensorsConfig, is_multiple
 from sayd_env.config.track import IrregularityConfig, NoIrregularityConfig, read_track
 
@@ -195,7 +196,9 @@ class EnvironmentConfig(Model):
     observation: Literal["signals", "history", "features"] = Field(description="What an observation is")
     history: int = quantity("-", "Number of vectors in an observation of type 'history'", ge=1, le=1000)
     derailment: DerailmentConfig
-    termination_cost: float = quantity("-", "J_term, charged for each remaining second", ge=0.0)
+    termination_cost: float = quantity(
+        "-", "J_term, charged for each remaining second, at the weights k_y = 1 and k_F = 0.5", ge=0.0
+    )
     randomisation: RandomisationConfig
     faults: FaultsConfig | None = Field(None, description="Faults; null: none")
 
@@ -217,6 +220,11 @@ class EnvironmentConfig(Model):
                 f"({self.control_period:g} s)"
             )
         return self
+
+
+def charge_a_second(config: EnvironmentConfig, cost: CostConfig) -> float:
+    """J_term at a cost's own weights: no smaller a share of J than at those of its configuration."""
+    return config.termination_cost * max(cost.acceleration_weight, 2.0 * cost.force_weight)
 
 
 def load_environment(name: str = "nominal", overrides: Iterable[str] = ()) -> EnvironmentConfig:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from sayd_env.config import ConfigError
 from sayd_env.config.control import OnlineConfig, load_online
 from sayd_env.config.damper import SaydDamperConfig
-from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.environment import EnvironmentConfig, charge_a_second
 from sayd_env.config.fault import SensorNoisy
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import SIGNALS as SENSED
@@ -268,7 +268,8 @@ class Fleet:
         """Reward of the period in which a run ended, with the charge for the rest of the episode."""
         remaining = self.config.episode_s - self.elapsed[i] * self.config.control_period
         last = float(self.lanes.rewards[i]) if self.elapsed[i] else 0.0
-        return (last if math.isfinite(last) else 0.0) - self.config.termination_cost * float(remaining)
+        charge = charge_a_second(self.config, self.scenario.cost) * float(remaining)
+        return (last if math.isfinite(last) else 0.0) - charge
 
     def observations(self) -> Observation:
         """What the vehicles observe, a new array of shape (count, *interface.shape)."""

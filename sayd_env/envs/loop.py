@@ -165,7 +165,7 @@ def measure(plant: Plant, state: State, work: Work, loop: Loop, memory: LoopStat
         true[PRESSURE_A + k] = state.sayd[sayd.PRESSURE_A * LANES + k] if semi_active else loop.tank
         true[PRESSURE_B + k] = state.sayd[sayd.PRESSURE_B * LANES + k] if semi_active else loop.tank
         true[STROKE + k] = state.sayd[sayd.STROKE * LANES + k] if semi_active else state.elongation[k]
-        true[CURRENT + k] = state.sayd[sayd.CURRENT * LANES + k] if semi_active else 0.0
+        true[CURRENT + k] = state.sayd[sayd.COIL * LANES + k] if semi_active else 0.0
     true[SPEED] = plant.speed
 
 
@@ -271,7 +271,7 @@ def write_log(state: State, loop: Loop, memory: LoopState, row: Array) -> None:
         row[LOG_ACCELERATION + k] = memory.row[k]
     for k in range(DAMPERS):
         row[LOG_HYDRAULIC + k] = hydraulic_force(loop, memory, k)
-        row[LOG_CURRENT + k] = memory.true[CURRENT + k]
+        row[LOG_CURRENT + k] = state.sayd[sayd.CURRENT * LANES + k] if state.sayd.shape[0] > 0 else 0.0
     for k in range(POINTS):
         row[LOG_FILTERED + k] = memory.passed[k]
     for k in range(BODY_ROWS):

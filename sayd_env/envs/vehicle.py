@@ -149,7 +149,8 @@ def make_lane(
         current = damper.current if isinstance(damper, SaydDamperConfig) else 0.0
     state = model.state(speed)
     if semi_active:
-        state.sayd[sayd.CURRENT * LANES : (sayd.COMMAND + 1) * LANES] = current
+        for row in (sayd.CURRENT, sayd.COMMAND, sayd.COIL):
+            state.sayd[row * LANES : (row + 1) * LANES] = current
         state.sayd_line[:] = current
     run_in = math.ceil(settings.run_in / speed / settings.control_period - 1e-9)
     each = sensors_by_signal(sensors)

@@ -90,13 +90,14 @@ Array = npt.NDArray[np.float64]
     PRESSURE_B,  # p_B, Pa
     FORCE_1,  # F_1, N: the damper's tension on the bogie's side
     FORCE_2,  # F_2, N
-    CURRENT,  # acting current (-)
+    CURRENT,  # acting current (-): where the spool stands
     COMMAND,  # commanded current (-)
     POWERED,  # 1 with power, 0 without
     STUCK,  # current at which the valve is stuck; negative: it moves
     ATTACHED,  # 1; 0 for a damper that has come off and moves along without force
+    COIL,  # current in the coil (-): where the spool would stand, were it free; 0 without power
     STATES,
-) = range(14)
+) = range(15)
 
 # Rows of the inputs of one vehicle step: ends at its end and at its start, and the acting current.
 (
@@ -421,15 +422,21 @@ def move_valves(constant: Array, line: Array, inputs: Array, state: Array) -> No
     for i in range(lanes):
         share = constant[DELAY_SHARE * LANES + i]
         asked = share * line[last + i] + (1.0 - share) * line[before + i]
-        target = asked if state[POWERED * LANES + i] > 0.5 else constant[FAILSAFE * LANES + i]
+        powered, stuck = state[POWERED * LANES + i] > 0.5, state[STUCK * LANES + i]
+        free = asked if powered else constant[FAILSAFE * LANES + i]
+        target = stuck if stuck >= 0.0 else free
+        lag, reach = constant[LAG * LANES + i], constant[REACH * LANES + i]
         now = state[CURRENT * LANES + i]
-        change = constant[LAG * LANES + i] * (target - now)
-        reach = constant[REACH * LANES + i]
+        change = lag * (target - now)
         change = change if change < reach else reach
         change = change if change > -reach else -reach
-        stuck = state[STUCK * LANES + i]
         inputs[OLD_CURRENT * LANES + i] = now
-        state[CURRENT * LANES + i] = stuck if stuck >= 0.0 else now + change
+        state[CURRENT * LANES + i] = now + change
+        flow = state[COIL * LANES + i]
+        rise = lag * ((asked if powered else 0.0) - flow)
+        rise = rise if rise < reach else reach
+        rise = rise if rise > -reach else -reach
+        state[COIL * LANES + i] = flow + rise
 
 
 class SaydArrays(NamedTuple):
@@ -506,7 +513,7 @@ def rest(config: SaydDamperConfig, current: float | None = None) -> Array:
     """State at rest under tank pressure, powered, its current settled: shape (STATES * LANES,)."""
     column = np.zeros(STATES)
     column[PRESSURE_A] = column[PRESSURE_B] = config.oil.tank_pressure
-    column[CURRENT] = column[COMMAND] = config.current if current is None else current
+    column[CURRENT] = column[COMMAND] = column[COIL] = config.current if current is None else current
     column[POWERED] = column[ATTACHED] = 1.0
     column[STUCK] = -1.0
     return np.repeat(column, LANES)

@@ -221,11 +221,11 @@ def restart(
 
 
 def _length(constants: Band, rate: float, assessment: AssessmentConfig, speed: float) -> int:
-    """Block means that cover one segment of the assessment."""
+    """Whole blocks within one segment of the assessment: any run of its length has them all."""
     if not (math.isfinite(speed) and speed >= SLOWEST):
         raise ConfigError(f"on-line filter: found a speed of {speed:g} m/s; expected {SLOWEST:g} m/s or more")
     blocks = assessment.segment_length / speed * rate / int(constants.counts[0])
-    return max(2, math.ceil(blocks - 1e-9))
+    return max(2, math.floor(blocks + 1e-9))
 
 
 def _window(length: int) -> Array:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sayd_env.config import StudyError
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.environment import EnvironmentConfig, charge_a_second
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.loop import (
     BOGIES,
@@ -100,7 +100,7 @@ def policy_row(group: Group, rollout: Rollout) -> Row:
     scenario = group.scenario
     weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
     parts = episode_cost(rollout, group.config)
-    charge = termination_charge(rollout, group.config)
+    charge = termination_charge(rollout, group)
     over_the_length = _derailed() if rollout.ending is not None else _measured(rollout, scenario, weights)
     return Row(
         policy=group.policy.title,
@@ -128,7 +128,7 @@ def episode_cost(rollout: Rollout, config: EnvironmentConfig) -> tuple[float, fl
     return rollout.cost(math.floor(run + 1e-9) if short else config.episode_s)
 
 
-def termination_charge(rollout: Rollout, config: EnvironmentConfig) -> float:
+def termination_charge(rollout: Rollout, group: Group) -> float:
     """What the environment charges for the seconds that a derailment has cut off, as a part of J.
 
     Raises
@@ -143,8 +143,9 @@ def termination_charge(rollout: Rollout, config: EnvironmentConfig) -> float:
         raise StudyError(
             f"the run of seed {rollout.episode.seed} at {rollout.episode.speed * KMH:g} km/h diverged"
         )
-    remaining = config.episode_s - len(rollout.terms) * rollout.control_period
-    return config.termination_cost * max(remaining, 0.0) / config.episode_s
+    episode = group.config.episode_s
+    remaining = max(episode - len(rollout.terms) * rollout.control_period, 0.0)
+    return charge_a_second(group.config, group.scenario.cost) * remaining / episode
 
 
 def offline_cost(

@@ -55,7 +55,7 @@ def phasor(values, frequency, period=PERIOD):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_constant_error_of_the_accelerometer_gives_no_drift(interface, name):
     signals = interface()
-    policy = baselines.make(name, signals)
+    policy = baselines.make(name, signals, corner=0.3)
     bias = np.full(2000, 0.5)  # plainly integrated, 10 m/s after 20 s
     _, velocity, _ = drive(policy, signals, bias, np.zeros(2000))
     assert np.abs(velocity[-500:]).max() < 1e-6
@@ -64,9 +64,12 @@ def test_a_constant_error_of_the_accelerometer_gives_no_drift(interface, name):
 @pytest.mark.parametrize("frequency", [3.0, 5.0, 8.0])
 @pytest.mark.parametrize("period", [0.01, 0.005])
 def test_velocity_and_stroke_rate_of_a_sine(interface, frequency, period):
-    """x = x0 sin(w t): amplitude w x0 within 6 %, phase within 10 degrees, both of them."""
+    """x = x0 sin(w t): amplitude w x0 within 6 %, phase within 10 degrees, both of them.
+
+    With corners far from the frequencies of hunting; what the packaged ones cost in phase, they are meant to.
+    """
     signals = interface(control_period=period)
-    policy = baselines.make("skyhook-onoff", signals)
+    policy = baselines.make("skyhook-onoff", signals, corner=0.3, rate_corner=40.0)
     steps, w, x0 = round(10.0 / period), 2 * math.pi * frequency, 2e-3
     acceleration = means(lambda t: x0 * w * np.cos(w * t), steps, period)
     stroke = means(lambda t: -x0 / w * np.cos(w * t), steps, period)

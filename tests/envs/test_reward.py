@@ -24,7 +24,7 @@ GRID = np.arange(14, 122) / 10  # 1.5 to 12 Hz, and a step beyond both ends
 
 def dominant(points: Array, speed: float) -> float:
     """Highest peak of the summed Hann spectra of the last 500 m, on means of 10 ms; points: (t, 2)."""
-    length = int(np.ceil(500.0 / speed * 100))
+    length = int(500.0 / speed * 100)
     means = points[-length * 10 :].reshape(length, 10, -1).mean(axis=1)
     window = get_window("hann", length)[:, None]
     means = (means - (window * means).sum(axis=0) / window.sum()) * window

@@ -13,6 +13,7 @@ from gymnasium.error import Error, ResetNeeded
 from sayd_env.config import ConfigError
 from sayd_env.envs.loop import NOT_FINITE
 from sayd_env.envs.single import SaydEnv
+from sayd_env.physics import sayd
 
 HALF = np.full(2, 0.5, dtype=np.float32)
 Step = tuple[Any, ...]
@@ -81,9 +82,14 @@ def test_options_fix_an_episode(quick: str) -> None:
     assert info["speed_kmh"] == pytest.approx(300.0)
     assert (info["wear"], info["friction"], info["track"]) == (0.0, 0.3, "china")
     assert info["faults"] == [fault | {"start_s": 0.0}]
-    observation = [env.step(np.zeros(2, np.float32)) for _ in range(15)][-1][0]
+    observation = [env.step(np.zeros(2, np.float32)) for _ in range(30)][-1][0]
     current = [env.interface.index(f"current.front.left.{place}") for place in ("upper", "lower")]
-    assert observation[current].tolist() == [1.0, 0.0]
+    assert observation[current].tolist() == [
+        0.0,
+        0.0,
+    ]  # the coil's current, which knows nothing of a stuck spool
+    stuck, free = env.fleet.lanes.state.view(0).sayd.reshape(-1, 8)[sayd.CURRENT, :2]
+    assert (stuck, free) == (pytest.approx(1.0), 0.0)
     assert observation[env.interface.index("speed")] == pytest.approx(300 / 3.6)
     assert env.reset()[1]["speed_kmh"] == pytest.approx(350.0)
 
