@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from sayd_env import __version__
 from sayd_env.cli import components, learning, performance, pictures, policies, stability, vehicle
@@ -48,3 +50,7 @@ app.command()(learning.export)
 app.command()(pictures.render)
 app.command()(performance.bench)
 app.command()(performance.soak)
+
+for command in app.registered_commands:
+    # Help is shown by rich, to which an extra's name in brackets would be markup.
+    command.help = escape(inspect.getdoc(command.callback) or "")

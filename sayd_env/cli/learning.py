@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from sayd_env.cli import options
 from sayd_env.cli.job import Job
@@ -113,14 +114,17 @@ def export(
     ],
     *,
     onnx: Annotated[
-        bool, typer.Option("--onnx", help="Write an ONNX model besides; needs 'sayd-env[onnx]'.")
+        bool,
+        typer.Option("--onnx", help=escape("Write an ONNX model besides; needs 'sayd-env[onnx]'.")),
     ] = False,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
     """Write a learned policy as files for others: weights with their description, and an ONNX model."""
     from sayd_env.studies.learning import export as study  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.learning import read_source  # noqa: PLC0415
 
+    stored = read_source(source)  # before the directory is made
     target = out or RESULTS / "export"
     job = Job("export", target, as_json)
-    job.finish(study(source, target, onnx=onnx))
+    job.finish(study(stored, target, onnx=onnx))

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from agents.config import TrainConfig
+    from agents.policy_file import StoredPolicy
     from agents.training import Trained
 
 EXTRA = "needs torch and Stable-Baselines3: install them with pip install 'sayd-env[train]'"
@@ -132,13 +133,28 @@ def train(
     return TrainResult(learn(config, folder, resume=resume, about=about, progress=progress))
 
 
-def export(source: Path, target: Path, *, onnx: bool) -> ExportResult:
-    """Write the policy of a run, or of a policy file, for others to use.
+def read_source(source: Path) -> StoredPolicy:
+    """Read a policy file, or the best policy of a run's folder.
+
+    Raises
+    ------
+    ConfigError
+        No policy there.
+    DataError
+        A damaged file.
+    """
+    from agents.policy_file import read_policy  # noqa: PLC0415 - keeps the import of studies light
+
+    return read_policy(source / "best.npz" if source.is_dir() else source)
+
+
+def export(stored: StoredPolicy, target: Path, *, onnx: bool) -> ExportResult:
+    """Write a learned policy for others to use.
 
     Parameters
     ----------
-    source : Path
-        A policy file, or the folder of a run, of which the best policy is taken.
+    stored : StoredPolicy
+        Of `read_source`.
     target : Path
         Folder for the files.
     onnx : bool
@@ -147,16 +163,12 @@ def export(source: Path, target: Path, *, onnx: bool) -> ExportResult:
     Raises
     ------
     ConfigError
-        No policy there, or onnx is not installed.
-    DataError
-        A damaged file.
+        A file that exists already, or onnx is not installed.
     StudyError
         A file cannot be written.
     """
-    from agents.policy_file import read_policy, save_policy  # noqa: PLC0415 - keeps the import of studies light
+    from agents.policy_file import save_policy  # noqa: PLC0415 - keeps the import of studies light
 
-    path = source / "best.npz" if source.is_dir() else source
-    stored = read_policy(path)
     name = stored.description.name
     files = [target / f"{name}.npz"]
     if onnx:

@@ -142,6 +142,7 @@ def test_a_run_is_exported(
     (tmp_path / "bad.npz").write_bytes(Path(file).read_bytes()[:500])
     assert main(["export", "bad.npz", "--out", "there"]) == 2
     assert "bad.npz: is damaged" in capsys.readouterr().err
+    assert not Path("there").exists()
 
 
 @pytest.mark.parametrize(

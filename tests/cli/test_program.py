@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sayd_env.cli import main
+from sayd_env.cli import learning, main, pictures
 
 # A program with one more command, which does what it is told.
 PROGRAM = """
@@ -179,6 +181,21 @@ def test_help_and_version_import_no_numerical_library():
         )
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
         assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("command", ["train", "render", "export"])
+def test_help_shows_the_names_of_all_extras(command: str, capsys: pytest.CaptureFixture[str]):
+    """Rich would take a name in brackets for a style."""
+    function = {"train": learning.train, "render": pictures.render, "export": learning.export}[command]
+    named = set(re.findall(r"sayd-env\[\w+\]", inspect.getsource(function)))
+    assert named
+    assert main([command, "--help"]) == 0
+    assert named <= set(re.findall(r"sayd-env\[\w+\]", capsys.readouterr().out))
+
+
+def test_the_list_of_commands_shows_the_extra(capsys: pytest.CaptureFixture[str]):
+    assert main(["--help"]) == 0
+    assert "sayd-env[train]" in capsys.readouterr().out
 
 
 @pytest.mark.timing
