@@ -82,14 +82,14 @@ def test_options_fix_an_episode(quick: str) -> None:
     assert info["speed_kmh"] == pytest.approx(300.0)
     assert (info["wear"], info["friction"], info["track"]) == (0.0, 0.3, "china")
     assert info["faults"] == [fault | {"start_s": 0.0}]
-    observation = [env.step(np.zeros(2, np.float32)) for _ in range(30)][-1][0]
+    observation = [env.step(np.zeros(2, np.float32)) for _ in range(15)][-1][0]
     current = [env.interface.index(f"current.front.left.{place}") for place in ("upper", "lower")]
     assert observation[current].tolist() == [
         0.0,
         0.0,
-    ]  # the coil's current, which knows nothing of a stuck spool
+    ]  # the coil knows nothing of it
     stuck, free = env.fleet.lanes.state.view(0).sayd.reshape(-1, 8)[sayd.CURRENT, :2]
-    assert (stuck, free) == (pytest.approx(1.0), 0.0)
+    assert (stuck, free) == (pytest.approx(1.0, abs=1e-3), 0.0)
     assert observation[env.interface.index("speed")] == pytest.approx(300 / 3.6)
     assert env.reset()[1]["speed_kmh"] == pytest.approx(350.0)
 
