@@ -16,9 +16,10 @@ from baselines.perturb_observe import PerturbAndObserve
 from baselines.policy import Policy
 from baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
 from baselines.source import interface_of
+from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
 
-__all__ = ["NAMES", "Policy", "interface_of", "make"]
+__all__ = ["NAMES", "Policy", "interface_of", "make", "parse"]
 
 _KINDS: dict[str, Any] = {
     "passive": Passive,
@@ -39,7 +40,7 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Policy[Any, Any]:
     Parameters
     ----------
     name : str
-        One of `NAMES`.
+        One of `NAMES`, or ``constant:V`` with a valve command V.
     env_or_spec
         What it is to control: an `Interface`, a Gymnasium environment or vector environment (wrapped or not),
         a vector environment of Stable-Baselines3, or an environment's id or `EnvSpec`.
@@ -58,5 +59,43 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Policy[Any, Any]:
         Unknown name or parameter, a value that cannot be used, or an environment without the signals, valves
         or dampers that the controller needs.
     """
-    config = load_controller(name, parameters)
+    name, short = parse(name)
+    twice = short.keys() & parameters
+    if twice:
+        raise ConfigError(f"policy '{name}': {', '.join(twice)} is given behind the colon and as a parameter")
+    config = load_controller(name, {**short, **parameters})
     return _KINDS[name](name, interface_of(env_or_spec), config)  # type: ignore[no-any-return]
+
+
+def parse(text: str) -> tuple[str, dict[str, float]]:
+    """Read a controller's name and what stands behind a colon: ``constant:0.3``.
+
+    Parameters
+    ----------
+    text : str
+        A name, or ``constant:V`` with a valve command V from 0 to 1. Whether there is such a controller is
+        for `make` to say.
+
+    Returns
+    -------
+    name : str
+    parameters : dict
+        ``{"current": V}``, or nothing.
+
+    Raises
+    ------
+    ConfigError
+        A value behind another name than ``constant``, or one that is not a number from 0 to 1.
+    """
+    name, colon, value = str(text).strip().partition(":")
+    if not colon or name not in NAMES:
+        return name, {}
+    if name != "constant":
+        raise ConfigError(f"policy '{text}': only 'constant' takes a value, for example constant:0.3")
+    try:
+        current = float(value)
+    except ValueError:
+        current = float("nan")
+    if not 0.0 <= current <= 1.0:
+        raise ConfigError(f"policy '{text}': expected a valve command from 0 to 1 behind the colon")
+    return name, {"current": current}

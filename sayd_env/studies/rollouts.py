@@ -87,24 +87,14 @@ def policy_spec(text: str) -> PolicySpec:
     if text.strip().endswith(LEARNED):
         stored = read_policy(text.strip())
         return PolicySpec(stored.description.name, stored=stored)
-    name, colon, value = text.strip().partition(":")
+    name, parameters = baselines.parse(text)
     if name not in baselines.NAMES:
         raise ConfigError(
             f"policy '{text}': unknown{nearest(name, baselines.NAMES)}; "
             f"expected {', '.join(baselines.NAMES)}, constant:V "
             f"or a file of a learned policy (*{LEARNED})"
         )
-    if not colon:
-        return PolicySpec(name)
-    if name != "constant":
-        raise ConfigError(f"policy '{text}': only 'constant' takes a value, for example constant:0.3")
-    try:
-        current = float(value)
-    except ValueError:
-        current = float("nan")
-    if not 0.0 <= current <= 1.0:
-        raise ConfigError(f"policy '{text}': expected a valve command from 0 to 1 behind the colon")
-    return PolicySpec(name, {"current": current}, text.strip())
+    return PolicySpec(name, parameters, text.strip()) if parameters else PolicySpec(name)
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,12 +157,26 @@ def test_constant_and_passive_fit_every_environment(interface, valves, count, ki
             "unknown controller 'mppt', did you mean 'mppt[12]'.*available: passive, constant, mppt1",
         ),
         ("online", {}, {}, "unknown controller 'online'"),
+        ("mppt:0.3", {}, {}, "unknown controller 'mppt', did you mean"),
+        ("mppt1:0.3", {}, {}, "policy 'mppt1:0.3': only 'constant' takes a value"),
+        ("constant:1.3", {}, {}, "policy 'constant:1.3': expected a valve command from 0 to 1"),
+        ("constant:", {}, {}, "policy 'constant:': expected a valve command from 0 to 1"),
+        ("constant:0.3", {}, {"current": 0.4}, "current is given behind the colon and as a parameter"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_message(interface, name, changes, parameters, message):
     with pytest.raises(ConfigError, match=message) as raised:
         baselines.make(name, interface(**changes), **parameters)
     assert "\n" not in str(raised.value)
+
+
+def test_the_short_form_of_a_constant_command(interface):
+    short, long = (
+        baselines.make("constant:0.3", interface()),
+        baselines.make("constant", interface(), current=0.3),
+    )
+    assert (short.name, short.parameters) == (long.name, long.parameters)
+    assert short.predict(np.zeros(short.interface.shape))[0] == pytest.approx(0.3)
 
 
 def test_features_serve_where_the_control_period_is_too_long(interface):
