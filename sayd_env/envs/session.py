@@ -14,7 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.explain import shown
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.fleet import Flags, Fleet, Observation, VehicleState
@@ -175,8 +177,10 @@ class Session:
         Raises
         ------
         ConfigError
-            A state of another environment or of another number of vehicles.
+            A state of another environment or of another number of vehicles, or something else.
         """
+        if not isinstance(state, EnvironmentState):
+            raise ConfigError(f"state: found {shown(state)}; expected what get_state has returned")
         self.fleet.set_state(state.vehicles)
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._running = list(copy.deepcopy(state.running))

@@ -123,5 +123,9 @@ def test_states_of_other_environments_are_refused(quick: str, quick_faults: str)
         other.set_state(env.get_state())
     with pytest.raises(ConfigError, match="1 vehicles; expected 2"):
         SaydVectorEnv(quick, num_envs=2).set_state(env.get_state())
+    for kind in (SaydEnv, SaydVectorEnv):
+        for bad in ({}, None, env.get_state().vehicles):
+            with pytest.raises(ConfigError, match=r"state: found .*; expected what get_state has returned"):
+                make(kind, quick).set_state(bad)
     with pytest.raises(ConfigError, match="reset"):
         SaydEnv(quick).get_state()
