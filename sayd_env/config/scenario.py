@@ -82,7 +82,9 @@ class Scenario(Model):
     provenance: dict[str, Any] = Field({}, description="Where calibrated numbers come from")
 
 
-def load_scenario(config: str | None = None, overrides: Iterable[str] = ()) -> Scenario:
+def load_scenario(
+    config: str | None = None, overrides: Iterable[str] = (), option: str = "--set"
+) -> Scenario:
     """Read a scenario.
 
     Parameters
@@ -94,6 +96,8 @@ def load_scenario(config: str | None = None, overrides: Iterable[str] = ()) -> S
         dotted keys.
     overrides : iterable of str
         ``key=value`` assignments, applied last, for example ``damper.series_stiffness=4e6``.
+    option : str
+        What a message calls the place of the assignments.
 
     Raises
     ------
@@ -104,7 +108,7 @@ def load_scenario(config: str | None = None, overrides: Iterable[str] = ()) -> S
     source = f"configs/study/{name}.yaml" if name in packaged_names("study") else name
     draft = _study(name, ())
     for item in overrides:  # one by one, so that a name can be followed by a key of its content
-        draft = _with_assignment(draft, item, "--set")
+        draft = _with_assignment(draft, item, option)
     return validate(Scenario, draft.data, source, draft.origins)
 
 

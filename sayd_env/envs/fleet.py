@@ -348,7 +348,9 @@ class Fleet:
             self._history[rows, -1] = values[rows]
 
 
-def environment_scenario(config: EnvironmentConfig, overrides: Sequence[str] = ()) -> Scenario:
+def environment_scenario(
+    config: EnvironmentConfig, overrides: Sequence[str] = (), option: str = "--set"
+) -> Scenario:
     """Scenario of an environment: its study with its kind of yaw dampers.
 
     Parameters
@@ -357,6 +359,8 @@ def environment_scenario(config: EnvironmentConfig, overrides: Sequence[str] = (
         The environment.
     overrides : sequence of str
         ``key=value`` assignments for the scenario, applied last.
+    option : str
+        What a message calls the place of the assignments.
 
     Raises
     ------
@@ -366,7 +370,7 @@ def environment_scenario(config: EnvironmentConfig, overrides: Sequence[str] = (
     scenario = load_scenario(config.study)
     if scenario.damper.type != config.damper or overrides:
         kind = () if scenario.damper.type == config.damper else (f"damper={config.damper}",)
-        scenario = load_scenario(config.study, (*kind, *overrides))
+        scenario = load_scenario(config.study, (*kind, *overrides), option)
     return scenario
 
 
@@ -442,7 +446,10 @@ def checked_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
         Anything else; the message names the value and what is allowed.
     """
     try:
-        values = np.asarray(actions, dtype=np.float64)
+        values = np.asarray(actions)
+        if np.iscomplexobj(values):  # NumPy would drop the imaginary part
+            raise TypeError
+        values = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise ConfigError(f"action: found {actions!r}; expected numbers of shape {shape}") from None
     if values.shape != shape:
@@ -451,6 +458,6 @@ def checked_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     if np.count_nonzero(inside) < inside.size:
         place = tuple(int(i) for i in np.argwhere(~inside)[0])
         raise ConfigError(
-            f"action: found {values[place]:g} at {list(place)}; expected finite numbers from 0 to 1"
+            f"action: found {float(values[place])!r} at {list(place)}; expected finite numbers from 0 to 1"
         )
     return values

@@ -13,6 +13,7 @@ from sayd_env.config.explain import shown
 from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
 from sayd_env.envs.fleet import environment_scenario
+from sayd_env.envs.options import checked_number
 
 INFOS = ("basic", "full")
 """Levels of `info`."""
@@ -76,7 +77,7 @@ def configured(
     }
     changes = {key: value for key, value in given.items() if value is not None}
     config = validate(EnvironmentConfig, dict(config) | changes, "keywords")
-    scenario = environment_scenario(config, assignments)
+    scenario = environment_scenario(config, assignments, "settings")
     if scenario.damper.type != config.damper:
         raise ConfigError(
             f"settings: found a damper of type '{scenario.damper.type}', the environment has "
@@ -141,7 +142,7 @@ def _randomisation(
     """Laws of an environment, less those of what a keyword fixes."""
     fixed: dict[str, Any] = {}
     if speed_kmh is not None:
-        fixed["speed_kmh"] = {"law": "fixed", "value": speed_kmh}
+        fixed["speed_kmh"] = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
     for item in assignments:
         key = item.partition("=")[0].strip()
         if key in ("wear", "friction"):

@@ -54,7 +54,7 @@ def checked_options(options: Mapping[str, Any] | None) -> EpisodeOptions:
         if key not in OPTIONS:
             known = ", ".join(sorted(OPTIONS))
             raise ConfigError(f"options: unknown key '{key}'{nearest(str(key), OPTIONS)}; allowed: {known}")
-    numbers = {name: _number(name, given[name]) for name in NUMBERS if name in given}
+    numbers = {name: checked_number(name, given[name], "options: ") for name in NUMBERS if name in given}
     if "profile" in given:
         if "wear" in numbers:
             raise ConfigError("options: wear and profile say the same: give one of them")
@@ -62,31 +62,48 @@ def checked_options(options: Mapping[str, Any] | None) -> EpisodeOptions:
     return EpisodeOptions(
         numbers=numbers,
         track=_track(given["track"]) if "track" in given else None,
-        track_scale=_number("track_scale", given["track_scale"]) if "track_scale" in given else None,
+        track_scale=checked_number("track_scale", given["track_scale"], "options: ")
+        if "track_scale" in given
+        else None,
         faults=parse_faults(given["faults"], "options") if "faults" in given else None,
     )
 
 
-def whole_number(name: str, value: Any) -> int:
-    """A whole number of 0 or more.
+def whole_number(name: str, value: Any, least: int = 0) -> int:
+    """A whole number that is not below the least one.
 
     Raises
     ------
     ConfigError
         Anything else.
     """
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
-        raise ConfigError(f"{name}: found {shown(value)}; expected a whole number of 0 or more")
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        raise ConfigError(f"{name}: found {shown(value)}; expected a whole number of {least} or more")
     return int(value)
 
 
-def _number(name: str, value: Any) -> float:
+def checked_number(name: str, value: Any, place: str = "") -> float:
+    """A number within the `LIMITS` of a quantity.
+
+    Parameters
+    ----------
+    name : str
+        One of `LIMITS`.
+    value
+    place : str
+        What a message says before the name.
+
+    Raises
+    ------
+    ConfigError
+        Anything else.
+    """
     allowed = LIMITS[name]
     if not isinstance(value, bool) and isinstance(value, Real):
         number = float(value)
         if math.isfinite(number) and allowed.low <= number <= allowed.high:
             return number
-    raise ConfigError(f"options: {name}: found {shown(value)}; expected a number from {allowed}")
+    raise ConfigError(f"{place}{name}: found {shown(value)}; expected a number from {allowed}")
 
 
 def _profile(value: Any) -> float:

@@ -102,7 +102,7 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
         checked_choice("info", info, INFOS)
         self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
         self._mode = _autoreset(autoreset_mode)
-        self.num_envs = whole_number("num_envs", num_envs)
+        self.num_envs = whole_number("num_envs", num_envs, 1)
         config, scenario = configured(
             environment,
             damper=damper,
@@ -116,12 +116,12 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
             speed_kmh=speed_kmh,
             settings=settings,
         )
-        threads = None if num_threads is None else whole_number("num_threads", num_threads)
+        threads = None if num_threads is None else whole_number("num_threads", num_threads, 1)
         self._session = Session(config, scenario, self.num_envs, num_threads=threads, full=info == "full")
         if self.render_mode is not None:
             self._session.watch()
         if max_episode_steps is not None and max_episode_steps != -1:
-            self.fleet.steps = min(self.fleet.steps, _positive("max_episode_steps", max_episode_steps))
+            self.fleet.steps = min(self.fleet.steps, whole_number("max_episode_steps", max_episode_steps, 1))
         self._begun = False
         self._scene: Any = None
         self.metadata = {
@@ -347,13 +347,6 @@ def _checked_seed(seed: Any) -> int:
     number = whole_number("seed", seed)
     if number > LARGEST_SEED:
         raise ConfigError(f"seed: found {number}; expected at most {LARGEST_SEED}")
-    return number
-
-
-def _positive(name: str, value: Any) -> int:
-    number = whole_number(name, value)
-    if number == 0:
-        raise ConfigError(f"{name}: found 0; expected a whole number of 1 or more")
     return number
 
 

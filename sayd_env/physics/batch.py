@@ -172,5 +172,5 @@ def checked_threads(wanted: int | None) -> int:
     if wanted is None:
         return most
     if not 1 <= wanted <= most:
-        raise ConfigError(f"{wanted} threads, expected 1 to {most}")
+        raise ConfigError(f"num_threads: found {wanted}; expected a whole number from 1 to {most}")
     return wanted

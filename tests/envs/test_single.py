@@ -128,6 +128,8 @@ def test_bad_seeds_are_refused(quick: str) -> None:
         (np.array([-0.1, 0.5], np.float32), ("-0.1", "0 to 1")),
         (np.array([0.5, math.nan], np.float32), ("nan", "0 to 1")),
         (np.array([math.inf, 0.0], np.float32), ("inf", "0 to 1")),
+        (np.array([1.0000001, 0.0]), ("found 1.0000001 at [0]", "0 to 1")),
+        (np.array([0.5 + 0.1j, 0.0]), ("0.1j", "expected numbers of shape (2,)")),
         ("open", ("open",)),
         (None, ("action",)),
     ],
