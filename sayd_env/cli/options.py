@@ -52,65 +52,80 @@ class Damper(StrEnum):
     SAYD = "sayd"
 
 
-def parse_speeds(text: str) -> Speeds:
+def speed_list(option: str) -> Callable[[str], Speeds]:
+    """Make the reader of an option that takes speeds: see `parse_speeds`."""
+    return lambda text: parse_speeds(text, option)
+
+
+def parse_speeds(text: str, option: str = "--speeds") -> Speeds:
     """Read ``300,350,400`` or ``320:445:25`` (first, last, step; last included when a step meets it).
 
     Parameters
     ----------
     text : str
         Speeds in km/h.
+    option : str
+        What a message names.
 
     Raises
     ------
     ConfigError
         Not a number, not positive, not finite, not rising, empty, or more than `MAX_SPEEDS` values.
     """
+    given = f"{option} '{text}'"
     if ":" in text:
-        return Speeds(_grid(text))
-    speeds = Speeds(_speed(part, text) for part in text.split(","))
+        return Speeds(_grid(text, given))
+    speeds = Speeds(_speed(part, given) for part in text.split(","))
     for before, after in pairwise(speeds):
         if after <= before:
-            raise _speeds_error(text, f"{after:g} follows {before:g}; speeds must rise")
+            raise _speeds_error(given, f"{after:g} follows {before:g}; speeds must rise")
     return speeds
 
 
-def _grid(text: str) -> list[float]:
+def _grid(text: str, given: str) -> list[float]:
     parts = text.split(":")
     if len(parts) != 3:
-        raise _speeds_error(text, "expected first:last:step, for example 320:445:25")
-    first, last, step = (_speed(part, text) for part in parts)
+        raise _speeds_error(given, "expected first:last:step, for example 320:445:25")
+    first, last, step = (_speed(part, given) for part in parts)
     if last < first:
-        raise _speeds_error(text, f"the last speed {last:g} is below the first {first:g}")
+        raise _speeds_error(given, f"the last speed {last:g} is below the first {first:g}")
     # Half a millionth of a step forgives the rounding of decimal steps such as 0.1.
     steps = (last - first) / step + 5e-7
     if steps >= MAX_SPEEDS:
-        raise _speeds_error(text, f"gives {steps + 1:.4g} speeds; at most {MAX_SPEEDS} are allowed")
+        raise _speeds_error(given, f"gives {steps + 1:.4g} speeds; at most {MAX_SPEEDS} are allowed")
     return [first + index * step for index in range(math.floor(steps) + 1)]
 
 
-def _speed(part: str, text: str) -> float:
+def _speed(part: str, given: str) -> float:
     try:
         value = float(part)
     except ValueError:
         found = f"'{part.strip()}'" if part.strip() else "an empty place"
-        raise _speeds_error(text, f"found {found}; expected numbers in km/h") from None
+        raise _speeds_error(given, f"found {found}; expected numbers in km/h") from None
     if not (value > 0.0 and math.isfinite(value)):
-        raise _speeds_error(text, f"found {part.strip()}; expected a finite number above 0 km/h")
+        raise _speeds_error(given, f"found {part.strip()}; expected a finite number above 0 km/h")
     return value
 
 
-def _speeds_error(text: str, problem: str) -> ConfigError:
-    return ConfigError(f"--speeds '{text}': {problem} (use 300,350,400 or 320:445:25)")
+def _speeds_error(given: str, problem: str) -> ConfigError:
+    return ConfigError(f"{given}: {problem} (use 300,350,400 or 320:445:25)")
 
 
 def parse_policies(text: str) -> PolicyNames:
     """Read ``passive,mppt1,constant:0.3``; whether there are such policies is checked where they are made."""
-    return PolicyNames(part.strip() for part in text.split(","))
+    return PolicyNames(_names(text, "--policies", "passive,mppt1,constant:0.3"))
 
 
-def parse_names(text: str) -> Names:
-    """Read names, separated by commas."""
-    return Names(part.strip() for part in text.split(","))
+def names(option: str, example: str) -> Callable[[str], Names]:
+    """Make the reader of an option that takes names, separated by commas."""
+    return lambda text: Names(_names(text, option, example))
+
+
+def _names(text: str, option: str, example: str) -> list[str]:
+    found = [part.strip() for part in text.split(",")]
+    if not all(found):
+        raise ConfigError(f"{option} '{text}': found an empty place; expected names (use {example})")
+    return found
 
 
 def parse_wear(text: str) -> float:
@@ -120,10 +135,7 @@ def parse_wear(text: str) -> float:
 
 def parse_friction(text: str) -> float:
     """Read the friction coefficient of wheel and rail: above 0, at most 1."""
-    value = _bounded("--friction", text, 0.0, 1.0)
-    if value == 0.0:
-        raise ConfigError("--friction 0: expected a number above 0, at most 1")
-    return value
+    return positive("--friction", "", 1.0)(text)
 
 
 def whole(option: str, least: int, most: int) -> Callable[[str], int]:
@@ -142,8 +154,8 @@ def whole(option: str, least: int, most: int) -> Callable[[str], int]:
 
 
 def positive(option: str, unit: str, most: float = math.inf) -> Callable[[str], float]:
-    """Make the reader of an option that takes one finite number above 0."""
-    limit = "" if math.isinf(most) else f", at most {most:g}"
+    """Make the reader of an option that takes one finite number above 0; `unit` may be empty."""
+    allowed = f"above 0 {unit}".rstrip() + ("" if math.isinf(most) else f", at most {most:g}")
 
     def read(text: str) -> float:
         try:
@@ -151,7 +163,7 @@ def positive(option: str, unit: str, most: float = math.inf) -> Callable[[str], 
         except ValueError:
             value = math.nan
         if not (0.0 < value <= most and math.isfinite(value)):
-            raise ConfigError(f"{option} {text}: expected a finite number above 0 {unit}{limit}")
+            raise ConfigError(f"{option} {text}: expected a finite number {allowed}")
         return value
 
     return read

@@ -52,14 +52,17 @@ def render(
     fps: Annotated[
         float,
         typer.Option(
-            "--fps", parser=options.positive("--fps", "1/s", 1000.0), metavar="N", help="Pictures per second."
+            "--fps",
+            parser=options.positive("--fps", "per second", 1000.0),
+            metavar="N",
+            help="Pictures per second.",
         ),
     ] = "25",  # type: ignore[assignment]
     exaggeration: Annotated[
         float | None,
         typer.Option(
             "--exaggeration",
-            parser=options.positive("--exaggeration", "-", 1000.0),
+            parser=options.positive("--exaggeration", "", 1000.0),
             metavar="X",
             help="How many times as large displacements are drawn (default 20).",
         ),

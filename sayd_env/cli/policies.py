@@ -124,7 +124,7 @@ def map_(
         options.Speeds | None,
         typer.Option(
             "--condition-speeds",
-            parser=options.parse_speeds,
+            parser=options.speed_list("--condition-speeds"),
             metavar="KMH",
             help="Speeds for which the best constant current is looked for (default 300, 400 km/h).",
         ),
@@ -162,14 +162,20 @@ def map_(
 
     Defaults: the passive vehicle and the paper's four controllers, wear 0 to 1 in steps of 0.25, friction 0.2
     to 0.5, speeds 280:440:40 and the middle of the interval in which a limit is crossed. The best constant
-    current is that of the lowest J on line (as in evaluate) and off line, to 1/8 of the range. Finished runs
-    are kept in the output directory: an interrupted map goes on where it stopped.
+    current is that of the lowest J on line (as in evaluate) and off line, among a closed valve and currents
+    beyond the throttle's overlap, the closer the less the valve is open, and halfway around the best one.
+    Finished runs are kept in the output directory: an interrupted map goes on where it stopped.
     """
     from dataclasses import replace  # noqa: PLC0415 - keeps --help fast
 
+    from sayd_env.config import ConfigError  # noqa: PLC0415
     from sayd_env.config.environment import load_environment  # noqa: PLC0415
     from sayd_env.studies.map import POLICIES, QUICK, MapGrid, stability_map  # noqa: PLC0415
 
+    if condition_speeds and not constants:
+        raise ConfigError(
+            "--condition-speeds: are those of the best constant currents; leave out --no-constants"
+        )
     scenario = _scenario(config, assignments, profile, wear, friction, track, damper, reward)
     given: dict[str, Any] = {
         "wear": wear,

@@ -106,7 +106,7 @@ def reproduce(
         options.Names | None,
         typer.Option(
             "--allow",
-            parser=options.parse_names,
+            parser=options.names("--allow", "P2,M7"),
             metavar="ROWS",
             help="Rows that may fail with --strict, for example P2,M7.",
         ),

@@ -106,6 +106,21 @@ def throttle_field(throttle: OrificeThrottle | TableThrottle) -> ThrottleField:
     return ThrottleField(current, drop, flow)
 
 
+def overlap(throttle: OrificeThrottle | TableThrottle) -> float:
+    """Largest current up to which a throttle is as closed as at current 0.
+
+    Raises
+    ------
+    DataError
+        A table file that cannot be used.
+    """
+    if isinstance(throttle, OrificeThrottle):
+        return throttle.overlap
+    field = throttle_field(throttle)
+    # The flow does not fall with the current: equal rows are the first ones.
+    return float(field.current[np.all(field.flow == field.flow[0], axis=1)][-1])
+
+
 def series_table(throttle: OrificeThrottle | TableThrottle, check: SpringValve) -> Array:
     """Flow of throttle and two check valves in series, as the compiled damper reads it.
 

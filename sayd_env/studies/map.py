@@ -5,23 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sayd_env.config import ConfigError
+from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.rollout import Rollout
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.physics.throttle import overlap
 from sayd_env.stability import Crossing, critical_speed
 from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.evaluate import conditions, policy_groups
 from sayd_env.studies.kept_runs import run_kept
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.policy_run import policy_row
-from sayd_env.studies.rollouts import Group, PolicySpec
+from sayd_env.studies.rollouts import Group, PolicySpec, for_policy
 from sayd_env.studies.sweep import run_name
 
 if TYPE_CHECKING:
@@ -37,11 +40,18 @@ SPEEDS = tuple(v / KMH for v in range(280, 441, 40))
 """Grid on which the crossing is looked for, m/s; the middle of the interval that holds it is run, too."""
 CONDITION_SPEEDS = tuple(v / KMH for v in (300, 400))
 """Speeds for which the best constant current is looked for, m/s."""
-CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Constant currents tried everywhere; around the best one half of the step, again if wanted."""
+OPENINGS = (0.05, 0.1, 0.15, 0.25, 0.4, 1.0)
+"""Constant currents tried everywhere besides 0, as shares of the valve's travel beyond its overlap.
+
+Dense where the valve is nearly closed, for there the damper's force changes most.
+"""
 DERAILED = 10.0
 """Ratio to a limit with which a derailed run counts, so that a crossing can be interpolated."""
 CRITERIA = ("acceleration", "track_shift_force")
+LEAST_SEEDS = 5
+"""Track realisations that a median needs."""
+DIGITS = 6
+"""Digits behind the point of a constant current."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +62,10 @@ class MapGrid:
     friction: tuple[float, ...] = FRICTION
     speeds: tuple[float, ...] = SPEEDS
     condition_speeds: tuple[float, ...] = CONDITION_SPEEDS
-    currents: tuple[float, ...] = CURRENTS
+    openings: tuple[float, ...] = OPENINGS
+    """Of the constant currents besides 0: shares of the valve's travel beyond its overlap."""
     refinements: int = 1
-    """How often the step between the currents is halved around the best one."""
+    """How often the steps between the currents are halved around the best one."""
 
 
 QUICK = MapGrid(
@@ -62,7 +73,7 @@ QUICK = MapGrid(
     friction=(0.3, 0.5),
     speeds=tuple(v / KMH for v in (300, 360, 420)),
     condition_speeds=(350 / KMH,),
-    currents=(0.0, 0.5, 1.0),
+    openings=(0.1, 0.4, 1.0),
     refinements=1,
 )
 """For a look at what comes out, within a minute or two."""
@@ -197,7 +208,8 @@ class MapResult:
         from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
 
         count = len(self.seeds)
-        table = Table(title=f"critical speed (km/h), either limit: medians of {count} seeds")
+        seeds = f"{count} seed{'s' if count > 1 else ''}"
+        table = Table(title=f"critical speed (km/h), either limit: medians of {seeds}")
         for name in ("wear", "friction", *self.policies):
             table.add_column(name, justify="right")
         for wear, mu in product(self.grid.wear, self.grid.friction):
@@ -206,6 +218,8 @@ class MapResult:
         console.print(table)
         if self.best:
             console.print(self._best_table())
+        if count < LEAST_SEEDS:
+            console.print(f"medians of fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
         if self.reused:
             console.print(f"{self.reused} runs had been finished by an earlier start and were not repeated")
 
@@ -339,6 +353,10 @@ def stability_map(
     chosen = grid or MapGrid()
     if len(chosen.speeds) < 2 and policies:
         raise ConfigError("--speeds: a critical speed needs at least two speeds")
+    asked = (*(chosen.speeds if policies else ()), *(chosen.condition_speeds if best_constant else ()))
+    model = VehicleModel(scenario)
+    for speed in asked:
+        model.check_speed(speed)  # refused before any work
     cells = study.critical(policies, chosen) if policies else []
     best = study.best_constant(chosen) if best_constant else []
     return MapResult(scenario, chosen, tuple(seeds), cells, best, study.finish())
@@ -388,19 +406,24 @@ class _Study:
         ]
 
     def best_constant(self, grid: MapGrid) -> list[BestConstant]:
-        """Best constant currents: a grid, then half the step around the best one, and again."""
+        """Best constant currents: a grid, then halfway to the neighbours of the best one, and again."""
+        closed = self._overlap()
         places = list(product(grid.condition_speeds, grid.wear, grid.friction))
-        tried = {place: set(grid.currents) for place in places}
+        nodes = {0.0, *(round(closed + (1.0 - closed) * share, DIGITS) for share in grid.openings)}
+        tried = {place: set(nodes) for place in places}
         self._run_currents(tried)
-        step = min(np.diff(sorted(grid.currents)), default=0.0)
         for _ in range(grid.refinements):
-            step *= 0.5
             for place, currents in tried.items():
                 best = {self._lowest(name, place, currents)[0] for name in ("J", "J_offline")}
-                around = {current + sign * step for current in best for sign in (-1.0, 1.0)}
-                currents |= {current for current in around if 0.0 <= current <= 1.0}
+                currents |= {new for current in best for new in halfway(current, currents, closed)}
             self._run_currents(tried)
         return [self._best(place, tried[place]) for place in places]
+
+    def _overlap(self) -> float:
+        """Current up to which the valve stays closed."""
+        damper = for_policy(self.scenario, _constant(0.0)).damper
+        assert isinstance(damper, SaydDamperConfig)  # `for_policy` sees to it
+        return overlap(damper.throttle)
 
     def finish(self) -> int:
         """Forget what other inputs have left; return how many runs came from the disk."""
@@ -491,6 +514,14 @@ class _Study:
 def _map_run(group: Group, rollout: Rollout) -> MapRun:
     row = policy_row(group, rollout)
     return MapRun(row.J, row.J_offline, row.acceleration_ratio, row.track_shift_ratio)
+
+
+def halfway(current: float, currents: Iterable[float], closed: float) -> list[float]:
+    """Currents halfway between one and its neighbours; up to `closed` all act as one."""
+    ends = sorted({max(each, closed) for each in currents})
+    place = ends.index(max(current, closed))
+    around = ends[max(place - 1, 0) : place + 2]
+    return [round(0.5 * (low + high), DIGITS) for low, high in pairwise(around)]
 
 
 def _constant(current: float) -> PolicySpec:

@@ -113,8 +113,11 @@ def test_bad_speeds_are_refused_before_any_work(command: str, speeds: str, messa
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--friction", "0"], "--friction 0: expected a number above 0, at most 1"),
-        (["--friction", "2"], "--friction 2: expected a number from 0 to 1"),
+        (["--friction", "0"], "--friction 0: expected a finite number above 0, at most 1"),
+        (["--friction", "2"], "--friction 2: expected a finite number above 0, at most 1"),
+        (["--friction", "nan"], "--friction nan: expected a finite number above 0, at most 1"),
+        (["--policies", ""], "--policies '': found an empty place; expected names"),
+        (["--policies", "mppt1,"], "--policies 'mppt1,': found an empty place; expected names"),
         (["--wear", "2"], "--wear 2: expected a number from 0 to 1"),
         (["--wear", "-1"], "--wear -1: expected a number from 0 to 1"),
         (["--seeds", "0"], "--seeds 0: expected a whole number from 1 to 10000"),
@@ -134,6 +137,34 @@ def test_bad_speeds_are_refused_before_any_work(command: str, speeds: str, messa
 )
 def test_bad_values_are_refused(arguments: list[str], message: str, refused: Refused):
     assert message in refused(*EVALUATE, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--fps", "0"], "--fps 0: expected a finite number above 0 per second, at most 1000"),
+        (["--exaggeration", "-1"], "--exaggeration -1: expected a finite number above 0, at most 1000"),
+    ],
+)
+def test_bad_pictures_are_refused(arguments: list[str], message: str, refused: Refused):
+    assert message in refused("render", *arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--condition-speeds", ""], "--condition-speeds '': found an empty place"),
+        (["--condition-speeds", "900"], "speed 900 km/h is outside the range of vehicle 'emu'"),
+        (["--speeds", "300,900"], "speed 900 km/h is outside the range of vehicle 'emu'"),
+        (
+            ["--condition-speeds", "300", "--no-constants"],
+            "--condition-speeds: are those of the best constant",
+        ),
+    ],
+)
+def test_bad_maps_are_refused_before_any_work(arguments: list[str], message: str, refused: Refused):
+    assert message in refused("map", *SHORT, "--quick", *arguments, "--out", "here")
+    assert not Path("here").exists() or list(Path("here").iterdir()) == []
 
 
 @pytest.mark.parametrize("periods", ["0.003", "0.01,0.003", "0.01,0.01"])

@@ -13,6 +13,7 @@ from sayd_env.config.damper import OrificeThrottle, SaydDamperConfig, SpringValv
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics.sayd import rectified_flow, steady_force
 from sayd_env.physics.throttle import (
+    overlap,
     read_throttle_table,
     series_table,
     spring_valve_drop,
@@ -45,6 +46,18 @@ def test_spring_valve_has_the_three_branches_of_equation_24() -> None:
     np.testing.assert_allclose(spring_valve_flow(CHECK, [-1e5, 0.2e5, 0.35e5, 0.5e5, 5e5]), expected)
     flow = np.linspace(1e-6, 1e-3, 50)
     np.testing.assert_allclose(spring_valve_flow(CHECK, spring_valve_drop(CHECK, flow)), flow)
+
+
+def test_the_overlap_ends_where_the_flow_begins_to_rise(tmp_path: Path) -> None:
+    throttle = load_sayd("sayd").throttle
+    assert isinstance(throttle, OrificeThrottle)
+    assert overlap(throttle) == throttle.overlap
+    for rows, end in (
+        ("0,0.2,0.6,1\n0,0,0,0,0\n1e5,1,1,2,3\n2e5,2,2,3,4\n", 0.2),
+        ("0,1\n0,0,0\n1e5,1,2\n", 0.0),
+    ):
+        (tmp_path / "table.csv").write_text(f"dp,{rows}")
+        assert overlap(TableThrottle(type="table", file=str(tmp_path / "table.csv"))) == end
 
 
 @pytest.mark.parametrize("current", [0.0, 0.1, 0.5, 1.0])

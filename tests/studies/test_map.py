@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
+from sayd_env.config.damper import load_sayd
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.studies import map as module
-from sayd_env.studies.map import MapGrid, MapResult, MapRun, stability_map
+from sayd_env.studies.map import MapGrid, MapResult, MapRun, halfway, stability_map
 from sayd_env.studies.rollouts import Group, PolicySpec, policy_spec
 
 GRID = MapGrid(
@@ -29,12 +32,12 @@ Law = Callable[[Group, int], MapRun]
 def made_up(group: Group, seed: int) -> MapRun:
     """Acceleration reaches its limit at 340 - 40 wear km/h (300 at wear 1), track shift force 20 km/h later.
 
-    J is lowest at the current 0.3 on line, at 0.9 off line.
+    J is lowest at the current 0.45 on line, at 0.9 off line.
     """
     kmh, wear = group.speed * 3.6, group.scenario.wear
     current = float(group.policy.parameters.get("current", 0.0))
     ratio = 1.0 + (kmh - (340.0 - 40.0 * wear)) / 100.0 + 0.01 * (seed - 1)
-    return MapRun((current - 0.3) ** 2, (current - 0.9) ** 2 + 1.0, ratio, ratio - 0.2)
+    return MapRun((current - 0.45) ** 2, (current - 0.9) ** 2 + 1.0, ratio, ratio - 0.2)
 
 
 @pytest.fixture
@@ -76,15 +79,41 @@ def test_the_interval_of_the_crossing_is_halved(
 
 def test_the_best_current_is_found_to_a_sixteenth(result: MapResult):
     for entry in result.best:
-        assert entry.current == pytest.approx(0.3, abs=1 / 16)
+        assert entry.current == pytest.approx(0.45, abs=1 / 16)
         assert entry.current_offline == pytest.approx(0.9, abs=1 / 16)
-        assert (entry.J_closed, entry.J_open) == (pytest.approx(0.09), pytest.approx(0.49))
+        assert (entry.J_closed, entry.J_open) == (pytest.approx(0.2025), pytest.approx(0.3025))
         assert min(entry.J_closed, entry.J_open) >= entry.J
     assert result.as_dict()["best_constant"][0]["condition"] == {
         "speed_kmh": pytest.approx(350),
         "wear": 0.0,
         "friction": 0.2,
     }
+
+
+def test_currents_that_leave_the_valve_closed_are_tried_once(
+    result: MapResult, runs: list[tuple[str, float, float, float]]
+):
+    """The packaged valve's overlap keeps it closed up to the current `throttle.overlap`."""
+    closed = load_sayd("sayd").throttle.overlap
+    tried = sorted({float(title.partition(":")[2]) for title, *_ in runs if title.startswith("constant")})
+    assert tried[0] == 0.0
+    assert [current for current in tried if 0.0 < current <= closed] == []
+    assert tried[-1] == 1.0
+    assert closed + (1.0 - closed) * 0.05 in [pytest.approx(current, abs=1e-5) for current in tried]
+
+
+def test_halves_lie_beyond_the_overlap():
+    assert halfway(0.0, [0.0, 0.5, 1.0], 0.4) == [0.45]
+    assert halfway(0.5, [0.0, 0.5, 1.0], 0.4) == [0.45, 0.75]
+    assert halfway(1.0, [0.0, 0.5, 1.0], 0.0) == [0.75]
+
+
+def test_few_seeds_are_a_look(runs: list[Any], result: MapResult, short_scenario: Scenario):
+    enough = stability_map(short_scenario, [PolicySpec("mppt1")], range(5), grid=GRID, best_constant=False)
+    for found, told in ((result, True), (enough, False)):
+        console = Console(file=io.StringIO(), width=120)
+        found.summary(console)
+        assert ("a look, not a verdict" in console.file.getvalue()) == told  # type: ignore[attr-defined]
 
 
 def test_beyond_the_grid_is_told(runs: list[Any], short_scenario: Scenario):
@@ -109,7 +138,7 @@ def test_a_repeated_map_runs_nothing_again(tmp_path: Path):
         friction=(0.4,),
         speeds=(100.0, 105.0),
         condition_speeds=(100.0,),
-        currents=(0.0, 1.0),
+        openings=(1.0,),
         refinements=0,
     )
     specs = [policy_spec("constant:1")]
