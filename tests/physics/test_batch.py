@@ -119,7 +119,7 @@ def test_one_diverging_vehicle_leaves_the_others_alone(
 
 @pytest.mark.parametrize("threads", [0, -1, 10_000])
 def test_impossible_threads(fleet: list[Simulator], threads: int) -> None:
-    with pytest.raises(ConfigError, match="num_threads: found .*; expected a whole number from 1 to"):
+    with pytest.raises(ConfigError, match=r"num_threads: found .*; expected a whole number from 1 to"):
         BatchSimulator(fleet, threads)
 
 
