@@ -58,11 +58,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_wheel_holds_every_module_and_every_configuration(wheel: Path):
+def test_the_wheel_holds_every_module_configuration_and_policy(wheel: Path):
     names = set(zipfile.ZipFile(wheel).namelist())
     for folder, pattern in (
         ("sayd_env", "*.py"),
         ("agents", "*.py"),
+        ("agents", "*.npz"),
+        ("agents", "*.md"),
         ("baselines", "*.py"),
         ("configs", "*.yaml"),
     ):
