@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 
 from sayd_env import __version__
-from sayd_env.cli import components, learning, performance, pictures, policies, stability, vehicle
+from sayd_env.cli import components, learning, performance, pictures, policies, stability, tuning, vehicle
 
 app = typer.Typer(
     name="sayd",
@@ -45,6 +45,7 @@ app.command()(stability.assess)
 app.command()(components.conicity)
 app.command()(components.hysteresis)
 app.command()(stability.modes)
+app.command()(tuning.tune)
 app.command()(learning.train)
 app.command()(learning.export)
 app.command()(pictures.render)

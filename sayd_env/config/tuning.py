@@ -1,0 +1,198 @@
+"""Schema of a tuning: scenarios, ranges of a controller's gains, and the budget of the search."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from pydantic import Field, field_validator, model_validator
+
+from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.control import CONTROLLERS, load_controller
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.explain import nearest
+from sayd_env.config.loader import beside, read_config, section, validated
+
+Gains = Mapping[str, float]
+"""Values of a controller's gains by name."""
+
+
+class TuningScenario(Model):
+    """Conditions of one run; everything else is drawn from its seed as the environment has it."""
+
+    speed_kmh: float = quantity("km/h", "Speed", gt=0.0)
+    wear: float = quantity("-", "Wear of the treads, 0 new, 1 worn", ge=0.0, le=1.0)
+    friction: float = quantity("-", "Coefficient of friction", gt=0.0, le=1.0)
+    seed: int = Field(description="Seed of everything else", ge=0, strict=True)
+
+
+class GainRange(Model):
+    """Where a gain is looked for, in the gain's own unit."""
+
+    low: Number = Field(description="Lower end", allow_inf_nan=False)
+    high: Number = Field(description="Upper end", allow_inf_nan=False)
+    share_of: str | None = Field(
+        None, description="Another gain, of which the range is that of a share: keeps two thresholds in order"
+    )
+
+    @model_validator(mode="after")
+    def _rises(self) -> GainRange:
+        if not self.low < self.high:
+            raise ValueError("needs low < high")
+        return self
+
+
+class ControllerTuning(Model):
+    """A search for the gains of one controller."""
+
+    gains: dict[str, GainRange] = Field(min_length=1)
+    guesses: tuple[dict[str, Number], ...] = Field(
+        (), description="Points of the ranges (shares as such) that the global search starts with"
+    )
+    search: int = quantity("-", "Evaluations of the global search; 0: none", default=0, ge=0)
+    population: int = quantity("-", "Points of one of its generations", default=5, ge=5)
+    polish: int = quantity("-", "Evaluations of the local search", ge=0)
+    radius: float = quantity(
+        "-", "First step of the local search, as a share of half the ranges", default=0.2, gt=0.01, le=1.0
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> ControllerTuning:
+        for name, gain in self.gains.items():
+            whole = None if gain.share_of is None else self.gains.get(gain.share_of)
+            if gain.share_of is not None and (whole is None or whole.share_of is not None):
+                raise ValueError(f"{name}: '{gain.share_of}' is no gain of its own in this list")
+        for guess in self.guesses:
+            if set(guess) != set(self.gains):
+                raise ValueError(f"a guess needs a value of each of {', '.join(self.gains)}")
+            for name, value in guess.items():
+                if not self.gains[name].low <= value <= self.gains[name].high:
+                    raise ValueError(f"a guess of {name}, {value:g}, lies outside its range")
+        self._check_budget()
+        return self
+
+    def _check_budget(self) -> None:
+        if len(self.gains) > 1 and self.search < self.population:
+            raise ValueError(
+                f"several gains need a global search of at least one generation: search {self.search}, "
+                f"population {self.population}"
+            )
+        if len(self.gains) > 1 and 0 < self.polish < len(self.gains) + 2:
+            raise ValueError(
+                f"the local search of {len(self.gains)} gains needs {len(self.gains) + 2} evaluations or none"
+            )
+        if len(self.gains) == 1 and self.search:
+            raise ValueError("one gain is found by the local search alone: leave out search")
+        if self.population < 1 + len(self.guesses):
+            raise ValueError(f"the population of {self.population} has no room for all guesses")
+
+    def values(self, place: Iterable[float], digits: int) -> dict[str, float]:
+        """Gains at a place of the ranges, rounded; shares become values."""
+        raw = dict(zip(self.gains, map(float, place), strict=True))
+        values = {
+            name: value if self.gains[name].share_of is None else value * raw[str(self.gains[name].share_of)]
+            for name, value in raw.items()
+        }
+        return {name: round(value, digits) + 0.0 for name, value in values.items()}
+
+    def place(self, values: Gains) -> list[float]:
+        """Place of gains in the ranges; what lies outside comes to their ends."""
+        places = []
+        for name, gain in self.gains.items():
+            whole = 1.0 if gain.share_of is None else values[gain.share_of]
+            share = values[name] / whole if whole else 0.0
+            places.append(min(max(share, gain.low), gain.high))
+        return places
+
+
+class QuickTuning(Model):
+    """Budget of a first look."""
+
+    scenarios: int = quantity("-", "Scenarios, spread over the list", ge=1)
+    search: int = quantity("-", "Evaluations of the global search", ge=5)
+    population: int = quantity("-", "Points of one of its generations", ge=5)
+    polish: int = quantity("-", "Evaluations of the local search", ge=0)
+
+
+class TuningConfig(Model):
+    """Scenarios, references and searches."""
+
+    description: str = ""
+    environment: str = Field(min_length=1, description="Environment: a packaged name or a path")
+    episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
+    initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
+    digits: int = quantity("-", "Digits of a gain behind the point", ge=1, le=12)
+    references: tuple[str, ...] = Field((), description="Policies that are run on the list as well")
+    scenarios: tuple[TuningScenario, ...] = Field(min_length=1)
+    controllers: dict[str, ControllerTuning] = Field(min_length=1)
+    quick: QuickTuning
+
+    @field_validator("scenarios")
+    @classmethod
+    def _once(cls, scenarios: tuple[TuningScenario, ...]) -> tuple[TuningScenario, ...]:
+        seeds = [scenario.seed for scenario in scenarios]
+        for seed in seeds:
+            if seeds.count(seed) > 1:
+                raise ValueError(f"the seed {seed} stands there twice")
+        return scenarios
+
+    @field_validator("controllers")
+    @classmethod
+    def _known(cls, controllers: dict[str, ControllerTuning]) -> dict[str, ControllerTuning]:
+        for name, tuning in controllers.items():
+            if name not in CONTROLLERS:
+                raise ValueError(f"unknown controller '{name}'{nearest(name, CONTROLLERS)}")
+            known = CONTROLLERS[name].model_fields
+            for gain in tuning.gains:
+                if gain not in known:
+                    raise ValueError(f"{name}: unknown gain '{gain}'{nearest(gain, known)}")
+            ends = ([r.low for r in tuning.gains.values()], [r.high for r in tuning.gains.values()])
+            for end in ends:
+                try:
+                    load_controller(name, tuning.values(end, 12))
+                except ConfigError as error:
+                    raise ValueError(f"an end of the ranges is not allowed: {error}") from None
+        return controllers
+
+    def of(self, controller: str) -> ControllerTuning:
+        """Search for a controller's gains.
+
+        Raises
+        ------
+        ConfigError
+            There is none.
+        """
+        if controller not in self.controllers:
+            raise ConfigError(
+                f"tune {controller}: no such search{nearest(controller, self.controllers)}; "
+                f"available: {', '.join(self.controllers)}"
+            )
+        return self.controllers[controller]
+
+    def shortened(self) -> TuningConfig:
+        """The same with the budget of a first look."""
+        every = max(1, len(self.scenarios) // self.quick.scenarios)
+        searches = {
+            name: tuning.model_copy(
+                update={"polish": min(tuning.polish, self.quick.polish), "population": self.quick.population}
+                | ({"search": self.quick.search, "polish": 0} if len(tuning.gains) > 1 else {})
+            )
+            for name, tuning in self.controllers.items()
+        }
+        kept = self.scenarios[every - 1 :: every][: self.quick.scenarios]
+        return self.model_copy(update={"scenarios": kept, "controllers": searches})
+
+
+def load_tuning(name: str = "tuning", overrides: Iterable[str] = ()) -> TuningConfig:
+    """Read a tuning by packaged name or path; paths in it are relative to it.
+
+    Raises
+    ------
+    ConfigError
+        A file, key or value that cannot be used.
+    """
+    content, source = read_config("study", name)
+    data = section(content, source)
+    if isinstance(data.get("environment"), str):
+        data = {**data, "environment": beside(data["environment"], Path(source).parent)}
+    return validated(TuningConfig, data, source, overrides)
