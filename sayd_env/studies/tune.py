@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import differential_evolution, minimize, minimize_scalar
-from scipy.stats import qmc
 
 from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.loader import packaged_names
-from sayd_env.config.tuning import ControllerTuning, Gains, TuningConfig
+from sayd_env.config.tuning import Gains, TuningConfig
 from sayd_env.studies.output import Progress, git_state, silent
 from sayd_env.studies.rollouts import PolicySpec, policy_spec
 from sayd_env.studies.tuning_runs import Evaluation, Proving, Record, inputs_of
+from sayd_env.studies.tuning_search import minimise
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 Array = npt.NDArray[np.float64]
-LAST_RADIUS = 0.01
-"""Step at which the local search ends, as a share of half the ranges."""
 REFERENCE = "reference"
 COMMENT_COLUMN = 28
 """Where the comments of a file of parameters stand."""
@@ -68,7 +65,7 @@ class TuneResult:
     @property
     def best(self) -> Evaluation:
         """The gains with the lowest mean J."""
-        return min(self.tried, key=lambda e: e.J)
+        return min(self.tried, key=lambda e: e.mean)
 
     @property
     def before(self) -> Evaluation:
@@ -81,9 +78,9 @@ class TuneResult:
         return {
             "controller": self.controller,
             "gains": dict(self.best.gains),
-            "J_before": self.before.J,
-            "J_after": self.best.J,
-            "J": {name: e.J for name, e in everything.items()},
+            "J_before": self.before.mean,
+            "J_after": self.best.mean,
+            "J": {name: e.mean for name, e in everything.items()},
             "J_by_scenario": {name: list(e.costs) for name, e in everything.items()},
             "derailed": {name: e.derailed for name, e in everything.items()},
             "scenarios": self.settings.scenarios,
@@ -127,7 +124,7 @@ class TuneResult:
             better = sum(a < b for a, b in zip(e.costs, self.before.costs, strict=True))
             lost = f", {e.derailed} derailed" if e.derailed else ""
             costs.add_row(
-                name, f"{e.J:.5f}", f"{e.J / self.before.J - 1.0:+.1%}", f"{better} of {count}{lost}"
+                name, f"{e.mean:.5f}", f"{e.mean / self.before.mean - 1.0:+.1%}", f"{better} of {count}{lost}"
             )
         console.print(costs)
         if self.reused:
@@ -139,7 +136,7 @@ class TuneResult:
         own = load_controller(self.controller)
         seeds = [case.seed for case in self.settings.scenarios]
         lines = [
-            f"# {self.controller} with the gains of the smallest mean J that `sayd tune` has found.",
+            f"# The controller {self.controller} with the gains of the smallest mean J, by `sayd tune`.",
             f"# Tags: calibrated = found so, in the named range; the rest is as in {self.controller}.yaml.",
             "",
         ]
@@ -162,8 +159,8 @@ class TuneResult:
             f"  scenarios: {len(seeds)} of {self.name}, {self.settings.episode_s:g} s, seeds {min(seeds)} "
             f"to {max(seeds)}",
             f"  evaluations: {len(self.tried)}",
-            f"  J_before: {self.before.J:.6g}",
-            f"  J_after: {self.best.J:.6g}",
+            f"  J_before: {self.before.mean:.6g}",
+            f"  J_after: {self.best.mean:.6g}",
             f"  commit: {self.commit or 'null'}",
         ]
         return "\n".join(lines) + "\n"
@@ -180,7 +177,7 @@ class TuneResult:
         right.grid(alpha=0.3)
 
     def _draw_search(self, axis: Axes) -> None:
-        costs = [e.J for e in self.tried]
+        costs = [e.mean for e in self.tried]
         names = list(self.best.gains)
         if len(names) == 1:
             axis.plot([e.gains[names[0]] for e in self.tried], costs, "o", markersize=4)
@@ -190,9 +187,9 @@ class TuneResult:
             axis.plot(np.minimum.accumulate(costs), label="best so far")
             axis.set_xlabel("evaluation")
         for name, e in self.references.items():
-            if e.J < 2.0 * self.before.J:
-                axis.axhline(e.J, linestyle=":", linewidth=1.0, color="k")
-                axis.annotate(name, (1.0, e.J), xycoords=("axes fraction", "data"), fontsize=6, ha="right")
+            if e.mean < 2.0 * self.before.mean:
+                axis.axhline(e.mean, linestyle=":", linewidth=1.0, color="k")
+                axis.annotate(name, (1.0, e.mean), xycoords=("axes fraction", "data"), fontsize=6, ha="right")
         axis.set(ylabel="mean J", yscale="log", title=self.title)
         axis.grid(alpha=0.3)
         if len(names) > 1:
@@ -274,69 +271,6 @@ def tune(
     )
 
 
-CostAt = Callable[[str, Array], float]
-"""Stage and place in the ranges -> what is to be small."""
-
-
-def minimise(tuning: ControllerTuning, own: Gains, cost: CostAt, seed: int) -> None:
-    """Search the ranges of some gains for the least cost.
-
-    One gain: Brent's bounded search. Several: differential evolution, whose first points are the gains that
-    the controller has, the guesses and a Latin hypercube; then COBYQA, a trust-region method without
-    derivatives, from its best point.
-
-    Parameters
-    ----------
-    tuning : ControllerTuning
-        Ranges and budget.
-    own : mapping
-        The gains that the controller has.
-    cost : callable
-        Cost at a place.
-    seed : int
-        Of the global search.
-    """
-    bounds = [(gain.low, gain.high) for gain in tuning.gains.values()]
-    if len(bounds) == 1:
-        minimize_scalar(
-            lambda x: cost("polish", np.array([x])),
-            bounds=bounds[0],
-            method="bounded",
-            options={"maxiter": tuning.polish, "xatol": 0.0},
-        )
-        return
-    found = differential_evolution(
-        lambda x: cost("search", x),
-        bounds,
-        init=_first_points(tuning, own, seed),
-        maxiter=tuning.search // tuning.population - 1,
-        tol=0.0,
-        polish=False,
-        rng=seed,
-    )
-    if tuning.polish:
-        minimize(
-            lambda x: cost("polish", x),
-            found.x,
-            method="COBYQA",
-            bounds=bounds,
-            options={
-                "maxfev": tuning.polish,
-                "scale": True,
-                "initial_tr_radius": tuning.radius,
-                "final_tr_radius": min(LAST_RADIUS, tuning.radius),
-            },
-        )
-
-
-def _first_points(tuning: ControllerTuning, own: Gains, seed: int) -> Array:
-    known = [tuning.place(own), *([guess[name] for name in tuning.gains] for guess in tuning.guesses)]
-    low = [gain.low for gain in tuning.gains.values()]
-    high = [gain.high for gain in tuning.gains.values()]
-    cube = qmc.LatinHypercube(len(low), rng=seed).random(tuning.population)
-    return np.vstack([known, qmc.scale(cube, low, high)])[: tuning.population]
-
-
 class _Run:
     """A tuning under way."""
 
@@ -366,7 +300,7 @@ class _Run:
         else:
             spec = PolicySpec(self._controller, gains, f"{self._controller}-tuned")
             self._seen[key] = self.evaluate(spec, stage, gains)
-        return self._seen[key].J
+        return self._seen[key].mean
 
     def evaluate(self, spec: PolicySpec, stage: str, gains: Gains) -> Evaluation:
         """Evaluate a policy, unless it is known."""
@@ -383,7 +317,7 @@ class _Run:
 
     def _tell(self, stage: str) -> None:
         self._asked += 1
-        tried = [e.J for e in self.evaluations if e.stage != REFERENCE]
+        tried = [e.mean for e in self.evaluations if e.stage != REFERENCE]
         best = f", best J {min(tried):.5f}" if tried else ""
         self._progress(min(self._asked, self._total), self._total, f"{stage}{best}")
 

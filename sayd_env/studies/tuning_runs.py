@@ -46,7 +46,7 @@ class Evaluation:
     """Scenarios that ended early."""
 
     @property
-    def J(self) -> float:
+    def mean(self) -> float:
         """Mean of J."""
         return float(np.mean(self.costs))
 
@@ -202,7 +202,7 @@ class Record:
     def rows(self) -> list[list[Any]]:
         """All evaluations as rows of the table."""
         return [
-            [self._inputs, e.policy, e.stage, *map(e.gains.get, self._gains), e.J, e.derailed, *e.costs]
+            [self._inputs, e.policy, e.stage, *map(e.gains.get, self._gains), e.mean, e.derailed, *e.costs]
             for e in self._known.values()
         ]
 
