@@ -14,6 +14,8 @@ from sayd_env.config.loader import read_overridden
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 """A whole number of 1 or more."""
+View = Literal["vehicle", "bogie"]
+"""What one network sees and commands."""
 
 
 class LearningEnvironmentConfig(Model):
@@ -52,9 +54,11 @@ class OutputConfig(Model):
     """What the network's output, -1 to 1, does to the valve command."""
 
     kind: Literal["command", "change"] = Field(
-        description="command: -1 closes the valve and 1 opens it. change: added to the command that holds, "
-        "which the observation must contain"
+        description="command: 0 gives the middle, -1 and 1 the ends of a range. change: added to the command "
+        "that holds, which the observation must contain"
     )
+    middle: float = quantity("-", "Command at output 0, for 'command'", default=0.5, ge=0.0, le=1.0)
+    half: float = quantity("-", "Half the range of commands, for 'command'", default=0.5, gt=0.0, le=1.0)
     rate: float = quantity("1/s", "Fastest change of a command, for 'change'", default=1.0, gt=0.0)
 
 
@@ -110,6 +114,20 @@ class EvaluationConfig(Model):
     references: tuple[str, ...] = Field((), description="Controllers that are judged once, to compare with")
 
 
+class RewardReferenceConfig(Model):
+    """J of an ordinary policy in an episode: cost (v / speed)^p (level / track_level)^q.
+
+    Rewards are told in its multiples. It knows the conditions alone, so that it makes episodes alike for the
+    learner and leaves open which of two policies is the better one there.
+    """
+
+    cost: float = quantity("-", "J at the reference's speed and track level", gt=0.0)
+    speed: float = quantity("m/s", "Speed of the reference", gt=0.0)
+    speed_exponent: float = quantity("-", "p")
+    track_level: float = quantity("-", "Factor on the amplitudes of the track's spectrum", gt=0.0)
+    track_exponent: float = quantity("-", "q; an episode whose level is not drawn counts as the reference")
+
+
 class CheckpointConfig(Model):
     """How often what has been learned is put on the disk."""
 
@@ -126,7 +144,13 @@ class TrainConfig(Model):
     torch_threads: Count = Field(description="Threads of torch; small networks want one")
     discount_s: float = quantity("s", "Time after which a reward counts 1/e", gt=0.0)
     reward_scale: float = quantity("-", "Factor on the reward per second", gt=0.0)
+    reward_reference: RewardReferenceConfig | None = Field(
+        None, description="J that counts as 1; null: rewards are as the environment gives them"
+    )
     environment: LearningEnvironmentConfig
+    view: View = Field(
+        "vehicle", description="vehicle: one network for all. bogie: the same network for each bogie"
+    )
     inputs: dict[str, InputConfig] = Field(min_length=1, description="Quantities that the network sees")
     clip: float = quantity("-", "Largest input of the network", gt=0.0)
     output: OutputConfig
@@ -150,10 +174,11 @@ class TrainConfig(Model):
 
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
-        learning, lanes = self.learning, self.environment.lanes
+        learning = self.learning
+        lanes = self.environment.lanes * (2 if self.view == "bogie" else 1)
         if isinstance(learning, PpoConfig) and learning.n_steps * lanes % learning.batch_size:
             raise ValueError(
-                f"learning.batch_size ({learning.batch_size}) must divide n_steps x lanes "
+                f"learning.batch_size ({learning.batch_size}) must divide n_steps x networks "
                 f"({learning.n_steps} x {lanes})"
             )
         if isinstance(learning, SacConfig) and learning.buffer_size < lanes:

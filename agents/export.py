@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from agents.bogie_encoding import BogieEncoding
 from agents.disk import write_file
-from agents.encoding import FLOOR, Encoding
+from agents.encoding import FLOOR, Encoding, VehicleEncoding
 from agents.policy_file import LearnedPolicy, PolicyDescription, StoredPolicy, interface_like
 from sayd_env.config import StudyError
 
@@ -56,7 +57,7 @@ def onnx_model(stored: StoredPolicy) -> Any:
         graph.nodes,
         policy.name,
         [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["N", *shape])],
-        [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["N", policy.encoding.actions])],
+        [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["N", policy.interface.actions])],
         graph.constants,
     )
     model = helper.make_model(
@@ -88,6 +89,18 @@ class _Graph:
 
 def _encoded(graph: _Graph, encoding: Encoding, seen: str) -> str:
     """`Encoding.encode`."""
+    values = (
+        _of_bogies(graph, encoding, seen)
+        if isinstance(encoding, BogieEncoding)
+        else _of_vehicle(graph, cast(VehicleEncoding, encoding), seen)
+    )
+    values = _clipped(graph, values, -encoding.clip, encoding.clip)
+    # Single precision for a moment, as a learner saw it.
+    values = graph.add("Cast", graph.add("Cast", values, to=TensorProto.FLOAT), to=TensorProto.DOUBLE)
+    return _reshaped(graph, values, encoding.size)
+
+
+def _of_vehicle(graph: _Graph, encoding: VehicleEncoding, seen: str) -> str:
     middle = graph.constant(encoding.middle)
     values = graph.add("Gather", seen, graph.constant(encoding.columns.astype(np.int64)), axis=-1)
     values = graph.add("Where", graph.add("IsNaN", values), middle, values)
@@ -95,11 +108,21 @@ def _encoded(graph: _Graph, encoding: Encoding, seen: str) -> str:
     ratio = graph.add("Max", graph.add("Div", values, divisor), graph.constant(np.float64(FLOOR)))
     linear = graph.add("Sub", values, middle)
     values = graph.add("Where", graph.constant(encoding.logarithmic), graph.add("Log", ratio), linear)
-    values = graph.add("Mul", values, graph.constant(encoding.per_half))
-    values = _clipped(graph, values, -encoding.clip, encoding.clip)
-    # Single precision for a moment, as a learner saw it.
-    values = graph.add("Cast", graph.add("Cast", values, to=TensorProto.FLOAT), to=TensorProto.DOUBLE)
-    return graph.add("Reshape", values, graph.constant(np.array([-1, encoding.size], dtype=np.int64)))
+    return graph.add("Mul", values, graph.constant(encoding.per_half))
+
+
+def _of_bogies(graph: _Graph, encoding: BogieEncoding, seen: str) -> str:
+    nothing, one = graph.constant(np.float64(0.0)), graph.constant(np.float64(1.0))
+    seen = _reshaped(graph, seen, len(encoding.linear))
+    seen = graph.add("Where", graph.add("IsNaN", seen), nothing, seen)
+    linear = graph.add("MatMul", seen, graph.constant(encoding.linear))
+    forces = graph.add("Abs", graph.add("MatMul", seen, graph.constant(encoding.force)))
+    levels = graph.add("MatMul", forces, graph.constant(encoding.level))
+    values = graph.add("Add", graph.add("Add", linear, levels), graph.constant(encoding.constant))
+    left = graph.add("Less", graph.add("MatMul", seen, graph.constant(encoding.moment)), nothing)
+    sign = _reshaped(graph, graph.add("Where", left, graph.constant(np.float64(-1.0)), one), 1)
+    turned = graph.add("Mul", graph.constant(encoding.mirrored), graph.add("Sub", sign, one))
+    return graph.add("Mul", _reshaped(graph, values, encoding.size), graph.add("Add", turned, one))
 
 
 def _network(graph: _Graph, policy: LearnedPolicy, values: str) -> str:
@@ -116,12 +139,19 @@ def _network(graph: _Graph, policy: LearnedPolicy, values: str) -> str:
 def _decoded(graph: _Graph, encoding: Encoding, values: str, seen: str) -> str:
     """`Encoding.decode`."""
     bounded = _clipped(graph, values, -1.0, 1.0)
-    if encoding.held is None:
-        one = graph.constant(np.float64(1.0))
-        return graph.add("Mul", graph.add("Add", bounded, one), graph.constant(np.float64(0.5)))
-    held = graph.add("Gather", seen, graph.constant(encoding.held.astype(np.int64)), axis=-1)
-    change = graph.add("Mul", bounded, graph.constant(np.float64(encoding.step)))
-    return _clipped(graph, graph.add("Add", held, change), 0.0, 1.0)
+    held = encoding.held if isinstance(encoding, VehicleEncoding) else None
+    if held is None:
+        scaled = graph.add("Mul", bounded, graph.constant(np.float64(encoding.output.half)))
+        command = graph.add("Add", scaled, graph.constant(np.float64(encoding.output.middle)))
+    else:
+        step = graph.constant(np.float64(cast(VehicleEncoding, encoding).step))
+        before = graph.add("Gather", seen, graph.constant(held.astype(np.int64)), axis=-1)
+        command = graph.add("Add", before, graph.add("Mul", bounded, step))
+    return _reshaped(graph, _clipped(graph, command, 0.0, 1.0), encoding.units * encoding.actions)
+
+
+def _reshaped(graph: _Graph, values: str, width: int) -> str:
+    return graph.add("Reshape", values, graph.constant(np.array([-1, width], dtype=np.int64)))
 
 
 def _clipped(graph: _Graph, values: str, low: float, high: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,13 @@ import numpy.typing as npt
 from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 
+from agents.bogie_encoding import make_encoding
 from agents.config import TrainConfig
 from agents.encoding import Encoding, Observation
 from agents.sb3_vec import SaydVecEnv, Step
+
+Array = npt.NDArray[np.float64]
+Numbers = Callable[[], Array]
 
 SEEDS_APART = 1_000_000
 """Seeds of a training begin here, those of evaluations and comparisons lie below."""
@@ -21,30 +26,41 @@ LIVES = SEEDS_APART // SEEDS_OF_A_LIFE
 
 
 class EncodedVecEnv(VecEnvWrapper):
-    """Vehicles whose observations are encoded for a network and whose actions are its outputs.
+    """Networks at work: encoded observations, actions that are a network's outputs, scaled rewards.
+
+    A vehicle has one network or, in the view of a bogie, two; then vehicle i has the rows 2 i and 2 i + 1,
+    and each is paid for its own bogie.
 
     Parameters
     ----------
     venv : VecEnv
         Vehicles with observations in SI units, actions from 0 to 1 and rewards as the environment gives them.
     encoding : Encoding
-    reward_factor : float
-        What the rewards are multiplied with.
+    factors : callable
+        Gives what each vehicle's rewards are multiplied with in its episode, shape (N).
+    costs : callable, optional
+        Gives the share of the last period in the J of each bogie, shape (N, 2).
     """
 
-    def __init__(self, venv: VecEnv, encoding: Encoding, reward_factor: float) -> None:
-        super().__init__(
-            venv,
+    def __init__(
+        self, venv: VecEnv, encoding: Encoding, factors: Numbers, costs: Numbers | None = None
+    ) -> None:
+        super().__init__(venv)
+        VecEnv.__init__(
+            self,
+            venv.num_envs * encoding.units,
             Box(-encoding.clip, encoding.clip, (encoding.size,), np.float32),
             Box(-1.0, 1.0, (encoding.actions,), np.float32),
         )
         self._encoding = encoding
-        self._factor = np.float32(reward_factor)
+        self._factors, self._factor = factors, np.ones(venv.num_envs)
+        self._costs = costs
         self._seen: Observation = np.zeros(0, np.float32)
 
     def reset(self) -> Observation:
         """Begin an episode in every lane."""
         self._seen = self.venv.reset()
+        self._factor = self._factors()
         return self._encoding.encode(self._seen)
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
@@ -54,11 +70,26 @@ class EncodedVecEnv(VecEnvWrapper):
     def step_wait(self) -> Step:
         """Hold the commands for one control period."""
         self._seen, rewards, dones, infos = self.venv.step_wait()
+        units = self._encoding.units
+        each = [info for info in infos for _ in range(units)] if units > 1 else infos
         for i in np.flatnonzero(dones):
-            infos[i]["terminal_observation"] = self._encoding.encode(infos[i]["terminal_observation"][None])[
-                0
-            ]
-        return self._encoding.encode(self._seen), rewards * self._factor, dones, infos
+            last = self._encoding.encode(infos[i]["terminal_observation"][None])
+            for j in range(units):
+                each[i * units + j] = infos[i] | {"terminal_observation": last[j]}
+        paid = (self._paid(rewards, dones) * self._factor[:, None]).astype(np.float32).reshape(-1)
+        if dones.any():
+            self._factor = self._factors()
+        return self._encoding.encode(self._seen), paid, np.repeat(dones, units), each
+
+    def _paid(self, rewards: npt.NDArray[np.float32], dones: npt.NDArray[np.bool_]) -> Array:
+        """Rewards of the networks, shape (N, units): their mean over a vehicle is the vehicle's."""
+        if self._costs is None or self._encoding.units == 1:
+            return np.repeat(rewards[:, None].astype(np.float64), self._encoding.units, axis=1)
+        costs = self._costs()
+        apart = costs - costs.mean(axis=1, keepdims=True)
+        apart[dones] = 0.0  # these costs are of the next episode already
+        paid: Array = rewards[:, None] - apart
+        return paid
 
 
 def environment_keywords(config: TrainConfig) -> dict[str, Any]:
@@ -87,10 +118,27 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
     vehicles = SaydVecEnv(
         num_envs=settings.lanes, num_threads=settings.threads, **environment_keywords(config)
     )
-    encoding = Encoding(vehicles.interface, config.inputs, config.clip, config.output)
+    encoding = make_encoding(vehicles.interface, config.view, config.inputs, config.clip, config.output)
+
+    def factors() -> Array:
+        return reward_factors(config, vehicles)
+
     # The monitor stands below: it adds up what the environment gives, minus J.
-    factor = config.reward_scale / settings.control_period
-    return EncodedVecEnv(VecMonitor(vehicles), encoding, factor), encoding
+    return EncodedVecEnv(VecMonitor(vehicles), encoding, factors, vehicles.bogie_costs), encoding
+
+
+def reward_factors(config: TrainConfig, vehicles: SaydVecEnv) -> Array:
+    """What the rewards of each vehicle are multiplied with in its episode, shape (N)."""
+    per_second = config.reward_scale / config.environment.control_period
+    reference = config.reward_reference
+    if reference is None:
+        return np.full(vehicles.num_envs, per_second)
+    episodes = [episode for episode in vehicles.batch.fleet.episodes if episode is not None]
+    speed = np.array([episode.speed for episode in episodes]) / reference.speed
+    level = np.array([episode.track_scale or reference.track_level for episode in episodes])
+    cost = reference.cost * speed**reference.speed_exponent
+    factors: Array = per_second / cost / (level / reference.track_level) ** reference.track_exponent
+    return factors
 
 
 def seed_lanes(env: EncodedVecEnv, seed: int, life: int) -> None:

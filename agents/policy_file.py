@@ -21,7 +21,8 @@ import numpy.typing as npt
 import yaml
 from pydantic import Field
 
-from agents.config import InputConfig, NetworkConfig, OutputConfig
+from agents.bogie_encoding import make_encoding
+from agents.config import InputConfig, NetworkConfig, OutputConfig, View
 from agents.disk import write_file
 from agents.encoding import Encoding, Observation
 from sayd_env.config import DataError, Model, parse_yaml, quantity, validate
@@ -50,6 +51,7 @@ class PolicyDescription(Model):
     history: int = Field(strict=True, ge=1, description="Vectors in an observation")
     valves: Literal["bogie", "damper", "vehicle"]
     control_period: float = quantity("s", "Time for which a command holds", gt=0.0)
+    view: View = "vehicle"
     inputs: dict[str, InputConfig] = Field(min_length=1)
     clip: float = quantity("-", "Largest input of the network", gt=0.0)
     output: OutputConfig
@@ -195,9 +197,14 @@ def _layers(description: PolicyDescription, arrays: Mapping[str, Any], source: s
 
 def _widths(description: PolicyDescription) -> list[int]:
     """Units from the inputs to the outputs."""
-    seen = [name for name in description.signals if name.partition(".")[0] in description.inputs]
-    actions = {"bogie": 2, "damper": 8, "vehicle": 1}[description.valves]
-    return [len(seen) * description.history, *description.network.hidden, actions]
+    encoding = _encoding(description, interface_like(description))
+    return [encoding.size, *description.network.hidden, encoding.actions]
+
+
+def _encoding(description: PolicyDescription, interface: Interface) -> Encoding:
+    return make_encoding(
+        interface, description.view, description.inputs, description.clip, description.output
+    )
 
 
 class LearnedPolicy:
@@ -228,10 +235,8 @@ class LearnedPolicy:
         self.name = description.name
         self.parameters = description
         self.interface = interface
-        self.sensors = tuple(
-            name for name in description.signals if name.partition(".")[0] in description.inputs
-        )
-        self.encoding = Encoding(interface, description.inputs, description.clip, description.output)
+        self.encoding = _encoding(description, interface)
+        self.sensors = self.encoding.sensors
         # In double precision, so that the number of vehicles side by side does not show in the commands.
         self.layers = [(weight.T.astype(float), bias.astype(float)) for weight, bias in stored.layers]
         self._activate = np.tanh if description.network.activation == "tanh" else _relu
@@ -269,7 +274,7 @@ class LearnedPolicy:
         return (commands[0] if single else commands), None
 
     def outputs(self, inputs: Observation) -> Array:
-        """What the network makes of its inputs, shape (N, A), within -1 and 1 by `Encoding.decode`."""
+        """What the network makes of its inputs, a row for each; `Encoding.decode` cuts it off at -1 and 1."""
         values = inputs.astype(np.float64)
         for weight, bias in self.layers[:-1]:
             values = self._activate(values @ weight + bias)

@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sayd_env.config import ConfigError
 from sayd_env.envs.interface import Interface
+from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE
 from sayd_env.envs.session import SEEDS
 from sayd_env.envs.vector import SaydVectorEnv
 
@@ -100,6 +101,15 @@ class SaydVecEnv(VecEnv):
         for info, cut in zip(infos, (truncated & ~terminated).tolist(), strict=True):
             info["TimeLimit.truncated"] = cut
         return observations, rewards.astype(np.float32), dones, infos
+
+    def bogie_costs(self) -> npt.NDArray[np.float64]:
+        """Share of the last period in the J of each bogie, shape (num_envs, 2), weighted as the reward."""
+        fleet = self.batch.fleet
+        cost, terms = fleet.scenario.cost, fleet.lanes.terms
+        acceleration = terms[:, COST_ACCELERATION : COST_ACCELERATION + BOGIES]
+        force = terms[:, COST_FORCE : COST_FORCE + BOGIES]
+        costs: npt.NDArray[np.float64] = cost.acceleration_weight * acceleration + cost.force_weight * force
+        return costs
 
     def close(self) -> None:
         """Close the window, if there is one."""

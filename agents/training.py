@@ -237,6 +237,7 @@ class _Run:
         description = describe(
             self.encoding.interface,
             name=f"{config.learning.algorithm}-s{config.seed}",
+            view=config.view,
             inputs=config.inputs,
             clip=config.clip,
             output=config.output,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from agents.config import InputConfig, NetworkConfig, OutputConfig
-from agents.encoding import Encoding
+from agents.encoding import VehicleEncoding
 from agents.policy_file import StoredPolicy, describe, load_policy, policy_bytes, read_policy, save_policy
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.errors import StudyError
@@ -63,7 +63,7 @@ def observations(interface: Interface, count: int) -> Any:
 
 
 def test_inputs_are_what_the_configuration_says(interface: Interface) -> None:
-    encoding = Encoding(interface, INPUTS, 3.0, COMMAND)
+    encoding = VehicleEncoding(interface, INPUTS, 3.0, COMMAND)
     row = np.zeros((1, len(interface.signals)), np.float32)
     row[0, [interface.index(f"acceleration_rms.{p}") for p in ("front.leading", "rear.trailing")]] = 0.5, 1.5
     row[0, interface.index("command.rear.right.lower")] = 1.0
@@ -77,7 +77,7 @@ def test_inputs_are_what_the_configuration_says(interface: Interface) -> None:
 
 def test_rows_of_a_history_follow_each_other() -> None:
     interface = SaydEnv(observation="history", history=3).interface
-    encoding = Encoding(interface, {"speed": InputConfig(middle=0.0, half=1.0)}, 1e3, COMMAND)
+    encoding = VehicleEncoding(interface, {"speed": InputConfig(middle=0.0, half=1.0)}, 1e3, COMMAND)
     block = np.zeros((2, *interface.shape), np.float32)
     block[:, :, interface.index("speed")] = [[1, 2, 3], [4, 5, 6]]
     np.testing.assert_array_equal(encoding.encode(block), [[1, 2, 3], [4, 5, 6]])
@@ -86,11 +86,11 @@ def test_rows_of_a_history_follow_each_other() -> None:
 def test_outputs_become_commands(interface: Interface) -> None:
     seen = np.zeros((2, len(interface.signals)), np.float32)
     outputs = np.array([[-1.0, 0.5], [7.0, 0.0]])
-    found = Encoding(interface, INPUTS, 3.0, COMMAND).decode(outputs, seen)
+    found = VehicleEncoding(interface, INPUTS, 3.0, COMMAND).decode(outputs, seen)
     np.testing.assert_array_equal(found, np.float32([[0.0, 0.75], [1.0, 0.5]]))
     seen[:, interface.index("command.front.left.upper")] = 0.4
     seen[:, interface.index("command.rear.left.upper")] = 0.95
-    found = Encoding(interface, INPUTS, 3.0, CHANGE).decode(outputs, seen)  # 2 / s for 0.05 s
+    found = VehicleEncoding(interface, INPUTS, 3.0, CHANGE).decode(outputs, seen)  # 2 / s for 0.05 s
     np.testing.assert_allclose(found, [[0.3, 1.0], [0.5, 0.95]], atol=1e-7)
 
 
@@ -211,9 +211,9 @@ def test_weights_that_do_not_fit_are_refused(interface: Interface, tmp_path: Pat
 
 def test_inputs_that_the_environment_lacks_are_refused(interface: Interface) -> None:
     with pytest.raises(ConfigError, match="no quantity 'stroke'"):
-        Encoding(interface, {"stroke": InputConfig(middle=0.0, half=1.0)}, 3.0, COMMAND)
+        VehicleEncoding(interface, {"stroke": InputConfig(middle=0.0, half=1.0)}, 3.0, COMMAND)
     with pytest.raises(ConfigError, match="use 'features'"):
-        Encoding(SaydEnv().interface, {"speed": InputConfig(middle=0.0, half=1.0)}, 3.0, CHANGE)
+        VehicleEncoding(SaydEnv().interface, {"speed": InputConfig(middle=0.0, half=1.0)}, 3.0, CHANGE)
 
 
 def test_a_full_disk_leaves_the_former_file(
@@ -252,3 +252,41 @@ def test_onnxruntime_gives_the_same_commands(
     told = session.get_modelmeta().custom_metadata_map
     assert told["signals"].split() == [signal.name for signal in interface.signals]
     assert (told["valves"], float(told["control_period"])) == ("bogie", 0.05)
+
+
+def test_onnxruntime_gives_the_commands_of_both_bogies(tmp_path: Path) -> None:
+    pytest.importorskip("onnx", reason="needs the extra 'onnx'")
+    runtime = pytest.importorskip("onnxruntime", reason="needs the extra 'onnx'")
+    from agents.export import export_onnx  # noqa: PLC0415
+
+    names = ("yaw_force", "force_level", "lateral", "yaw_rate", "push_rate", "speed", "place")
+    halves = (1e6, 1e6, 30.0, 1.0, 1.0, 50.0, 1.0)
+    interface = SaydEnv(observation="history", history=3, control_period=0.02).interface
+    random = np.random.default_rng(1)
+    widths = [5 * 2 + 2, 7, 1]
+    layers = tuple(
+        (random.normal(size=(b, a)).astype(np.float32), random.normal(size=b).astype(np.float32))
+        for a, b in pairwise(widths)
+    )
+    description = describe(
+        interface,
+        name="of a bogie",
+        view="bogie",
+        inputs={name: InputConfig(middle=0.0, half=half) for name, half in zip(names, halves, strict=True)},
+        clip=5.0,
+        output=OutputConfig(kind="command", middle=0.4, half=0.3),
+        network=NetworkConfig(hidden=(7,), activation="tanh"),
+        squash="clip",
+    )
+    policy = StoredPolicy(description, layers)
+    save_policy(tmp_path / "policy.npz", policy)
+    export_onnx(read_policy(tmp_path / "policy.npz"), tmp_path / "policy.onnx")
+    session = runtime.InferenceSession(tmp_path / "policy.onnx", providers=["CPUExecutionProvider"])
+    low = np.array([signal.low for signal in interface.signals])
+    high = np.array([signal.high for signal in interface.signals])
+    seen = (low + random.random((25, 3, len(low))) * (high - low)).astype(np.float32)
+    (found,) = session.run(None, {"observation": seen})
+    expected, _ = policy.bound(interface).predict(seen)
+    assert found.shape == expected.shape == (25, 2)
+    assert np.ptp(found) > 0.3
+    np.testing.assert_allclose(found, expected, atol=1e-6, rtol=0)

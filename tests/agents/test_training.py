@@ -25,7 +25,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv  # noqa: E402
 
 from agents.config import load_train  # noqa: E402
 from agents.learner import load_model, make_model  # noqa: E402
-from agents.learning_env import make_learning_env  # noqa: E402
+from agents.learning_env import environment_keywords, make_learning_env  # noqa: E402
 from agents.policy_file import load_policy, read_policy  # noqa: E402
 from agents.scenarios import Judge  # noqa: E402
 from agents.table import Table  # noqa: E402
@@ -33,6 +33,7 @@ from agents.training import Trained, train  # noqa: E402
 from sayd_env.cli import main  # noqa: E402
 from sayd_env.config import ConfigError, DataError  # noqa: E402
 from sayd_env.config.errors import Interrupted, StudyError  # noqa: E402
+from sayd_env.envs.loop import COST_ACCELERATION, COST_FORCE  # noqa: E402
 from sayd_env.envs.single import SaydEnv  # noqa: E402
 
 SMALL = [
@@ -113,12 +114,7 @@ def test_the_judge_gives_what_evaluate_policy_gives(trained: Trained) -> None:
     config = trained.config
     costs = Judge(config).learned(read_policy(trained.folder / "best.npz"))
     assert np.mean(costs) == pytest.approx(trained.best, abs=1e-12)
-    env = SaydEnv(
-        config.environment.name,
-        observation="features",
-        control_period=config.environment.control_period,
-        episode_s=1.0,
-    )
+    env = SaydEnv(**environment_keywords(config) | {"episode_s": 1.0})
     policy = load_policy(trained.folder / "best.npz", env.interface)
     vector = DummyVecEnv([lambda: Monitor(env)])
     for seed, cost in zip((500, 501), costs, strict=True):
@@ -176,18 +172,39 @@ def test_bad_input_is_one_message(
 def test_rewards_and_last_observations_are_encoded(tmp_path: Path) -> None:
     config = load_train("ppo", settings("ppo", tmp_path))
     env, encoding = make_learning_env(config)
-    raw = SaydEnv(config.environment.name, observation="features", control_period=0.05, episode_s=0.5)
+    raw = SaydEnv(**environment_keywords(config), info="full")
     env.seed(3)
-    np.testing.assert_array_equal(env.reset()[1], encoding.encode(raw.reset(seed=4)[0][None])[0])
-    for step in range(10):
-        outputs = np.full((4, 2), -0.5 + 0.1 * step, np.float32)
+    np.testing.assert_allclose(env.reset()[2:4], encoding.encode(raw.reset(seed=4)[0][None]), atol=1e-6)
+    period, reference = config.environment.control_period, config.reward_reference
+    assert reference is not None
+    for step in range(25):
+        outputs = np.full((8, 1), -0.5 + 0.03 * step, np.float32)
+        outputs[3] += 0.1  # the rear bogie of the second vehicle
+        episode = raw.unwrapped.fleet.episodes[0]
         found, rewards, dones, infos = env.step(outputs)
         commands = encoding.decode(outputs, env._seen)[1]
+        np.testing.assert_allclose(commands, 0.40 + 0.15 * outputs[2:4, 0], atol=1e-6)
         seen, reward, _, truncated, _ = raw.step(commands)
-        assert rewards[1] == pytest.approx(float(reward) * 10.0 / 0.05, rel=1e-6)
-        assert dones[1] == truncated == (step == 9)
-        last = infos[1]["terminal_observation"] if truncated else found[1]
-        np.testing.assert_array_equal(last, encoding.encode(seen[None])[0])
+        assert list(dones[2:4]) == [truncated] * 2 == [step == 24] * 2
+        last = [infos[i]["terminal_observation"] for i in (2, 3)] if truncated else found[2:4]
+        np.testing.assert_allclose(last, encoding.encode(seen[None]), atol=1e-6)
+        # in multiples of what the reference gives at this speed and level of the track
+        cost = 0.0135 * (episode.speed / 80.0) ** 2.5 * (episode.track_scale / 0.57) ** 2
+        assert np.mean(rewards[2:4]) == pytest.approx(0.1 * float(reward) / period / cost, rel=1e-5)
+
+
+def test_each_bogie_is_paid_for_itself(tmp_path: Path) -> None:
+    config = load_train("ppo", settings("ppo", tmp_path))
+    env, _ = make_learning_env(config)
+    env.seed(3)
+    env.reset()
+    fleet = env.unwrapped.batch.fleet
+    _, rewards, _, _ = env.step(np.zeros((8, 1), np.float32))
+    terms, cost = fleet.lanes.terms, fleet.scenario.cost
+    own = cost.acceleration_weight * terms[:, COST_ACCELERATION:][:, :2]
+    own = own + cost.force_weight * terms[:, COST_FORCE:][:, :2]
+    ratios = (-rewards.reshape(4, 2) / own).T
+    np.testing.assert_allclose(ratios[0], ratios[1], rtol=1e-4)
 
 
 def test_a_finished_run_can_be_prolonged(trained: Trained, tmp_path: Path) -> None:
@@ -204,8 +221,8 @@ def test_a_finished_run_can_be_prolonged(trained: Trained, tmp_path: Path) -> No
 
 
 def test_what_a_resumed_run_may_not_change(trained: Trained, tmp_path: Path) -> None:
-    changed = trained.config.model_copy(update={"seed": 4, "discount_s": 1.0})
-    with pytest.raises(ConfigError, match=r"discount_s: the run has 5.0, found 1.0; seed: the run has 0"):
+    changed = trained.config.model_copy(update={"seed": 4, "discount_s": 2.0})
+    with pytest.raises(ConfigError, match=r"discount_s: the run has 1.0, found 2.0; seed: the run has 0"):
         train(changed, trained.folder, resume=True)
     with pytest.raises(ConfigError, match="holds no run"):
         train(trained.config, tmp_path, resume=True)
@@ -245,9 +262,9 @@ def test_ctrl_c_saves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt
 
     monkeypatch.setattr("agents.training.REPORT_SECONDS", 0.0)
-    with pytest.raises(Interrupted, match="saved at step 60 of 200; go on with --resume"):
+    with pytest.raises(Interrupted, match="saved at step 56 of 200; go on with --resume"):
         train(config, tmp_path / "run", progress=interrupt)
-    assert steps_on_disk(tmp_path / "run") == [60]
+    assert steps_on_disk(tmp_path / "run") == [56]
     assert train(config, tmp_path / "run", resume=True).steps == 200
 
 
@@ -291,8 +308,8 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
     stand = load_model(newest, model)
     assert stand.steps == int(newest.name) >= 200
     assert stand.updates > 0
-    # The buffer of 40 steps of 4 lanes has been filled.
-    assert model.replay_buffer.size() == 40
+    # The buffer of 20 steps of 8 bogies has been filled.
+    assert model.replay_buffer.size() == 20
     assert np.abs(model.replay_buffer.rewards).min() > 0.0
     longer = config.model_copy(update={"total_steps": stand.steps + 40})
     result = train(longer, folder, resume=True)
