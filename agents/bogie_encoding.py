@@ -19,7 +19,7 @@ from sayd_env.config import ConfigError, nearest
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
 
-MIRRORED = ("yaw_force", "lateral", "yawing", "yaw_rate")
+MIRRORED = ("yaw_force", "lateral", "yawing", "yaw_rate", "yaw_stroke")
 RATES = ("yaw_rate", "push_rate")
 """Differences of two rows."""
 QUANTITIES = {
@@ -30,6 +30,7 @@ QUANTITIES = {
     "yawing": "m/s2, half of leading minus trailing",
     "yaw_rate": "m/s, half the difference of left and right: stroke rate of a damper, mean of the side",
     "push_rate": "m/s, mean of the bogie's dampers",
+    "yaw_stroke": "m, half the difference of left and right strokes, less its mean over the rows",
     "current": "-, mean of the bogie's valves",
     "speed": "m/s, newest row",
     "place": "-, -1 for the front bogie, 1 for the rear one",
@@ -146,6 +147,11 @@ class BogieEncoding(Encoding):
         if name in RATES:
             weights = _stroke(self.interface, bogie, name) / self.interface.control_period
             return self._placed(weights, row) - self._placed(weights, row - 1)
+        if name == "yaw_stroke":  # the mean takes out curves and the sensors' bias
+            weights = _stroke(self.interface, bogie, name)
+            rows = [self._placed(weights, each) for each in range(self.row_count)]
+            apart: Array = rows[row] - np.mean(rows, axis=0)
+            return apart
         return self._placed(_weights(self.interface, bogie, name), row)
 
     def _placed(self, weights: Array, row: int) -> Array:

@@ -98,6 +98,7 @@ class SacConfig(Model):
     tau: float = quantity("-", "Share of the way that the target networks go", gt=0.0, le=1.0)
     train_freq: Count = Field(description="Steps of each lane between updates")
     gradient_steps: Count = Field(description="Updates each time")
+    target_entropy: Number = Field(description="Entropy of an output to which its weight is tuned")
 
 
 class EvaluationConfig(Model):

@@ -91,8 +91,25 @@ def test_rates_are_differences_of_rows(interface: Interface) -> None:
     np.testing.assert_array_equal(rear, 0.0)
 
 
+def test_the_stroke_is_told_without_its_mean(interface: Interface) -> None:
+    encoding = BogieEncoding(interface, {"yaw_stroke": UNIT}, 1e9, COMMAND)
+    strokes = [{"stroke.rear.right.upper": value} for value in (0.004, 0.012, 0.008)]
+    front, rear = encoding.encode(signals(interface, strokes))
+    np.testing.assert_allclose(rear, [0.001, -0.001, 0.0], atol=1e-9)  # minus a quarter of what exceeds 8 mm
+    np.testing.assert_array_equal(front, 0.0)
+
+
 def test_a_mirror_changes_nothing(interface: Interface) -> None:
-    names = ("yaw_force", "push_force", "force_level", "lateral", "yawing", "yaw_rate", "push_rate", "place")
+    names = (
+        "yaw_force",
+        "push_force",
+        "force_level",
+        "lateral",
+        "yawing",
+        "yaw_rate",
+        "push_rate",
+        "yaw_stroke",
+    )
     encoding = BogieEncoding(interface, dict.fromkeys(names, UNIT), 1e9, COMMAND)
     random = np.random.default_rng(0)
     block = random.normal(size=(20, ROWS, len(interface.signals))).astype(np.float32)
