@@ -9,7 +9,17 @@ import typer
 from rich.markup import escape
 
 from sayd_env import __version__
-from sayd_env.cli import components, learning, performance, pictures, policies, stability, tuning, vehicle
+from sayd_env.cli import (
+    comparison,
+    components,
+    learning,
+    performance,
+    pictures,
+    policies,
+    stability,
+    tuning,
+    vehicle,
+)
 
 app = typer.Typer(
     name="sayd",
@@ -46,6 +56,7 @@ app.command()(components.conicity)
 app.command()(components.hysteresis)
 app.command()(stability.modes)
 app.command()(tuning.tune)
+app.command()(comparison.compare)
 app.command()(learning.train)
 app.command()(learning.export)
 app.command()(pictures.render)

@@ -12,6 +12,7 @@ import hashlib
 import inspect
 import io
 import json
+import re
 import shutil
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -25,7 +26,10 @@ from sayd_env.studies.output import ResultDirectory, jsonable, versions
 Record = TypeVar("Record")
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-_SOURCES = ("sayd_env/config", "sayd_env/physics", "sayd_env/stability", "sayd_env/envs", "baselines")
+_SOURCES = (
+    *("sayd_env/config", "sayd_env/physics", "sayd_env/stability", "sayd_env/envs"),
+    *("baselines", "agents"),
+)
 _DIGITS = 16
 _FINGERPRINT, _NAME = "_fingerprint", "_name"  # keys of a file that say which run it is
 
@@ -38,7 +42,7 @@ class RunStore(Generic[Record]):
     folder : Path
         Where stores lie; each has its directories ``GROUP-FINGERPRINT`` there.
     group : str
-        Name of this store.
+        Name of this store; what does not belong into a folder's name becomes ``_``.
     kind : type
         Dataclass of a run; its fields are arrays, numbers and texts.
     *inputs
@@ -56,9 +60,10 @@ class RunStore(Generic[Record]):
     """
 
     def __init__(self, folder: Path, group: str, kind: type[Record], *inputs: Any) -> None:
-        self.folder, self.group, self.kind = folder, group, kind
+        # A learned policy is called what its file says; a folder's name is no place for all of that.
+        self.folder, self.group, self.kind = folder, re.sub(r"[^\w.@=+-]", "_", group), kind
         self.fingerprint = fingerprint(*inputs, modules=_modules(kind))
-        self._directory = ResultDirectory(folder / f"{group}-{self.fingerprint}")
+        self._directory = ResultDirectory(folder / f"{self.group}-{self.fingerprint}")
         self._lock = threading.Lock()
         self.reused = 0
         """Runs that were taken from the disk."""

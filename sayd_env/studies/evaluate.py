@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 KMH = 3.6
-COSTS = ("J", "J_acceleration", "J_force", "J_run", "J_offline")
+COSTS = (
+    *("J", "J_acceleration", "J_force", "J_run"),
+    *("J_offline", "J_offline_acceleration", "J_offline_force"),
+)
 RATIOS = ("acceleration_ratio", "track_shift_ratio")
 FORCES = ("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2")
 VALVES = ("valve_mean", "valve_travel_per_km", "switching_per_s")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from agents.policy_file import policy_bytes
+from sayd_env.config.control import load_controller, load_online
 from sayd_env.envs.rollout import Rollout
 from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.rollouts import Group, run_groups
+from sayd_env.studies.rollouts import Group, PolicySpec, run_groups
 
 Record = TypeVar("Record")
 Place = Callable[[Group, int], tuple[RunStore[Record] | None, str]]
@@ -60,3 +63,21 @@ def run_kept(
     for group, results, records in zip(missing, found, new, strict=True):
         results.update(zip(group.seeds, records, strict=True))
     return [[results[seed] for seed in group.seeds] for group, results in zip(groups, found, strict=True)]
+
+
+def identity(policy: PolicySpec) -> dict[str, Any]:
+    """What a kept run depends on because of its policy.
+
+    Of a controller all its parameters, of a learned policy the SHA-256 of its weights and description, of
+    each the on-line filter, whose output they may see.
+
+    Raises
+    ------
+    ConfigError
+        A controller whose parameters cannot be read.
+    """
+    if policy.stored is not None:
+        what: Any = hashlib.sha256(policy_bytes(policy.stored)).hexdigest()
+    else:
+        what = load_controller(policy.name, policy.parameters).model_dump(mode="json")
+    return {"policy": policy.name, "is": what, "online": load_online().model_dump(mode="json")}

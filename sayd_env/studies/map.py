@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from sayd_env.physics.throttle import overlap
 from sayd_env.stability import Crossing, critical_speed
 from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.evaluate import conditions, policy_groups
-from sayd_env.studies.kept_runs import run_kept
+from sayd_env.studies.kept_runs import identity, run_kept
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.policy_run import policy_row
 from sayd_env.studies.rollouts import Group, PolicySpec, for_policy
@@ -47,7 +47,9 @@ Dense where the valve is nearly closed, for there the damper's force changes mos
 """
 DERAILED = 10.0
 """Ratio to a limit with which a derailed run counts, so that a crossing can be interpolated."""
-CRITERIA = ("acceleration", "track_shift_force")
+RATIO = {"acceleration": "acceleration_ratio", "track_shift_force": "track_shift_ratio"}
+"""Column of each criterion."""
+CRITERIA = tuple(RATIO)
 LEAST_SEEDS = 5
 """Track realisations that a median needs."""
 DIGITS = 6
@@ -100,6 +102,8 @@ class Cell:
     friction: float
     by_criterion: Mapping[str, tuple[float | None, Crossing]]
     """Critical speed (km/h) by each criterion, and how the quantity runs over the grid."""
+    ratios: Mapping[str, Mapping[float, tuple[float, ...]]] = field(default_factory=dict)
+    """Ratio of each seed to the limit, by criterion and speed (km/h)."""
 
     @property
     def lowest(self) -> tuple[float | None, Crossing]:
@@ -401,6 +405,7 @@ class _Study:
                     name: self._crossing(spec.title, w, mu, name, self._speeds(spec.title, w, mu))
                     for name in CRITERIA
                 },
+                {name: self._ratios(spec.title, w, mu, name) for name in CRITERIA},
             )
             for spec, w, mu in places
         ]
@@ -471,10 +476,17 @@ class _Study:
     def _crossing(
         self, policy: str, wear: float, friction: float, name: str, speeds: Sequence[float]
     ) -> tuple[float | None, Crossing]:
-        column = "acceleration_ratio" if name == "acceleration" else "track_shift_ratio"
-        ratios = [min(self._median(column, (policy, wear, friction, v)), DERAILED) for v in speeds]
+        ratios = [min(self._median(RATIO[name], (policy, wear, friction, v)), DERAILED) for v in speeds]
         found = critical_speed(np.array(speeds), np.array(ratios), 1.0)
         return None if found.speed is None else found.speed * KMH, found.crossing
+
+    def _ratios(self, policy: str, wear: float, friction: float, name: str) -> dict[float, tuple[float, ...]]:
+        return {
+            round(v * KMH, DIGITS): tuple(
+                getattr(run, RATIO[name]) for run in self._found[policy, wear, friction, v]
+            )
+            for v in self._speeds(policy, wear, friction)
+        }
 
     def _median(self, name: str, key: Key) -> float:
         return float(np.median([getattr(run, name) for run in self._found[key]]))
@@ -500,12 +512,12 @@ class _Study:
         if self.folder is None:
             return None, ""
         # One store for all conditions and currents of a policy: they stand in the names of the runs.
-        spec = replace(group.policy, parameters={}) if group.policy.name == "constant" else group.policy
+        spec = group.policy
         key = spec.name if spec.name == "constant" else spec.title
         if key not in self._stores:
             scenario = group.scenario.model_copy(update={"wear": 0.0, "friction": 1.0})
-            inputs = (scenario, group.config, spec.name, dict(spec.parameters))
-            self._stores[key] = RunStore(self.folder, f"map-{key}", MapRun, *inputs)
+            who = {} if spec.name == "constant" else identity(spec)
+            self._stores[key] = RunStore(self.folder, f"map-{key}", MapRun, scenario, group.config, who)
         current = f"_V_{group.policy.parameters['current']:.9g}" if spec.name == "constant" else ""
         where = f"wear_{group.scenario.wear:.9g}_friction_{group.scenario.friction:.9g}"
         return self._stores[key], f"{where}{current}_{run_name(group.speed, seed)}"

@@ -62,6 +62,10 @@ class Row:
     """J over the whole seconds of the assessed length, on-line filter."""
     J_offline: float
     """J over the assessed length, with the filter of the assessment, which no policy can move."""
+    J_offline_acceleration: float
+    """(psi_y / y_lim)^2 of this, unweighted."""
+    J_offline_force: float
+    """(psi_F / F_max)^2 of this, unweighted."""
     acceleration_ratio: float
     track_shift_ratio: float
     force_rms_n: float
@@ -227,6 +231,8 @@ def _measured(rollout: Rollout, scenario: Scenario, weights: tuple[float, float]
     return {
         "J_run": float(np.dot(weights, rollout.cost(math.floor((settings.length or 0.0) / speed)))),
         "J_offline": float(np.dot(weights, offline)),
+        "J_offline_acceleration": offline[0],
+        "J_offline_force": offline[1],
         "acceleration_ratio": float(run.acceleration.max() / bounds.acceleration),
         "track_shift_ratio": float(run.track_shift.max() / bounds.track_shift_force),
         "force_rms_n": run.force_rms,
@@ -238,9 +244,10 @@ def _measured(rollout: Rollout, scenario: Scenario, weights: tuple[float, float]
 
 
 def _derailed() -> dict[str, float]:
-    names = ("J_run", "J_offline", "acceleration_ratio", "track_shift_ratio")
+    costs = ("J_run", "J_offline", "J_offline_acceleration", "J_offline_force")
+    ratios = ("acceleration_ratio", "track_shift_ratio")
     forces = ("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2")
-    return dict.fromkeys((*names, *forces, "comfort"), math.inf)
+    return dict.fromkeys((*costs, *ratios, *forces, "comfort"), math.inf)
 
 
 def valve_use(group: Group, rollout: Rollout) -> dict[str, Any]:

@@ -193,6 +193,11 @@ def test_former_runs_are_removed_on_request_and_nothing_else(store: RunStore[Toy
     }
 
 
+def test_a_name_stays_in_its_folder(tmp_path: Path):
+    RunStore(tmp_path / "runs", "../of *any* [kind]", Toy, Inputs())
+    assert [path.parent for path in tmp_path.rglob("*of__any*")] == [tmp_path / "runs"]
+
+
 def test_a_folder_that_cannot_be_written_is_found_at_once():
     with pytest.raises(ConfigError, match="cannot be written"):
         RunStore(Path("/proc/sayd"), "toys", Toy)

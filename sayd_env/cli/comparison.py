@@ -1,0 +1,76 @@
+"""The command that says which policy is best."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from sayd_env.cli import options
+from sayd_env.cli.job import Job
+from sayd_env.config.errors import Interrupted
+
+
+def compare(
+    *,
+    policies: Annotated[
+        options.PolicyNames | None,
+        typer.Option(
+            "--policies",
+            parser=options.parse_policies,
+            metavar="A,B,...",
+            help="Who takes part beside passive and mppt2: names as for evaluate, ready policies by their "
+            "algorithm (ppo), training seeds as NAME=FILE+FILE..., or a folder of policy files. Default: the "
+            "paper's and the tuned controllers and all ready policies.",
+        ),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A look at a few of the conditions, with one seed.")
+    ] = False,
+    config: Annotated[
+        str | None,
+        typer.Option(
+            "--config",
+            metavar="NAME|FILE",
+            help="Conditions: a YAML file. Default: the held-out ones, which nothing was trained on.",
+        ),
+    ] = None,
+    assignments: options.Set = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            "--seed",
+            parser=options.whole("--seed", 0, options.LARGEST_SEED),
+            metavar="S",
+            help="Of the bootstrap; the seeds of the scenarios are the configuration's.",
+        ),
+    ] = None,
+    workers: options.Workers = None,
+    out: options.Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Compare policies on held-out conditions: J with intervals, limits, critical speed, training seeds.
+
+    All policies meet the same scenarios: speeds, wear, friction, tracks and seeds of the configuration, the
+    rest drawn from the seed. J is that of evaluate, in MPPT2's weighting; it is judged off line and with
+    other weights of the force, too. Intervals are bootstraps over training seeds and scenarios. The best
+    constant current of each condition is the bound for slow policies. Finished runs are kept in the output
+    directory: an interrupted comparison goes on where it stopped.
+    """
+    from sayd_env.config.comparison import HELD_OUT, load_comparison  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.compare import compare as study  # noqa: PLC0415
+    from sayd_env.studies.contestants import contestants  # noqa: PLC0415
+
+    given = list(assignments or ()) + ([] if seed is None else [f"bootstrap.seed={seed}"])
+    conditions = load_comparison(config or HELD_OUT, given)
+    chosen = contestants(policies)
+    job = Job("compare", out, as_json)
+    folder = None if job.directory is None else job.directory.path / "runs"
+    try:
+        with job.progress() as progress:
+            result = study(conditions, chosen, quick=quick, folder=folder, workers=workers, progress=progress)
+    except KeyboardInterrupt:
+        if folder is None:
+            raise
+        raise Interrupted(f"finished runs are in {folder}; the same command goes on from there") from None
+    job.finish(result, config=result.config, seed=result.config.bootstrap.seed)

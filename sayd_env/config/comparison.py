@@ -1,0 +1,178 @@
+"""Schema of a comparison: the conditions that policies meet, and how what they do there is judged.
+
+The packaged comparison holds conditions that nothing may be tuned or trained on: it is read here alone, and
+this module is imported by the comparison alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, field_validator, model_validator
+
+from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.environment import LIMITS, scalable
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.loader import beside, read_config, section, validated
+from sayd_env.config.track import IrregularityConfig, read_track
+
+HELD_OUT = "heldout"
+"""Name of the packaged comparison."""
+
+Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+
+
+def _distinct(values: tuple[float, ...]) -> tuple[float, ...]:
+    for value in values:
+        if values.count(value) > 1:
+            raise ValueError(f"{value:g} stands there twice")
+    return values
+
+
+def _allowed(values: tuple[float, ...], name: str) -> tuple[float, ...]:
+    for value in values:
+        if not LIMITS[name].low <= value <= LIMITS[name].high:
+            raise ValueError(f"found {value:g}; allowed are {LIMITS[name]}")
+    return _distinct(values)
+
+
+def _rising(speeds: tuple[float, ...]) -> tuple[float, ...]:
+    for before, after in pairwise(speeds):
+        if after <= before:
+            raise ValueError(f"speeds must rise: {after:g} follows {before:g}")
+    return _allowed(speeds, "speed_kmh")
+
+
+class ComparedTrack(Model):
+    """A track whose irregularities the vehicles meet; section and gauge stay those of the study."""
+
+    name: str = Field(min_length=1, description="Name of a track, or a path to its YAML file")
+    scale: float | None = quantity(
+        "-", "Factor on all amplitudes; null: the track's own", default=None, gt=0.0, le=5.0
+    )
+
+    @model_validator(mode="after")
+    def _known(self) -> ComparedTrack:
+        try:
+            irregularity = read_track(self.name).irregularity
+        except ConfigError as error:
+            raise ValueError(f"name: {error}") from None
+        if self.scale is not None:
+            scalable(irregularity, self.name)
+        return self
+
+    @property
+    def irregularity(self) -> IrregularityConfig:
+        """The irregularities at this scale."""
+        own = read_track(self.name).irregularity
+        return own if self.scale is None else own.model_copy(update={"scale": self.scale})
+
+
+class CriticalSpeedConfig(Model):
+    """Where the critical speed is looked for, by EN 14363."""
+
+    study: str = Field(min_length=1, description="Scenario: name of a packaged study, or a path")
+    speeds_kmh: tuple[Number, ...] = Field(min_length=2, description="Grid of speeds (km/h), rising")
+    wear: float = quantity("-", "Wear of the treads", ge=0.0, le=1.0)
+    seeds: tuple[Seed, ...] = Field(min_length=1, description="Seeds of tracks; medians over them are judged")
+
+    _speeds = field_validator("speeds_kmh")(_rising)
+    _seeds = field_validator("seeds")(_distinct)
+
+
+class BootstrapConfig(Model):
+    """How intervals are found."""
+
+    samples: int = Field(description="Resamples", strict=True, ge=100, le=1_000_000)
+    seed: Seed = Field(description="Of the resampling")
+
+
+class ComparisonConfig(Model):
+    """A comparison. Its scenarios are all combinations of tracks, speeds, wear, friction and seeds."""
+
+    description: str = ""
+    environment: str = Field(min_length=1, description="Name of an environment, or a path to its YAML file")
+    length: float = quantity("m", "Assessed length of a run", gt=0.0, le=100e3)
+    tracks: tuple[ComparedTrack, ...] = Field(min_length=1)
+    speeds_kmh: tuple[Number, ...] = Field(min_length=1, description="Speeds (km/h), rising")
+    wear: tuple[Share, ...] = Field(min_length=1, description="Wear of the treads (-)")
+    friction: tuple[Number, ...] = Field(min_length=1, description="Coefficients of friction (-)")
+    seeds: tuple[Seed, ...] = Field(min_length=1, description="Of tracks, tolerances and sensor errors")
+    initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
+    critical_speed: CriticalSpeedConfig
+    constants: tuple[Share, ...] = Field(
+        min_length=1,
+        description="Valve commands (-), of which the best in each condition is a bound",
+    )
+    force_weights: tuple[Annotated[Number, Field(gt=0.0)], ...] = Field(
+        min_length=1, description="Factors on k_F under which J is judged (-), 1 among them"
+    )
+    bootstrap: BootstrapConfig
+
+    _speeds = field_validator("speeds_kmh")(_rising)
+    _once = field_validator("wear", "seeds", "constants")(_distinct)
+
+    @field_validator("friction")
+    @classmethod
+    def _possible(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        return _allowed(values, "friction")
+
+    @field_validator("force_weights")
+    @classmethod
+    def _with_the_own(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        if 1.0 not in values:
+            raise ValueError("1 must be among them: the weight as it is")
+        return _distinct(values)
+
+    @field_validator("tracks")
+    @classmethod
+    def _different(cls, tracks: tuple[ComparedTrack, ...]) -> tuple[ComparedTrack, ...]:
+        for track in tracks:
+            if tracks.count(track) > 1:
+                raise ValueError(f"track '{track.name}' stands there twice with the same scale")
+        return tracks
+
+
+def load_comparison(name: str = HELD_OUT, overrides: Iterable[str] = ()) -> ComparisonConfig:
+    """Read a comparison.
+
+    Parameters
+    ----------
+    name : str
+        The packaged comparison (``heldout``) or a path to a YAML file; paths in it are relative to it.
+    overrides : iterable of str
+        ``key=value`` assignments, applied last, for example ``bootstrap.samples=1000``.
+
+    Raises
+    ------
+    ConfigError
+        A file, key or value that cannot be used; the message names it and what is allowed.
+    """
+    content, source = read_config("study", name)
+    return validated(
+        ComparisonConfig, _placed(section(content, source), Path(source).parent), source, overrides
+    )
+
+
+def _placed(content: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Content whose paths are seen from the folder of its file."""
+    result = dict(content)
+    _place(result, "environment", folder)
+    critical, tracks = result.get("critical_speed"), result.get("tracks")
+    if isinstance(critical, dict):
+        result["critical_speed"] = _place(dict(critical), "study", folder)
+    if isinstance(tracks, list):
+        result["tracks"] = [
+            _place(dict(track), "name", folder) if isinstance(track, dict) else track for track in tracks
+        ]
+    return result
+
+
+def _place(content: dict[str, Any], key: str, folder: Path) -> dict[str, Any]:
+    if isinstance(content.get(key), str):
+        content[key] = beside(content[key], folder)
+    return content

@@ -1,0 +1,208 @@
+"""Statistics of a comparison: interquartile means, intervals, probabilities of improvement, paired gains.
+
+Values of a policy are arrays of shape (R, C, S): R training seeds, C conditions, S scenarios of each (one for
+each seed of the tracks). A policy that was not trained has R = 1. All policies met the same scenarios.
+
+Intervals are percentile bootstraps. Two kinds of resampling answer two questions:
+
+stratified
+    How well are these conditions known? Within each condition its scenarios are drawn anew, as Agarwal et
+    al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice" (2021), draw runs within each
+    task. Training seeds are drawn once for all conditions, because one training ran in all of them; to draw
+    them anew in each condition would average out what a lucky training gains everywhere.
+paired
+    What would other conditions say? Whole conditions are drawn, the same for both policies, and training
+    seeds. What a condition does to both policies cancels out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import trim_mean
+
+from sayd_env.config.comparison import BootstrapConfig
+
+Array = npt.NDArray[np.float64]
+Draws = npt.NDArray[np.int64]
+LEVEL = 0.95
+"""Level of the intervals."""
+CHUNK = 4_000_000
+"""Values that are resampled at once."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number and its interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def interval(self) -> list[float]:
+        """Both ends."""
+        return [self.low, self.high]
+
+
+def interquartile_mean(values: Array, axis: int | None = None) -> Array:
+    """Mean of the middle half of the values."""
+    return np.asarray(trim_mean(values, 0.25, axis=axis))
+
+
+def improvements(values: Array, reference: Array) -> Array:
+    """Whether each value is below the reference's in the same scenario: 1, or 0; one half for a tie.
+
+    Their mean is the probability of improvement: the Mann-Whitney statistic of each scenario, as a share of
+    the pairs, averaged over the scenarios.
+
+    Parameters
+    ----------
+    values : ndarray, shape (R, C, S)
+    reference : ndarray, shape (1, C, S)
+    """
+    return 0.5 * (1.0 + np.sign(reference - values))
+
+
+class Bootstrap:
+    """Resamples, the same for all policies.
+
+    Parameters
+    ----------
+    conditions, scenarios : int
+        C and S.
+    settings : BootstrapConfig
+        Number of resamples B, and their seed.
+    """
+
+    def __init__(self, conditions: int, scenarios: int, settings: BootstrapConfig) -> None:
+        self.samples, self.seed = settings.samples, settings.seed
+        self._within = self._random(0).integers(0, scenarios, (self.samples, conditions, scenarios))
+        drawn = self._random(1).integers(0, conditions, (self.samples, conditions))
+        self._conditions = _counts(drawn, conditions)
+        self._trainings = lru_cache(self._drawn_trainings)
+
+    def stratified(self, values: Array, statistic: Callable[[Array, int], Array]) -> Array:
+        """A statistic of each resample.
+
+        Parameters
+        ----------
+        values : ndarray, shape (R, C, S)
+        statistic : callable
+            Of an array, along an axis.
+
+        Returns
+        -------
+        ndarray, shape (B,)
+        """
+        trainings = self._trainings(len(values))
+        places = np.arange(values.shape[1])[None, None, :, None]
+        step = max(CHUNK // values.size, 1)
+        parts = [
+            statistic(
+                values[
+                    trainings[start : start + step, :, None, None],
+                    places,
+                    self._within[start : start + step, None],
+                ].reshape(-1, values.size),
+                1,
+            )
+            for start in range(0, self.samples, step)
+        ]
+        return np.concatenate(parts)
+
+    def means(self, values: Array) -> Array:
+        """Means of each resample of the stratified kind, for K quantities at once.
+
+        Parameters
+        ----------
+        values : ndarray, shape (R, C, S, K)
+
+        Returns
+        -------
+        ndarray, shape (B, K)
+        """
+        count, conditions, scenarios, _ = values.shape
+        within = _counts(self._within, scenarios).reshape(self.samples, -1)
+        trainings = _counts(self._trainings(count), count)
+        flat = values.reshape(count, conditions * scenarios, -1)
+        total = np.zeros((self.samples, flat.shape[-1]))
+        for r in range(count):
+            total += trainings[:, r, None] * (within @ flat[r])
+        return np.asarray(total / (count * conditions * scenarios))
+
+    def paired(self, values: Array, reference: Array) -> tuple[Array, Array]:
+        """Means of a policy and of a reference over the same resampled conditions, each of shape (B,).
+
+        Parameters
+        ----------
+        values : ndarray, shape (R, C, S)
+        reference : ndarray, shape (1, C, S)
+        """
+        conditions = values.shape[1]
+        mine = self._conditions @ values.mean(axis=2).T / conditions
+        trainings = self._trainings(len(values))
+        theirs = self._conditions @ reference[0].mean(axis=1) / conditions
+        return np.take_along_axis(mine, trainings, axis=1).mean(axis=1), theirs
+
+    def _drawn_trainings(self, count: int) -> Draws:
+        return self._random(2).integers(0, count, (self.samples, count))
+
+    def _random(self, stream: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, stream])
+
+
+def estimate(value: float, resampled: Array) -> Estimate:
+    """A number with the interval that its resamples span."""
+    low, high = np.quantile(resampled, (0.5 - LEVEL / 2, 0.5 + LEVEL / 2))
+    return Estimate(float(value), float(low), float(high))
+
+
+def middle(values: Array, bootstrap: Bootstrap) -> Estimate:
+    """Interquartile mean over training seeds and scenarios, stratified; values of shape (R, C, S)."""
+    return estimate(float(interquartile_mean(values)), bootstrap.stratified(values, interquartile_mean))
+
+
+def improvement(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:
+    """Probability that a run is below the reference's in the same scenario, stratified: `improvements`."""
+    better = improvements(values, reference)
+    return estimate(float(better.mean()), bootstrap.means(better[..., None])[:, 0])
+
+
+def reduction(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:
+    """How far the mean lies below the reference's, as a share of that, paired."""
+    mine, theirs = bootstrap.paired(values, reference)
+    return estimate(1.0 - values.mean() / reference.mean(), 1.0 - mine / theirs)
+
+
+def difference(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:
+    """Mean minus the reference's, paired."""
+    mine, theirs = bootstrap.paired(values, reference)
+    return estimate(values.mean() - reference.mean(), mine - theirs)
+
+
+def profile(values: Array, thresholds: Array, bootstrap: Bootstrap) -> tuple[Array, Array, Array]:
+    """Share of the runs that do not exceed each threshold, and both ends of its stratified interval.
+
+    Parameters
+    ----------
+    values : ndarray, shape (R, C, S)
+    thresholds : ndarray, shape (K,)
+
+    Returns
+    -------
+    tuple of ndarray, each of shape (K,)
+    """
+    below = (values[..., None] <= thresholds).astype(np.float64)
+    low, high = np.quantile(bootstrap.means(below), (0.5 - LEVEL / 2, 0.5 + LEVEL / 2), axis=0)
+    return below.mean(axis=(0, 1, 2)), low, high
+
+
+def _counts(draws: Draws, count: int) -> Array:
+    """How often each of `count` places was drawn, along the last axis."""
+    counts = np.stack([(draws == place).sum(axis=-1) for place in range(count)], axis=-1)
+    return counts.astype(np.float64)
