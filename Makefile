@@ -5,8 +5,11 @@ SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
 
+# Ready learned policies beside the others in `make run`: ",ppo,sac" once agents/pretrained/ holds both.
+LEARNED =
+
 # The main job of `make run`: the passive vehicle and the paper's four controllers side by side, on worn wheels.
-RUN_JOB = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous \
+RUN_JOB = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous$(LEARNED) \
           --profile worn --speeds 300,350,400 --seeds 10
 
 # Compiles the kernels once, so that parallel test processes find them in the cache instead of racing for it.

@@ -17,12 +17,12 @@ FOLDER = Path(str(resources.files(__name__)))
 _NAME = re.compile(r"(?P<algorithm>[a-z][a-z0-9]*)-s(?P<seed>0|[1-9][0-9]*)\.npz")
 
 
-def groups(folder: Path = FOLDER) -> dict[str, tuple[Path, ...]]:
+def groups(folder: Path | None = None) -> dict[str, tuple[Path, ...]]:
     """Files of the ready policies.
 
     Parameters
     ----------
-    folder : Path
+    folder : Path, optional
         Where they are; the package's by default.
 
     Returns
@@ -32,19 +32,19 @@ def groups(folder: Path = FOLDER) -> dict[str, tuple[Path, ...]]:
         files.
     """
     found: dict[str, dict[int, Path]] = {}
-    for file in folder.iterdir():
+    for file in (folder or FOLDER).iterdir():
         if match := _NAME.fullmatch(file.name):
             found.setdefault(match["algorithm"], {})[int(match["seed"])] = file
     return {name: tuple(files[seed] for seed in sorted(files)) for name, files in sorted(found.items())}
 
 
-def names(folder: Path = FOLDER) -> tuple[str, ...]:
+def names(folder: Path | None = None) -> tuple[str, ...]:
     """Names that `path` knows: each algorithm, then each of its files.
 
     Parameters
     ----------
-    folder : Path
-        Where the files are.
+    folder : Path, optional
+        Where the files are; the package's by default.
     """
     return tuple(
         name
@@ -53,15 +53,15 @@ def names(folder: Path = FOLDER) -> tuple[str, ...]:
     )
 
 
-def path(name: str, folder: Path = FOLDER) -> Path:
+def path(name: str, folder: Path | None = None) -> Path:
     """File of a ready policy.
 
     Parameters
     ----------
     name : str
         ``ppo-s3`` is that training; ``ppo`` is the first one, of the lowest seed, whichever is the best.
-    folder : Path
-        Where the files are.
+    folder : Path, optional
+        Where the files are; the package's by default.
 
     Raises
     ------

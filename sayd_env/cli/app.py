@@ -49,6 +49,7 @@ def sayd(
 app.command()(vehicle.critical_speed)
 app.command()(policies.evaluate)
 app.command("map")(policies.map_)
+app.command()(policies.policies)
 app.command()(vehicle.reproduce)
 app.command()(vehicle.calibrate)
 app.command()(stability.assess)

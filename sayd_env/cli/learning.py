@@ -110,21 +110,28 @@ def _refuse_with_resume(algorithm: Algorithm | None, config: str | None, out: Pa
 def export(
     source: Annotated[
         Path,
-        typer.Argument(metavar="DIR|FILE", help="Directory of a run (its best policy), or a policy file."),
+        typer.Argument(
+            metavar="DIR|FILE|NAME",
+            help="Directory of a run (its best policy), a policy file, or a ready policy such as ppo-s3.",
+        ),
     ],
     *,
     onnx: Annotated[
         bool,
         typer.Option("--onnx", help=escape("Write an ONNX model besides; needs 'sayd-env[onnx]'.")),
     ] = False,
+    trust_pickles: options.TrustPickles = False,
+    trained_period: options.TrainedPeriod = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
     """Write a learned policy as files for others: weights with their description, and an ONNX model."""
-    from sayd_env.studies.learning import export as study  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies.learning import read_source  # noqa: PLC0415
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.learning import export as study  # noqa: PLC0415
+    from sayd_env.studies.learning import foreign_reader, read_source  # noqa: PLC0415
 
-    stored = read_source(source)  # before the directory is made
+    foreign = foreign_reader(trust_pickles, load_environment(), trained_period)
+    stored = read_source(source, foreign)  # before the directory is made
     target = out or RESULTS / "export"
     job = Job("export", target, as_json)
     job.finish(study(stored, target, onnx=onnx))

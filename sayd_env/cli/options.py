@@ -334,7 +334,25 @@ Policies = Annotated[
         parser=parse_policies,
         metavar="A,B,...",
         help="Controllers: passive, constant:V, mppt1, mppt2, perturb-and-observe, skyhook-onoff, "
-        "skyhook-continuous, or files of learned policies (.npz).",
+        "skyhook-continuous, ready ones ('sayd policies' lists all), or files of learned policies (.npz).",
+    ),
+]
+TrustPickles = Annotated[
+    bool,
+    typer.Option(
+        "--trust-pickles",
+        help="Load a policy that Stable-Baselines3 saved (.zip, PPO or SAC with MlpPolicy). Such a file can "
+        "run any code on this machine while it is loaded.",
+    ),
+]
+TrainedPeriod = Annotated[
+    float | None,
+    typer.Option(
+        "--trained-period",
+        parser=positive("--trained-period", "s", 1.0),
+        metavar="S",
+        help="With --trust-pickles: control period of its training (s), which the file does not say. "
+        "Default: the environment's.",
     ),
 ]
 Reward = Annotated[

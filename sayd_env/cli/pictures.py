@@ -18,8 +18,14 @@ def render(
     *,
     policy: Annotated[
         str,
-        typer.Option("--policy", metavar="NAME", help="Who commands the valves; constant:0.3 for a current."),
+        typer.Option(
+            "--policy",
+            metavar="NAME|FILE",
+            help="Who commands the valves: a name ('sayd policies' lists all), constant:0.3, or a file.",
+        ),
     ] = "mppt2",
+    trust_pickles: options.TrustPickles = False,
+    trained_period: options.TrainedPeriod = None,
     speed: Annotated[
         float | None,
         typer.Option(
@@ -90,6 +96,7 @@ def render(
     imageio-ffmpeg: pip install 'sayd-env[render]' or 'sayd-env[video]'.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.learning import foreign_reader  # noqa: PLC0415
     from sayd_env.studies.render import Film, fixed_laws  # noqa: PLC0415
     from sayd_env.studies.render import render as study  # noqa: PLC0415
     from sayd_env.studies.rollouts import policy_spec  # noqa: PLC0415
@@ -106,7 +113,8 @@ def render(
         "tracks": track is not None or any(key.split(".")[0] == "track" for key in given),
     }
     target = file or (out or Path("results") / "render") / "render.gif"
-    film = Film(policy_spec(policy), target, seconds, fps, exaggeration)
+    spec = policy_spec(policy, foreign_reader(trust_pickles, laws, trained_period))
+    film = Film(spec, target, seconds, fps, exaggeration)
     job = Job("render", out, as_json)
     with job.progress() as progress:
         result = study(

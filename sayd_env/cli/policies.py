@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from sayd_env.config.scenario import Scenario
-    from sayd_env.studies.rollouts import PolicySpec
+    from sayd_env.studies.rollouts import ForeignReader, PolicySpec
 
 KMH = 3.6
 
@@ -39,6 +39,8 @@ def evaluate(
             help="Valve command of the run-in, before the policies act.",
         ),
     ] = "0",  # type: ignore[assignment] # the parser turns the text into a number
+    trust_pickles: options.TrustPickles = False,
+    trained_period: options.TrainedPeriod = None,
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
     config: options.Config = None,
@@ -60,10 +62,11 @@ def evaluate(
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
+    from sayd_env.studies.learning import foreign_reader  # noqa: PLC0415
 
     scenario = _scenario(config, assignments, profile, wear, friction, track, damper, reward)
-    specs = _specs(policies)
     laws = load_environment(environment)
+    specs = _specs(policies, foreign_reader(trust_pickles, laws, trained_period))
     job = Job("evaluate", out, as_json)
     with job.progress() as progress:
         result = study(
@@ -106,10 +109,10 @@ def _scenario(
     return scenario if reward is None else with_reward(scenario, reward)
 
 
-def _specs(names: Iterable[str] | None) -> list[PolicySpec]:
+def _specs(names: Iterable[str] | None, foreign: ForeignReader | None = None) -> list[PolicySpec]:
     from sayd_env.studies.rollouts import policy_spec  # noqa: PLC0415 - keeps --help fast
 
-    return [policy_spec(name) for name in names or ()]
+    return [policy_spec(name, foreign) for name in names or ()]
 
 
 def _metres_per_second(speeds: Iterable[float]) -> list[float]:
@@ -202,3 +205,11 @@ def map_(
             folder=None if job.directory is None else job.directory.path / "runs",
         )
     job.finish(result, config={**dict(scenario), "environment": laws}, seed=seed)
+
+
+def policies(*, out: options.Out = None, as_json: options.Json = False) -> None:
+    """List the policies that come with the program: controllers, and ready learned ones with their origin."""
+    from sayd_env.studies.policies import policies as study  # noqa: PLC0415 - keeps --help fast
+
+    job = Job("policies", out, as_json)
+    job.finish(study())

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from agents.config import TrainConfig
     from agents.policy_file import StoredPolicy
     from agents.training import Trained
+    from sayd_env.config.environment import EnvironmentConfig
+    from sayd_env.studies.rollouts import ForeignReader
 
 EXTRA = "needs torch and Stable-Baselines3: install them with pip install 'sayd-env[train]'"
 
@@ -133,19 +135,63 @@ def train(
     return TrainResult(learn(config, folder, resume=resume, about=about, progress=progress))
 
 
-def read_source(source: Path) -> StoredPolicy:
-    """Read a policy file, or the best policy of a run's folder.
+def foreign_reader(
+    trusted: bool, config: EnvironmentConfig, period: float | None = None
+) -> ForeignReader | None:
+    """What reads files of Stable-Baselines3, or None.
+
+    Parameters
+    ----------
+    trusted : bool
+        Whether such files, which can run any code while they are loaded, may be loaded.
+    config : EnvironmentConfig
+        The environment of their training.
+    period : float, optional
+        Control period of their training (s); that of `config` by default.
 
     Raises
     ------
     ConfigError
-        No policy there.
+        A period, where no file may be loaded.
+    """
+    if not trusted:
+        if period is not None:
+            raise ConfigError("--trained-period: is that of files of Stable-Baselines3: add --trust-pickles")
+        return None
+
+    def read(path: Path) -> StoredPolicy:
+        from agents.foreign import read_foreign  # noqa: PLC0415 - keeps the import of studies light
+
+        try:
+            return read_foreign(path, config, period)
+        except ModuleNotFoundError as error:
+            raise ConfigError(f"{path}: {EXTRA} (no module '{error.name}')") from None
+
+    return read
+
+
+def read_source(source: Path, foreign: ForeignReader | None = None) -> StoredPolicy:
+    """Read a policy file, the best policy of a run's folder, or a ready policy by its name.
+
+    Parameters
+    ----------
+    source : Path
+    foreign : callable, optional
+        What reads a file of Stable-Baselines3; without, it is refused.
+
+    Raises
+    ------
+    ConfigError
+        No policy there, or a file that is not trusted.
     DataError
         A damaged file.
     """
-    from agents.policy_file import read_policy  # noqa: PLC0415 - keeps the import of studies light
+    from agents import pretrained  # noqa: PLC0415 - keeps the import of studies light
+    from sayd_env.studies.rollouts import read_learned  # noqa: PLC0415
 
-    return read_policy(source / "best.npz" if source.is_dir() else source)
+    if not source.exists() and str(source) in pretrained.names():
+        return read_learned(pretrained.path(str(source)))
+    return read_learned(source / "best.npz" if source.is_dir() else source, foreign)
 
 
 def export(stored: StoredPolicy, target: Path, *, onnx: bool) -> ExportResult:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TypeVar
 
 import baselines
-from agents.policy_file import StoredPolicy, read_policy
-from sayd_env.config import ConfigError, nearest, validate
+from agents import pretrained
+from agents.policy_file import StoredPolicy, policy_bytes, read_policy
+from sayd_env.config import ConfigError, DataError, nearest, validate
 from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
@@ -27,6 +30,10 @@ LANES = 5
 PASSIVE = "passive"
 LEARNED = ".npz"
 """How the files of learned policies end."""
+FOREIGN = ".zip"
+"""How the files of Stable-Baselines3 end."""
+ForeignReader = Callable[[Path], StoredPolicy]
+"""Reads a file of Stable-Baselines3, for whoever trusts it."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,7 @@ class PolicySpec:
 
     name: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Of a learned policy the hash of its content, by which studies know kept runs of it."""
     label: str = ""
     """How tables call it; its name by default."""
     stored: StoredPolicy | None = None
@@ -68,33 +76,87 @@ class PolicySpec:
         return validate(EnvironmentConfig, dict(config) | changes | period | rows, self.stored.source)
 
 
-def policy_spec(text: str) -> PolicySpec:
+def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
     """Read a policy from the command line.
 
     Parameters
     ----------
     text : str
-        A name of `baselines.NAMES`, ``constant:V`` with a valve command V from 0 to 1, or the path of a
-        learned policy's file, which ends in ``.npz``.
+        A name of `baselines.NAMES`, ``constant:V`` with a valve command V from 0 to 1, a name of
+        `agents.pretrained`, or the path of a learned policy's file, which ends in ``.npz``, or in ``.zip``
+        if Stable-Baselines3 wrote it.
+    foreign : callable, optional
+        What reads a file of Stable-Baselines3; without, it is refused.
 
     Raises
     ------
     ConfigError
-        An unknown name, a command that is not a number from 0 to 1, or no such file.
+        An unknown name, a command that is not a number from 0 to 1, no such file, or one that is not trusted.
     DataError
         A damaged file.
     """
-    if text.strip().endswith(LEARNED):
-        stored = read_policy(text.strip())
-        return PolicySpec(stored.description.name, stored=stored)
-    name, parameters = baselines.parse(text)
-    if name not in baselines.NAMES:
+    given = text.strip()
+    if given.endswith((LEARNED, FOREIGN)):
+        return learned_spec(read_learned(Path(given), foreign))
+    name, parameters = baselines.parse(given)
+    if name in baselines.NAMES:
+        return PolicySpec(name, parameters, given) if parameters else PolicySpec(name)
+    ready = pretrained.names()
+    if name in ready:
+        file = pretrained.path(name)
+        return learned_spec(read_policy(file), file.stem)
+    known = (*baselines.NAMES, *ready)
+    raise ConfigError(
+        f"policy '{text}': unknown{nearest(name, known)}; expected {', '.join(known)}, constant:V "
+        f"or a file of a learned policy (*{LEARNED})"
+    )
+
+
+def read_learned(path: Path, foreign: ForeignReader | None = None) -> StoredPolicy:
+    """Read the file of a learned policy.
+
+    Parameters
+    ----------
+    path : Path
+    foreign : callable, optional
+        What reads a file of Stable-Baselines3; without, it is refused.
+
+    Raises
+    ------
+    ConfigError
+        No such file, or one that is not trusted.
+    DataError
+        A damaged file.
+    """
+    if path.suffix != FOREIGN:
+        return read_policy(path)
+    if foreign is None:
         raise ConfigError(
-            f"policy '{text}': unknown{nearest(name, baselines.NAMES)}; "
-            f"expected {', '.join(baselines.NAMES)}, constant:V "
-            f"or a file of a learned policy (*{LEARNED})"
+            f"{path}: a file of Stable-Baselines3 can run any code while it is loaded. If you trust where it "
+            "comes from, use --trust-pickles of evaluate, render or export (which makes a safe file of it)"
         )
-    return PolicySpec(name, parameters, text.strip()) if parameters else PolicySpec(name)
+    return foreign(path)
+
+
+def learned_spec(stored: StoredPolicy, label: str = "") -> PolicySpec:
+    """A learned policy among the others.
+
+    Parameters
+    ----------
+    stored : StoredPolicy
+    label : str
+        How tables call it; by default as it calls itself.
+
+    Raises
+    ------
+    DataError
+        It calls itself like one of `baselines.NAMES`.
+    """
+    name = stored.description.name
+    if name in baselines.NAMES:
+        raise DataError(f"{stored.source}: the policy calls itself '{name}', which is a controller's name")
+    digest = hashlib.sha256(policy_bytes(stored)).hexdigest()
+    return PolicySpec(name, {"sha256": digest}, label, stored)
 
 
 @dataclass(frozen=True, eq=False)

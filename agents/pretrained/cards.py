@@ -1,0 +1,136 @@
+"""Where the ready policies come from, as their files tell it; run as a program it writes README.md."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agents.disk import write_file
+from agents.policy_file import read_policy
+from agents.pretrained import FOLDER, groups
+from sayd_env.config import DataError
+
+README = "README.md"
+COLUMNS = ("name", "algorithm", "seed", "commit", "environment", "steps", "training", "J", "SHA-256")
+"""Of a table of origins: what `Origin.cells` gives."""
+_HEAD = """# Ready policies
+
+Trained by `sayd train`, as the files themselves tell: each holds its whole configuration, the versions and
+the command. `sayd evaluate --policies ppo-s3` runs one, without torch; `ppo` alone is the first training,
+whichever is the best. J is the mean over the scenarios that judged it while it learned: no result of a
+comparison.
+
+`python -m agents.pretrained.cards` makes this page from the files.
+"""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a policy comes from; None is what its file does not tell."""
+
+    name: str
+    algorithm: str
+    seed: int
+    """Of the training."""
+    commit: str | None
+    """Of the sources, with a plus if they had been changed."""
+    steps: int | None
+    """When it was written."""
+    seconds: float | None
+    """Of training until then."""
+    J: float | None
+    """Mean over the scenarios that judged it while it learned."""
+    environment: str | None
+    """In which it has learned."""
+    sha256: str
+    """Of the file."""
+    size: int
+    """Of the file, bytes."""
+
+    def cells(self) -> tuple[str, ...]:
+        """Return what a table shows, by `COLUMNS`."""
+        return (
+            self.name,
+            self.algorithm,
+            str(self.seed),
+            (self.commit or "-")[:12],
+            self.environment or "-",
+            "-" if self.steps is None else f"{self.steps:,}",
+            "-" if self.seconds is None else f"{self.seconds / 60:.0f} min",
+            "-" if self.J is None else f"{self.J:.4f}",
+            self.sha256,
+        )
+
+
+def origin(path: Path) -> Origin:
+    """Where a ready policy comes from.
+
+    Parameters
+    ----------
+    path : Path
+        One of `agents.pretrained.groups`.
+
+    Raises
+    ------
+    ConfigError, DataError
+        A file that cannot be read or is damaged, or that is another training than its name says.
+    """
+    made, content = read_policy(path).description.made, path.read_bytes()
+    algorithm = _told(made, "config", "learning", "algorithm")
+    seed = _told(made, "config", "seed")
+    if f"{algorithm}-s{seed}" != path.stem:
+        raise DataError(f"{path}: holds the training '{algorithm}-s{seed}', another one than its name says")
+    commit = _told(made, "git_commit")
+    return Origin(
+        name=path.stem,
+        algorithm=algorithm,
+        seed=seed,
+        commit=f"{commit}+" if commit and _told(made, "git_modified") else commit,
+        steps=_told(made, "steps"),
+        seconds=_told(made, "seconds"),
+        J=_told(made, "J"),
+        environment=_told(made, "config", "environment", "name"),
+        sha256=hashlib.sha256(content).hexdigest(),
+        size=len(content),
+    )
+
+
+def origins(folder: Path | None = None) -> list[Origin]:
+    """Where all ready policies come from, in the order of `agents.pretrained.groups`.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `origin`.
+    """
+    return [origin(path) for files in groups(folder).values() for path in files]
+
+
+def readme(folder: Path | None = None) -> str:
+    """Text of the page about the ready policies.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `origin`.
+    """
+    rows = [each.cells() for each in origins(folder)]
+    if not rows:
+        return f"{_HEAD}\nThere are none yet.\n"
+    lines = [COLUMNS, ("---",) * len(COLUMNS), *rows]
+    return _HEAD + "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _told(made: Mapping[str, Any], *keys: str) -> Any:
+    """What stands under nested keys; None if nothing does."""
+    content: Any = made
+    for key in keys:
+        content = content.get(key) if isinstance(content, Mapping) else None
+    return content
+
+
+if __name__ == "__main__":
+    write_file(FOLDER / README, readme().encode())

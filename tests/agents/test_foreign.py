@@ -1,0 +1,166 @@
+"""Policies that Stable-Baselines3 saved command what its `predict` commands, and are never loaded unasked."""
+
+from __future__ import annotations
+
+import base64
+import json
+import pickle
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+
+from gymnasium.wrappers import FlattenObservation, RescaleAction  # noqa: E402
+
+from agents.foreign import read_foreign  # noqa: E402
+from agents.policy_file import load_policy  # noqa: E402
+from sayd_env.cli import main  # noqa: E402
+from sayd_env.config import ConfigError, DataError  # noqa: E402
+from sayd_env.config.environment import load_environment  # noqa: E402
+from sayd_env.envs.single import SaydEnv  # noqa: E402
+from sayd_env.studies.rollouts import policy_spec  # noqa: E402
+
+Saved = Callable[..., tuple[Path, Any]]
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """On busy cores torch's threads wait for each other, for seconds."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Saved:
+    """Maker of a file and its model, which has learned nothing."""
+
+    def save(algorithm: Any, env: Any, **network: Any) -> tuple[Path, Any]:
+        small = {"buffer_size": 10} if algorithm is SB3.SAC else {}
+        model = algorithm(
+            "MlpPolicy", env, seed=1, device="cpu", policy_kwargs={"net_arch": [8, 8]} | network, **small
+        )
+        for parameter in model.policy.parameters():  # new ones are too small to command anything
+            torch.nn.init.normal_(parameter, std=0.3)
+        path = tmp_path / "policy.zip"
+        model.save(path)
+        return path, model
+
+    return save
+
+
+def seen_by(env: Any) -> np.ndarray:
+    """Observations of a vehicle, and small numbers, since raw signals drive a new network to its ends."""
+    env.action_space.seed(0)
+    real = [env.reset(seed=0)[0], *(env.step(env.action_space.sample())[0] for _ in range(9))]
+    small = np.random.default_rng(0).normal(size=(10, *env.observation_space.shape))
+    return np.concatenate([real, small]).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "keywords", "network"),
+    [
+        ("PPO", {}, {}),
+        ("PPO", {"observation": "history", "history": 3, "valves": "damper"}, {"activation_fn": "ReLU"}),
+        ("SAC", {"observation": "features", "valves": "vehicle"}, {}),
+    ],
+)
+def test_commands_are_those_of_the_library(
+    algorithm: str, keywords: dict[str, Any], network: dict[str, Any], saved: Saved, quick: str
+) -> None:
+    env = SaydEnv(quick, **keywords)
+    network = {key: getattr(torch.nn, name) for key, name in network.items()}
+    path, model = saved(getattr(SB3, algorithm), env, **network)
+    stored = read_foreign(path, load_environment(quick), 0.05)
+    description = stored.description
+    assert description.observation == keywords.get("observation", "signals")
+    assert (description.history, description.valves) == (env.interface.history, env.interface.valves)
+    assert description.control_period == 0.05
+    observations = seen_by(env)
+    mine, _ = read_foreign(path, load_environment(quick)).bound(env.interface).predict(observations)
+    theirs, _ = model.predict(observations, deterministic=True)
+    assert mine == pytest.approx(theirs, abs=1e-5)
+    assert np.ptp(mine) > 0.1  # so that a constant would not do
+
+
+def test_a_history_may_be_flat(saved: Saved, quick: str) -> None:
+    env = SaydEnv(quick, observation="history", history=3)
+    path, model = saved(SB3.PPO, FlattenObservation(env))
+    policy = read_foreign(path, load_environment(quick)).bound(env.interface)
+    observations = seen_by(env)
+    theirs, _ = model.predict(observations.reshape(len(observations), -1), deterministic=True)
+    assert policy.predict(observations)[0] == pytest.approx(theirs, abs=1e-5)
+
+
+def test_other_files_are_refused(saved: Saved, quick: str, tmp_path: Path) -> None:
+    nominal, env = load_environment(quick), SaydEnv(quick)
+    with pytest.raises(ConfigError, match=r"nothing.zip: cannot be read"):
+        read_foreign(tmp_path / "nothing.zip", nominal)
+    with pytest.raises(ConfigError, match=r"policy.zip: is of another algorithm than PPO and SAC"):
+        read_foreign(saved(SB3.A2C, env)[0], nominal)
+    with pytest.raises(
+        ConfigError, match="commands reach from -1 to 1, those of the environment from 0 to 1"
+    ):
+        read_foreign(saved(SB3.PPO, RescaleAction(env, np.float32(-1.0), np.float32(1.0)))[0], nominal)
+    with pytest.raises(ConfigError, match=r"observations of shape \(3,\); expected 41 signals, 31 features"):
+        read_foreign(saved(SB3.PPO, gym.make("Pendulum-v1"))[0], nominal)
+    with pytest.raises(ConfigError, match="layers with Tanh or with ReLU"):
+        read_foreign(saved(SB3.PPO, env, activation_fn=torch.nn.ELU)[0], nominal)
+    path, _ = saved(SB3.PPO, env)
+    with pytest.raises(ConfigError, match="control_period"):
+        read_foreign(path, nominal, 0.03)
+    content = path.read_bytes()
+    for broken in (content[:2000], content[:5000] + b"x" + content[5001:], b""):
+        path.write_bytes(broken)
+        with pytest.raises(DataError, match=r"policy.zip: is damaged"):
+            read_foreign(path, nominal)
+
+
+class Evil:
+    """What a file can do to whoever loads it."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (Path("done"),)
+
+
+def test_nothing_is_loaded_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same file that does something when it is trusted does nothing before."""
+    monkeypatch.chdir(tmp_path)
+    pickled = base64.b64encode(pickle.dumps(Evil())).decode()
+    told = {
+        "policy_class": {":serialized:": pickled, "__module__": "stable_baselines3.common.policies"},
+        "clip_range": 0.2,
+        "n_epochs": 1,
+    }
+    with zipfile.ZipFile("evil.zip", "w") as archive:
+        archive.writestr("data", json.dumps(told))
+    with pytest.raises(ConfigError, match=r"can run any code while it is loaded.*--trust-pickles"):
+        policy_spec("evil.zip")
+    assert main(["export", "evil.zip"]) == 2
+    assert main(["evaluate", "--policies", "evil.zip", "--json"]) == 2
+    assert not Path("done").exists()
+    with pytest.raises(DataError, match=r"cannot load it"):
+        read_foreign("evil.zip", load_environment())
+    assert Path("done").exists()
+
+
+def test_an_export_holds_no_code(
+    saved: Saved, quick: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    env = SaydEnv(quick)
+    path, model = saved(SB3.SAC, env)
+    assert main(["export", str(path), "--out", str(tmp_path / "out"), "--trained-period", "0.01"]) == 2
+    assert "add --trust-pickles" in capsys.readouterr().err
+    assert main(["export", str(path), "--out", str(tmp_path / "out"), "--trust-pickles"]) == 0
+    policy = load_policy(tmp_path / "out" / "policy.npz", env.interface)
+    observations = seen_by(env)
+    theirs, _ = model.predict(observations, deterministic=True)
+    assert policy.predict(observations)[0] == pytest.approx(theirs, abs=1e-5)
