@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.studies.compare_runs import OWN
-from sayd_env.studies.compare_scores import LEAST_REDUCTION
+from sayd_env.studies.compare_scores import LEAST_REDUCTION, Score
 from sayd_env.studies.compare_statistics import Bootstrap, profile
 
 if TYPE_CHECKING:
@@ -72,32 +72,32 @@ def _profiles(result: CompareResult, axis: Axes, colours: dict[str, str]) -> Non
 
 
 def _middles(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
-    for i, (name, found) in enumerate(result.scores[OWN].items()):
+    controlled = _controlled(result)
+    for i, (name, found) in enumerate(controlled.items()):
         middle = found.to_mppt2
         error = [[max(middle.value - middle.low, 0.0)], [max(middle.high - middle.value, 0.0)]]
         axis.errorbar(middle.value, i, xerr=error, fmt="o", color=colours[name], capsize=4)
     axis.axvline(1.0, color="k", linewidth=0.8)
-    axis.set_yticks(range(len(colours)), list(colours))
+    axis.set_yticks(range(len(controlled)), list(controlled))
     axis.invert_yaxis()
     axis.set(title="IQM of J / J of MPPT2, 95 % interval", xlabel="ratio")
 
 
 def _trainings(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
-    for i, (name, found) in enumerate(result.scores[OWN].items()):
+    controlled = _controlled(result)
+    for i, (name, found) in enumerate(controlled.items()):
         axis.plot(found.by_training, [i] * len(found.by_training), "o", color=colours[name], alpha=0.7)
         axis.plot(found.mean, i, "|", color=colours[name], markersize=18)
-    axis.set_yticks(range(len(colours)), list(colours))
+    axis.set_yticks(range(len(controlled)), list(controlled))
     axis.invert_yaxis()
-    axis.set(title="mean J of each training seed; bar: mean of all", xlabel="J", xscale="log")
+    axis.set(title="mean J of each training seed; bar: mean of all", xlabel="J")
 
 
 def _bounds(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
     """J of each condition over that of its best constant command, conditions in the order of the latter."""
     bound = result.bounds[OWN].costs[0].mean(axis=1)
     order = np.argsort(bound)
-    for name, found in result.scores[OWN].items():
-        if name == "passive":  # so far off where it hunts that the others would be one line
-            continue
+    for name, found in _controlled(result).items():
         ratio = (found.by_condition / bound)[order]
         axis.plot(ratio, ".-", color=colours[name], linewidth=0.8, markersize=4)
     axis.axhline(1.0, color="k", linewidth=0.8)
@@ -106,6 +106,11 @@ def _bounds(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
         xlabel="conditions, from easy to hard",
         ylabel="ratio",
     )
+
+
+def _controlled(result: CompareResult) -> dict[str, Score]:
+    """Scores without the passive vehicle's, beside which all others would be one point where it hunts."""
+    return {name: found for name, found in result.scores[OWN].items() if name != "passive"}
 
 
 def _reductions(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
