@@ -17,7 +17,7 @@ from baselines.policy import Policy
 from baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
 from baselines.source import interface_of
 from sayd_env.config import ConfigError
-from sayd_env.config.control import load_controller
+from sayd_env.config.control import controller_of, load_controller
 
 __all__ = ["NAMES", "Policy", "interface_of", "make", "parse"]
 
@@ -29,6 +29,8 @@ _KINDS: dict[str, Any] = {
     "perturb-and-observe": PerturbAndObserve,
     "skyhook-onoff": OnOffSkyhook,
     "skyhook-continuous": ContinuousSkyhook,
+    "mppt2-tuned": Mppt,
+    "constant-tuned": Constant,
 }
 NAMES = tuple(_KINDS)
 """Controllers that `make` knows."""
@@ -40,7 +42,8 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Policy[Any, Any]:
     Parameters
     ----------
     name : str
-        One of `NAMES`, or ``constant:V`` with a valve command V.
+        One of `NAMES`, ``constant:V`` with a valve command V, or the path of a YAML file of parameters that
+        is named after its controller, such as ``sayd tune`` writes: ``results/tune-mppt2/mppt2-tuned.yaml``.
     env_or_spec
         What it is to control: an `Interface`, a Gymnasium environment or vector environment (wrapped or not),
         a vector environment of Stable-Baselines3, or an environment's id or `EnvSpec`.
@@ -64,6 +67,7 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Policy[Any, Any]:
     if twice:
         raise ConfigError(f"policy '{name}': {', '.join(twice)} is given behind the colon and as a parameter")
     config = load_controller(name, {**short, **parameters})
+    name = controller_of(name)
     return _KINDS[name](name, interface_of(env_or_spec), config)  # type: ignore[no-any-return]
 
 

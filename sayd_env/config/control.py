@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -10,7 +11,7 @@ from pydantic import Field, model_validator
 from sayd_env.config.base import Model, quantity
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin
-from sayd_env.config.loader import nearest, read_config, read_overridden, section, validate
+from sayd_env.config.loader import is_path, nearest, read_config, read_overridden, section, validate
 
 
 class OnlineConfig(Model):
@@ -119,6 +120,29 @@ class SkyhookConfig(Model):
         return self
 
 
+class TunedProvenance(Model):
+    """Where the gains of a tuned controller come from."""
+
+    command: str = Field(min_length=1, description="What found them")
+    scenarios: str = Field(min_length=1, description="What they were judged on")
+    evaluations: int = quantity("-", "Sets of gains that were tried", ge=1)
+    J_before: float = quantity("-", "Mean J of the controller that was tuned", gt=0.0)
+    J_after: float = quantity("-", "Mean J with these gains", gt=0.0)
+    commit: str | None = Field(description="State of the software, git; null: unknown")
+
+
+class TunedConstantConfig(ConstantConfig):
+    """The best constant valve command for everything."""
+
+    provenance: TunedProvenance
+
+
+class TunedMpptConfig(MpptConfig):
+    """MPPT with the gains of the smallest J."""
+
+    provenance: TunedProvenance
+
+
 ControllerConfig = PassiveControlConfig | ConstantConfig | MpptConfig | PerturbObserveConfig | SkyhookConfig
 
 CONTROLLERS: dict[str, type[ControllerConfig]] = {
@@ -129,17 +153,37 @@ CONTROLLERS: dict[str, type[ControllerConfig]] = {
     "perturb-and-observe": PerturbObserveConfig,
     "skyhook-onoff": SkyhookConfig,
     "skyhook-continuous": SkyhookConfig,
+    "mppt2-tuned": TunedMpptConfig,
+    "constant-tuned": TunedConstantConfig,
 }
 """Schema of each controller's parameters."""
 
 
+def controller_of(name_or_path: str) -> str:
+    """Name of a controller: that of a file of parameters is the file's without its ending.
+
+    Raises
+    ------
+    ConfigError
+        There is no such controller.
+    """
+    name = Path(name_or_path).stem if is_path(name_or_path) else name_or_path
+    if name not in CONTROLLERS:
+        hint = "" if name == name_or_path else f"{name_or_path}: a file is named after its controller; "
+        raise ConfigError(
+            f"{hint}unknown controller {name!r}{nearest(str(name), CONTROLLERS)}; "
+            f"available: {', '.join(CONTROLLERS)}"
+        )
+    return name
+
+
 def load_controller(name: str, parameters: Mapping[str, Any] | None = None) -> ControllerConfig:
-    """Read the parameters of a controller from configs/control.
+    """Read the parameters of a controller from configs/control, or from a file of one's own.
 
     Parameters
     ----------
     name : str
-        One of `CONTROLLERS`.
+        One of `CONTROLLERS`, or the path of a YAML file that is named after one: ``own/mppt2.yaml``.
     parameters : mapping, optional
         Values that replace those of the file.
 
@@ -148,16 +192,12 @@ def load_controller(name: str, parameters: Mapping[str, Any] | None = None) -> C
     ConfigError
         Unknown name or parameter, or a value that cannot be used.
     """
-    if name not in CONTROLLERS:
-        raise ConfigError(
-            f"unknown controller {name!r}{nearest(str(name), CONTROLLERS)}; "
-            f"available: {', '.join(CONTROLLERS)}"
-        )
+    controller = controller_of(name)
     given = dict(parameters or {})
-    if name == "passive":
-        if given:
-            raise ConfigError(f"controller 'passive': has no parameters, found {', '.join(given)}")
+    if controller == "passive":
+        if given or controller != name:
+            raise ConfigError(f"controller 'passive': has no parameters, found {', '.join(given) or name}")
         return PassiveControlConfig()
     content, source = read_config("control", name)
-    origins = [Origin((key,), f"controller '{name}'") for key in given]
-    return validate(CONTROLLERS[name], section(content, source) | given, source, origins)
+    origins = [Origin((key,), f"controller '{controller}'") for key in given]
+    return validate(CONTROLLERS[controller], section(content, source) | given, source, origins)

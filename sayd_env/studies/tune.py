@@ -239,11 +239,11 @@ def tune(
         By Ctrl-C, with a table: it keeps what was evaluated.
     """
     tuning = settings.of(controller)
+    commit, _ = git_state(Path(__file__).resolve().parents[2])  # of the software that runs, not of its end
     asked = [policy_spec(reference) for reference in dict.fromkeys((*settings.references, controller))]
     proving = Proving(settings, workers)
-    controllers = dict.fromkeys(spec.name for spec in asked if spec.stored is None)
     seeds = [case.seed for case in settings.scenarios]
-    inputs = inputs_of(proving, settings, list(controllers))
+    inputs = inputs_of(proving, settings, asked)
     record = Record(table, inputs, list(tuning.gains), seeds)
     run = _Run(controller, settings, proving, record, len(asked), progress)
     try:
@@ -258,13 +258,12 @@ def tune(
         raise Interrupted(
             f"{len(record)} evaluations are kept in {table}; the same command goes on"
         ) from None
-    root = Path(__file__).resolve().parents[2]
     return TuneResult(
         controller,
         settings,
         name,
         command or f"sayd tune {controller}",
-        git_state(root)[0],
+        commit,
         run.evaluations,
         run.reused,
         (record.header, record.rows()),

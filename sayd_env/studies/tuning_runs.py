@@ -126,19 +126,21 @@ class Proving:
         return self._ready[damper]
 
 
-def inputs_of(proving: Proving, settings: TuningConfig, controllers: Sequence[str]) -> str:
-    """Fingerprint of all that J depends on beside policy and gains.
+def inputs_of(proving: Proving, settings: TuningConfig, policies: Sequence[PolicySpec]) -> str:
+    """Fingerprint of all that the evaluations depend on beside the gains.
 
     Parameters
     ----------
     proving : Proving
     settings : TuningConfig
-    controllers : sequence of str
-        Controllers whose files of parameters count.
+    policies : sequence of PolicySpec
+        Policies whose parameters count.
     """
-    # References count, because one of them may be a file, whose content then counts.
-    what = settings.model_dump(include={"episode_s", "initial_current", "scenarios", "references"})
-    parameters = {name: load_controller(name) for name in controllers}
+    what = settings.model_dump(include={"episode_s", "initial_current", "scenarios"})
+    parameters = {
+        spec.title: load_controller(spec.name, spec.parameters) if spec.stored is None else spec.parameters
+        for spec in policies
+    }
     modules = [Path(__file__)]
     return fingerprint(what, proving.environment, proving.scenario, parameters, modules=modules)
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import pickle
+from importlib import resources
 from typing import ClassVar
 
 import gymnasium as gym
 import numpy as np
 import pytest
+import yaml
 
 import baselines
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig
 
 CONTROLLERS = [name for name in baselines.NAMES if name != "passive"]
+BOGIE_CONTROLLERS = [name for name in CONTROLLERS if not name.startswith("constant")]
 PASSIVE = PassiveDamperConfig(
     type="passive", name="p", curve=((0.0, 0.0), (0.1, 1e4), (1.0, 2e4)), series_stiffness=5e6
 )
@@ -83,7 +86,7 @@ def test_episode_start_starts_a_lane_afresh(interface, name, kind):
     assert np.array_equal(commands[733:, 2], commands_of(policy, second[:767, 2]))
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name != "constant"])
+@pytest.mark.parametrize("name", BOGIE_CONTROLLERS)
 def test_a_history_is_read_at_its_newest_row(interface, name):
     signals = baselines.make(name, interface())
     history = baselines.make(name, interface(observation="history"))
@@ -92,7 +95,7 @@ def test_a_history_is_read_at_its_newest_row(interface, name):
     assert np.array_equal(commands_of(signals, observations), commands_of(history, past))
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name != "constant"])
+@pytest.mark.parametrize("name", BOGIE_CONTROLLERS)
 def test_valves_of_their_own_get_their_bogie_s_command(interface, name):
     observations = ride(interface(), 350, 2)
     bogie = commands_of(baselines.make(name, interface()), observations)
@@ -111,6 +114,31 @@ def test_constant_and_passive_fit_every_environment(interface, valves, count, ki
     assert constant.predict(np.zeros((5, *constant.interface.shape)), state)[0].shape == (5, count)
     passive = baselines.make("passive", interface(observation=kind, valves=valves, damper=PASSIVE))
     assert np.array_equal(passive.predict(np.zeros(passive.interface.shape))[0], np.zeros(count))
+
+
+def test_the_tuned_constant_commands_its_number(interface):
+    """The number that stands in its file, whatever the vehicle does."""
+    text = resources.files("configs").joinpath("control", "constant-tuned.yaml").read_text(encoding="utf-8")
+    number = yaml.safe_load(text)["current"]
+    assert 0.0 < number < 1.0
+    policy = baselines.make("constant-tuned", interface())
+    commands = commands_of(policy, ride(policy.interface, 250, 3))
+    assert np.array_equal(commands, np.full((250, 3, 2), number, dtype=np.float32))
+
+
+def test_a_file_of_parameters_stands_for_its_controller(interface, tmp_path):
+    """Named after mppt2, with its text but for k_J: as mppt2 with this k_J."""
+    text = resources.files("configs").joinpath("control", "mppt2.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "mppt2.yaml"
+    file.write_text(text.replace("k_J: 0.03", "k_J: 0.2"))
+    own, packaged = baselines.make(str(file), interface()), baselines.make("mppt2", interface(), k_J=0.2)
+    assert (own.name, own.parameters) == ("mppt2", packaged.parameters)
+    other = tmp_path / "mine.yaml"
+    other.write_text(text)
+    with pytest.raises(ConfigError, match=r"mine\.yaml: a file is named after its controller; unknown"):
+        baselines.make(str(other), interface())
+    with pytest.raises(ConfigError, match=r"mppt1\.yaml: no such file"):
+        baselines.make(str(tmp_path / "mppt1.yaml"), interface())
 
 
 @pytest.mark.parametrize(
