@@ -12,6 +12,7 @@ import baselines
 from agents import pretrained
 from agents.policy_file import StoredPolicy, policy_bytes, read_policy
 from sayd_env.config import ConfigError, DataError, nearest, validate
+from sayd_env.config.control import load_controller
 from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
@@ -32,6 +33,8 @@ LEARNED = ".npz"
 """How the files of learned policies end."""
 FOREIGN = ".zip"
 """How the files of Stable-Baselines3 end."""
+PARAMETERS = ".yaml"
+"""How the files of parameters of controllers end."""
 ForeignReader = Callable[[Path], StoredPolicy]
 """Reads a file of Stable-Baselines3, for whoever trusts it."""
 
@@ -84,7 +87,7 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
     text : str
         A name of `baselines.NAMES`, ``constant:V`` with a valve command V from 0 to 1, a name of
         `agents.pretrained`, or the path of a learned policy's file, which ends in ``.npz``, or in ``.zip``
-        if Stable-Baselines3 wrote it.
+        if Stable-Baselines3 wrote it, or of a controller's parameters in ``.yaml``, named after it.
     foreign : callable, optional
         What reads a file of Stable-Baselines3; without, it is refused.
 
@@ -98,6 +101,9 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
     given = text.strip()
     if given.endswith((LEARNED, FOREIGN)):
         return learned_spec(read_learned(Path(given), foreign))
+    if given.endswith(PARAMETERS):
+        load_controller(given)  # refused here rather than under way
+        return PolicySpec(given, label=f"{Path(given).stem}@{Path(given).resolve().parent.name}")
     name, parameters = baselines.parse(given)
     if name in baselines.NAMES:
         return PolicySpec(name, parameters, given) if parameters else PolicySpec(name)
@@ -107,8 +113,8 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
         return learned_spec(read_policy(file), file.stem)
     known = (*baselines.NAMES, *ready)
     raise ConfigError(
-        f"policy '{text}': unknown{nearest(name, known)}; expected {', '.join(known)}, constant:V "
-        f"or a file of a learned policy (*{LEARNED})"
+        f"policy '{text}': unknown{nearest(name, known)}; expected {', '.join(known)}, constant:V, "
+        f"a file of a learned policy (*{LEARNED}) or of a controller's parameters (*{PARAMETERS})"
     )
 
 
