@@ -75,7 +75,8 @@ class PpoConfig(Model):
     """Settings of PPO, as `stable_baselines3.PPO` calls them."""
 
     algorithm: Literal["ppo"]
-    learning_rate: float = quantity("-", "Step of Adam", gt=0.0, le=1.0)
+    learning_rate: float = quantity("-", "Step of Adam at the start", gt=0.0, le=1.0)
+    anneal: bool = Field(False, description="The step falls linearly, to 0 at the last of `total_steps`")
     n_steps: Count = Field(description="Steps of each lane between updates")
     batch_size: int = Field(description="Samples in a minibatch", strict=True, ge=2)
     n_epochs: Count = Field(description="Passes over the samples in an update")
@@ -91,7 +92,8 @@ class SacConfig(Model):
     """Settings of SAC, as `stable_baselines3.SAC` calls them; the entropy's weight is tuned."""
 
     algorithm: Literal["sac"]
-    learning_rate: float = quantity("-", "Step of Adam", gt=0.0, le=1.0)
+    learning_rate: float = quantity("-", "Step of Adam at the start", gt=0.0, le=1.0)
+    anneal: bool = Field(False, description="The step falls linearly, to 0 at the last of `total_steps`")
     buffer_size: Count = Field(description="Steps that are kept")
     learning_starts: int = Field(description="Random steps before learning", strict=True, ge=0)
     batch_size: int = Field(description="Samples in a minibatch", strict=True, ge=2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,9 @@ class Progress:
 
 def make_model(config: TrainConfig, env: EncodedVecEnv) -> Any:
     """A PPO or SAC model that has learned nothing yet."""
-    settings = config.learning.model_dump(exclude={"algorithm", "log_std_init"})
+    settings = config.learning.model_dump(exclude={"algorithm", "log_std_init", "anneal"})
+    if config.learning.anneal:
+        settings["learning_rate"] = _falling(config.learning.learning_rate)
     hidden, activation = list(config.network.hidden), ACTIVATIONS[config.network.activation]
     common = {"gamma": config.gamma, "seed": config.seed, "device": "cpu", "verbose": 0}
     if isinstance(config.learning, PpoConfig):
@@ -48,6 +51,15 @@ def make_model(config: TrainConfig, env: EncodedVecEnv) -> Any:
         return PPO("MlpPolicy", env, policy_kwargs=network, **settings, **common)
     network = {"net_arch": {"pi": hidden, "qf": hidden}, "activation_fn": activation}
     return SAC("MlpPolicy", env, policy_kwargs=network, **settings, **common)
+
+
+def _falling(rate: float) -> Callable[[float], float]:
+    """Learning rate over what is left of a training, from 1 to 0."""
+
+    def at(left: float) -> float:
+        return rate * max(left, 0.0)
+
+    return at
 
 
 def policy_layers(model: Any) -> tuple[Layers, str]:
