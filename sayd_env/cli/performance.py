@@ -14,7 +14,7 @@ from sayd_env.cli.scenario import scenario_from
 def bench(
     *,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Few and short measurements, for a trend; about a minute.")
+        bool, typer.Option("--quick", help="Few and short measurements, for a trend; a minute or two.")
     ] = False,
     speed: Annotated[
         float,
@@ -36,7 +36,7 @@ def bench(
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
-    """Measure simulator and environments here: speed, cost of a step by part, start-up and memory."""
+    """Measure simulator, environments and training here: speed, cost of a step by part, start-up, memory."""
     from sayd_env.studies.bench import bench as study  # noqa: PLC0415 - keeps --help fast
 
     scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)

@@ -1,4 +1,4 @@
-"""How fast is all this here? Simulator beside SciPy, cost of a step by part, environments, starts, memory.
+"""How fast is all this here? Simulator beside SciPy, cost of a step by part, environments, training, starts.
 
 Everything is measured several times in turn, so that a disturbance of the machine meets all quantities alike;
 reported are medians, least and greatest values. Factors over real time and rates of control steps are of wall
@@ -7,12 +7,9 @@ time; the cost of a step and of its parts is processor time, which other work on
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numba
@@ -29,8 +26,10 @@ from sayd_env.studies.bench_environment import (
     EnvironmentEffort,
     measure_environments,
 )
+from sayd_env.studies.bench_machine import machine
 from sayd_env.studies.bench_spread import Spread, in_turn
 from sayd_env.studies.bench_start import measure_starts
+from sayd_env.studies.bench_training import TrainingEffort, TrainingRates, measure_training
 from sayd_env.studies.bench_vehicle import (
     FirstOrder,
     PartTimer,
@@ -63,6 +62,7 @@ FACTORS = {
     "scipy_reference": "scipy, passive, equal accuracy",
 }
 """Factors over real time and what they are called."""
+NO_TRAINING = "no training beside them: torch and Stable-Baselines3 are not installed"
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,11 @@ class Effort:
     first_starts: int
     later_starts: int
     environments: EnvironmentEffort
+    training: TrainingEffort
 
 
-FULL = Effort(9, 20.0, 100_000, 2.0, 2, 5, EnvironmentEffort(5, 0.5, 1500))
-QUICK = Effort(3, 4.0, 10_000, 0.25, 1, 2, EnvironmentEffort(1, 0.25, 500))
+FULL = Effort(9, 20.0, 100_000, 2.0, 2, 5, EnvironmentEffort(5, 0.5, 1500), TrainingEffort(3, 1500))
+QUICK = Effort(3, 4.0, 10_000, 0.25, 1, 2, EnvironmentEffort(1, 0.25, 500), TrainingEffort(1, 1000, False))
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,8 @@ class BenchResult:
     step_us: dict[str, Spread]
     """Processor time of a step by part (us)."""
     control: ControlSteps
+    training: TrainingRates | None
+    """None where torch and Stable-Baselines3 are not installed."""
     startup: dict[str, Spread]
     """Wall time of a first and a later start (s)."""
     memory: dict[str, float] | None
@@ -119,6 +122,7 @@ class BenchResult:
             "step_us": {name: spread.median for name, spread in self.step_us.items()},
             "control_steps_per_second": self.control.as_dict(),
             "reset_s": {name: spread.median for name, spread in self.control.reset_s.items()},
+            "training": None if self.training is None else self.training.as_dict(),
             "startup_s": {name: spread.median for name, spread in self.startup.items()},
             "memory_mb": None if self.memory is None else self.memory["later"],
             "memory_first_start_mb": None if self.memory is None else self.memory["first"],
@@ -136,6 +140,7 @@ class BenchResult:
                 "step_us": _each(self.step_us),
                 "control_steps_per_second": _each(self.control.spreads()),
                 "reset_s": _each(self.control.reset_s),
+                "training": {} if self.training is None else _each(self.training.rates),
                 "startup_s": _each(self.startup),
             },
         }
@@ -181,6 +186,7 @@ class BenchResult:
         )
         if "ant_v5" not in self.control.rates:
             notes.append(f"no {YARDSTICK} beside them: mujoco is not installed")
+        notes.append(NO_TRAINING if self.training is None else self.training.note())
         if self.memory is not None:
             notes.append(
                 f"peak memory {self.memory['later']:.0f} MB, compiling {self.memory['first']:.0f} MB"
@@ -194,7 +200,7 @@ class BenchResult:
         return (costs["valves"].median + costs["hydraulics"].median) / costs["total_sayd"].median
 
     def _groups(self) -> list[list[tuple[str, str, Spread]]]:
-        control = self.control
+        control, training = self.control, self.training
         return [
             [(FACTORS[name], "x real time", s) for name, s in self.realtime.items()],
             [(_step_label(name), "us", s) for name, s in self.step_us.items()],
@@ -205,16 +211,24 @@ class BenchResult:
                 ("reset of one environment", "s", control.reset_s["single"]),
                 (f"reset of {control.vehicles} at once", "s", control.reset_s["batch"]),
             ],
+            []
+            if training is None
+            else [(training.label(k), "steps/s", s) for k, s in training.rates.items()],
             [(f"{name} start", "s", s) for name, s in self.startup.items()],
         ]
 
     def _draw(self, figure: Figure) -> None:
-        figure.set_size_inches(10.0, 8.0)
-        factors, parts, control = figure.subplots(3, 1)
+        figure.set_size_inches(10.0, 10.0)
+        factors, parts, control, training = figure.subplots(4, 1)
         _bars(factors, {FACTORS[name]: s for name, s in self.realtime.items()}, "simulated over wall time")
         costs = {_step_label(name): s for name, s in self.step_us.items()}
         _bars(parts, costs, f"processor time of a step of {self.step * 1e3:g} ms (us)")
         _bars(control, {RATES[name]: s for name, s in self.control.rates.items()}, "control steps per second")
+        if self.training is None:
+            training.set_axis_off()
+        else:
+            rates = {self.training.label(name): s for name, s in self.training.rates.items()}
+            _bars(training, rates, "control steps per second in training")
         factors.set_xscale("log")
         figure.suptitle(f"{self.machine['processor']}, {self.machine['cores']} cores", fontsize="small")
 
@@ -250,7 +264,7 @@ def bench(
     workers: int | None = None,
     progress: Progress = silent,
 ) -> BenchResult:
-    """Measure speed, cost by part, environments, starts and memory.
+    """Measure speed, cost by part, environments, training, starts and memory.
 
     Parameters
     ----------
@@ -297,6 +311,7 @@ def bench(
         realtime={name: Spread.of(measured[name]) for name in FACTORS if name in measured},
         step_us=_cost_by_part(measured, step),
         control=measure_environments(effort.environments, threads, lambda: steps.did("environments")),
+        training=measure_training(effort.training, threads, lambda: steps.did("training")),
         startup=startup,
         memory=memory,
         reference=reference,
@@ -309,7 +324,7 @@ class _Steps:
 
     def __init__(self, progress: Progress, effort: Effort) -> None:
         self.progress, self.done = progress, 0
-        runs = effort.repetitions + effort.environments.repetitions
+        runs = effort.repetitions + effort.environments.repetitions + effort.training.repetitions
         self.total = effort.first_starts + effort.later_starts + 1 + runs
 
     def did(self, what: str) -> None:
@@ -372,23 +387,3 @@ def _cost_by_part(measured: dict[str, list[float]], step: float) -> dict[str, Sp
         whole = 1e6 * step / np.array(measured["sayd_single_processor_time"])
         costs |= {"valves": valves, "hydraulics": dampers - valves, "total_sayd": whole}
     return {name: Spread.of(values.tolist()) for name, values in costs.items()}
-
-
-def machine() -> dict[str, Any]:
-    """Processor, cores that this process may use, system and date."""
-    return {
-        "processor": _processor(),
-        "cores": numba.config.NUMBA_NUM_THREADS,  # type: ignore[attr-defined] # made at run time
-        "system": f"{platform.system()} {platform.machine()}",
-        "date": datetime.now(UTC).date().isoformat(),
-    }
-
-
-def _processor() -> str:
-    """Name of the processor: Linux tells it in a file alone."""
-    information = Path("/proc/cpuinfo")
-    if information.exists():
-        for line in information.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()

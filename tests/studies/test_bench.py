@@ -33,6 +33,7 @@ from sayd_env.studies.bench_environment import (
     whole_episodes,
 )
 from sayd_env.studies.bench_spread import Spread
+from sayd_env.studies.bench_training import TrainingEffort, TrainingRates
 from sayd_env.studies.bench_vehicle import FirstOrder, PartTimer, SaydTimer, match_accuracy, with_dampers
 from sayd_env.studies.output import document, json_text
 
@@ -53,17 +54,19 @@ def sayd_model() -> VehicleModel:
 def result() -> BenchResult:
     """A quick bench of a small batch, whose starts are those of a program that only uses some memory.
 
-    No yardstick, installed or not.
+    No yardstick, installed or not, and no training.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench_start, "_PROGRAM", "block = bytearray(50_000_000); status = 0")
         patch.setattr(bench_environment, "BATCH", 4)
         patch.setattr(bench_environment, "make_yardstick", lambda: None)
-        patch.setattr(module, "QUICK", Effort(2, 1.0, 1000, 0.1, 1, 2, EnvironmentEffort(1, 0.1, 50)))
+        patch.setattr(module, "measure_training", lambda effort, threads, did: did())
+        few = EnvironmentEffort(1, 0.1, 50), TrainingEffort(1, 10)
+        patch.setattr(module, "QUICK", Effort(2, 1.0, 1000, 0.1, 1, 2, *few))
         heard: list[tuple[float, float, str]] = []
         result = bench(load_scenario(), quick=True, progress=lambda *report: heard.append(report))
-    assert [done for done, _, _ in heard] == [1, 2, 3, 4, 5, 6, 7]
-    assert {total for _, total, _ in heard} == {7}
+    assert [done for done, _, _ in heard] == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert {total for _, total, _ in heard} == {8}
     return result
 
 
@@ -132,6 +135,34 @@ def test_summary_table_and_picture(result: BenchResult) -> None:
         figure = Figure()
         draw(figure)
         figure.draw_without_rendering()
+
+
+def test_training_stands_beside_the_rest(result: BenchResult) -> None:
+    """Where it can be measured; where it cannot, a line says why."""
+    assert result.as_dict()["training"] is None
+    rates = {
+        name: Spread.of([rate]) for name, rate in (("environment", 900.0), ("ppo", 300.0), ("sac", 100.0))
+    }
+    shares = {"ppo": Spread.of([0.25]), "sac": Spread.of([0.5])}
+    lanes, threads = (
+        {"environment": 32, "ppo": 32, "sac": 8},
+        {"simulator": 2, "torch": 1, "torch_uncapped": 2},
+    )
+    trained = replace(result, training=TrainingRates(rates, shares, lanes, threads))
+    content = json.loads(json_text(document(trained, result.scenario, None)))["training"]
+    assert [content[name] for name in ("environment", "ppo", "sac")] == [900.0, 300.0, 100.0]
+    assert content["environment_share"] == {"ppo": 0.25, "sac": 0.5}
+    assert content["threads"] == threads
+    console = Console(width=150, record=True)
+    result.summary(console)
+    trained.summary(console)
+    text = console.export_text()
+    assert text.count("torch and Stable-Baselines3 are not installed") == 1
+    assert "SAC, 8 vehicles, torch on 1" in text
+    assert "share of the time: PPO 25%, SAC 50%" in text
+    figure = Figure()
+    trained.plots()["bench"](figure)
+    figure.draw_without_rendering()
 
 
 def test_a_vehicle_without_yaw_dampers(result: BenchResult) -> None:
