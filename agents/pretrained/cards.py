@@ -1,8 +1,9 @@
-"""Where the ready policies come from, as their files tell it; run as a program it writes README.md."""
+"""Where the ready policies come from, as their files tell it; run as a program it writes their page."""
 
 from __future__ import annotations
 
 import hashlib
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 from agents.disk import write_file
 from agents.policy_file import read_policy
 from agents.pretrained import FOLDER, groups
+from agents.pretrained.curves import PICTURE, draw
 from sayd_env.config import DataError
 
 README = "README.md"
@@ -23,7 +25,10 @@ the command. `sayd evaluate --policies ppo-s3` runs one, without torch; `ppo` al
 whichever is the best. J is the mean over the scenarios that judged it while it learned: no result of a
 comparison.
 
-`python -m agents.pretrained.cards` makes this page from the files.
+![learning curves](learning_curves.png)
+
+`python -m agents.pretrained.cards` makes this page from the files, and the picture from the tables beside
+them.
 """
 
 
@@ -132,5 +137,22 @@ def _told(made: Mapping[str, Any], *keys: str) -> Any:
     return content
 
 
+def picture() -> bytes:
+    """Learning curves of the ready policies as a PNG file.
+
+    Raises
+    ------
+    DataError
+        A curve that is damaged.
+    """
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and only this program needs it
+
+    figure, stream = Figure(layout="constrained"), io.BytesIO()
+    draw(figure)
+    figure.savefig(stream, format="png", dpi=110)
+    return stream.getvalue()
+
+
 if __name__ == "__main__":
     write_file(FOLDER / README, readme().encode())
+    write_file(FOLDER / PICTURE, picture())
