@@ -6,13 +6,15 @@ each seed of the tracks). A policy that was not trained has R = 1. All policies 
 Intervals are percentile bootstraps. Two kinds of resampling answer two questions:
 
 stratified
-    How well are these conditions known? Within each condition its scenarios are drawn anew, as Agarwal et
-    al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice" (2021), draw runs within each
-    task. Training seeds are drawn once for all conditions, because one training ran in all of them; to draw
-    them anew in each condition would average out what a lucky training gains everywhere.
+    How well are these conditions known? Each resample has every condition, as every task in Agarwal et al.,
+    "Deep Reinforcement Learning at the Edge of the Statistical Precipice" (2021), but other runs of it.
+    Training seeds are drawn once for all conditions, because one training ran in all of them; to draw them
+    anew in each condition would average out what a lucky training gains everywhere. So are the seeds of the
+    scenarios: one seed is one vehicle, one set of sensors and one realisation of the track in all conditions.
 paired
-    What would other conditions say? Whole conditions are drawn, the same for both policies, and training
-    seeds. What a condition does to both policies cancels out.
+    What would other conditions say? Conditions, seeds of the scenarios and training seeds are drawn, each by
+    itself and whole (Owen, "The pigeonhole bootstrap", 2007), the first two the same for both policies. What
+    they do to both policies cancels out.
 """
 
 from __future__ import annotations
@@ -81,9 +83,9 @@ class Bootstrap:
 
     def __init__(self, conditions: int, scenarios: int, settings: BootstrapConfig) -> None:
         self.samples, self.seed = settings.samples, settings.seed
-        self._within = self._random(0).integers(0, scenarios, (self.samples, conditions, scenarios))
+        self._seeds = self._random(0).integers(0, scenarios, (self.samples, scenarios))
         drawn = self._random(1).integers(0, conditions, (self.samples, conditions))
-        self._conditions = _counts(drawn, conditions)
+        self._conditions = _counts(drawn, conditions) / conditions
         self._trainings = lru_cache(self._drawn_trainings)
 
     def stratified(self, values: Array, statistic: Callable[[Array, int], Array]) -> Array:
@@ -107,7 +109,7 @@ class Bootstrap:
                 values[
                     trainings[start : start + step, :, None, None],
                     places,
-                    self._within[start : start + step, None],
+                    self._seeds[start : start + step, None, None],
                 ].reshape(-1, values.size),
                 1,
             )
@@ -126,28 +128,29 @@ class Bootstrap:
         -------
         ndarray, shape (B, K)
         """
-        count, conditions, scenarios, _ = values.shape
-        within = _counts(self._within, scenarios).reshape(self.samples, -1)
-        trainings = _counts(self._trainings(count), count)
-        flat = values.reshape(count, conditions * scenarios, -1)
-        total = np.zeros((self.samples, flat.shape[-1]))
-        for r in range(count):
-            total += trainings[:, r, None] * (within @ flat[r])
-        return np.asarray(total / (count * conditions * scenarios))
+        count, _, scenarios, _ = values.shape
+        seeds = _counts(self._seeds, scenarios) / scenarios
+        trainings = _counts(self._trainings(count), count) / count
+        return np.asarray(np.einsum("br,bs,rsk->bk", trainings, seeds, values.mean(axis=1), optimize=True))
 
     def paired(self, values: Array, reference: Array) -> tuple[Array, Array]:
-        """Means of a policy and of a reference over the same resampled conditions, each of shape (B,).
+        """Means of a policy and of a reference over the same resampled scenarios, each of shape (B,).
 
         Parameters
         ----------
         values : ndarray, shape (R, C, S)
         reference : ndarray, shape (1, C, S)
         """
-        conditions = values.shape[1]
-        mine = self._conditions @ values.mean(axis=2).T / conditions
-        trainings = self._trainings(len(values))
-        theirs = self._conditions @ reference[0].mean(axis=1) / conditions
-        return np.take_along_axis(mine, trainings, axis=1).mean(axis=1), theirs
+        count, _, scenarios = values.shape
+        trainings = _counts(self._trainings(count), count) / count
+        theirs = self._over_scenarios(reference, scenarios)[:, 0]
+        return (trainings * self._over_scenarios(values, scenarios)).sum(axis=1), theirs
+
+    def _over_scenarios(self, values: Array, scenarios: int) -> Array:
+        """Means over resampled conditions and seeds, shape (B, R)."""
+        seeds = _counts(self._seeds, scenarios) / scenarios
+        means = [seeds[:, s, None] * (self._conditions @ values[:, :, s].T) for s in range(scenarios)]
+        return np.asarray(np.sum(means, axis=0))
 
     def _drawn_trainings(self, count: int) -> Draws:
         return self._random(2).integers(0, count, (self.samples, count))

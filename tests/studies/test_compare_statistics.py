@@ -52,9 +52,9 @@ def test_what_differs_between_conditions_alone_is_no_uncertainty_of_a_stratified
 
 
 def test_a_stratified_mean_has_the_variance_of_its_strata():
-    """Conditions are drawn apart: the variance of their mean is the mean of theirs over C S."""
+    """Seeds are drawn once for all conditions: the variance of their means over the conditions, over S."""
     values = RANDOM.normal(size=(1, 6, 4)) + 100.0 * np.arange(6)[None, :, None]
-    expected = values[0].var(axis=1).mean() / (6 * 4)
+    expected = values[0].mean(axis=0).var() / 4
     means = bootstrap(6, 4).means(values[..., None])[:, 0]
     assert means.var() == pytest.approx(expected, rel=0.06)
     assert means.mean() == pytest.approx(values.mean(), abs=4 * np.sqrt(expected / 10_000))
@@ -64,6 +64,16 @@ def test_training_seeds_are_drawn_once_for_all_conditions():
     """A training that is better everywhere: variance of the seeds over R, for any number of conditions."""
     values = np.broadcast_to(np.arange(5.0)[:, None, None], (5, 40, 2))
     assert bootstrap(40, 2).means(values[..., None]).var() == pytest.approx(2.0 / 5, rel=0.06)
+
+
+def test_a_seed_that_is_worse_everywhere_is_no_less_uncertain_in_many_conditions():
+    """One vehicle of a seed runs in all conditions: the variance of two seeds over 2."""
+    values = np.broadcast_to(np.array([0.0, 2.0]), (1, 40, 2))
+    draws = bootstrap(40, 2)
+    assert draws.means(values[..., None]).var() == pytest.approx(1.0 / 2, rel=0.06)
+    mine, theirs = draws.paired(1.0 + values, np.ones((1, 40, 2)))
+    assert mine.var() == pytest.approx(1.0 / 2, rel=0.06)
+    assert theirs.var() == pytest.approx(0.0, abs=1e-20)
 
 
 def test_both_ways_to_a_stratified_mean_agree():
@@ -105,12 +115,12 @@ def test_a_common_effect_of_the_conditions_cancels_out():
 
 
 def test_a_paired_difference_has_the_variance_of_the_differences():
-    """Over conditions drawn whole: that of the differences' condition means over C."""
-    common, gain = 1e3 * RANDOM.normal(size=(1, 50, 2)), RANDOM.normal(size=(1, 50, 2))
-    mine, theirs = bootstrap(50, 2).paired(common + gain, common)
+    """Over conditions drawn whole, with one seed: that of the differences over C."""
+    common, gain = 1e3 * RANDOM.normal(size=(1, 50, 1)), RANDOM.normal(size=(1, 50, 1))
+    mine, theirs = bootstrap(50, 1).paired(common + gain, common)
     assert (mine - theirs).var() == pytest.approx(gain.mean(axis=2).var() / 50, rel=0.06)
     assert mine.var() == pytest.approx(common.mean(axis=2).var() / 50, rel=0.06)
-    found = difference(common + gain, common, bootstrap(50, 2))
+    found = difference(common + gain, common, bootstrap(50, 1))
     half = 1.96 * np.sqrt(gain.mean(axis=2).var() / 50)  # the quantiles of a normal law
     assert found.high - found.value == pytest.approx(half, rel=0.1)
     assert found.value == pytest.approx(gain.mean())
