@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, StudyError
-from sayd_env.config.control import load_controller
+from sayd_env.config.control import load_controller, load_online
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.loader import read_text
@@ -142,7 +142,8 @@ def inputs_of(proving: Proving, settings: TuningConfig, policies: Sequence[Polic
         for spec in policies
     }
     modules = [Path(__file__)]
-    return fingerprint(what, proving.environment, proving.scenario, parameters, modules=modules)
+    online = load_online()  # J is taken by its filter
+    return fingerprint(what, proving.environment, proving.scenario, parameters, online, modules=modules)
 
 
 class Record:
@@ -210,9 +211,13 @@ class Record:
 
     def _read(self, path: Path) -> None:
         lines = csv.DictReader(io.StringIO(read_text(path, "table of evaluations"), newline=""))
-        if not {"inputs", "policy", "stage", "derailed"} <= set(lines.fieldnames or ()):
+        try:
+            rows, header = list(lines), set(lines.fieldnames or ())
+        except csv.Error:
+            rows, header = [], set()
+        if not {"inputs", "policy", "stage", "derailed"} <= header:
             raise ConfigError(f"{path}: is no table of evaluations; choose another --out or remove it")
-        for number, row in enumerate(lines, start=2):
+        for number, row in enumerate(rows, start=2):
             if row["inputs"] == self._inputs:
                 found = self._evaluation(row, f"{path}: line {number}")
                 self._known[_key(found.policy, found.gains)] = found

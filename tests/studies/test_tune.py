@@ -142,6 +142,7 @@ def test_evaluations_on_other_scenarios_are_made_anew(bowl: type[Bowl], tmp_path
     [
         ("a,b\n1,2\n", "is no table of evaluations; choose another --out or remove it"),
         ("", "is no table of evaluations"),
+        ("inputs,policy,stage,derailed\n" + 200_000 * "x" + "\n", "is no table of evaluations"),
     ],
 )
 def test_a_table_of_something_else_is_refused(bowl: type[Bowl], tmp_path: Path, text: str, message: str):
