@@ -15,6 +15,7 @@ from sayd_env.config.environment import load_environment
 from sayd_env.config.frozen import frozen
 from sayd_env.config.law import UniformLaw
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.tuning import load_tuning
 
 ROOT = Path(sayd_env.__file__).parents[1]
 SOURCES = [path for name in ("sayd_env", "agents", "baselines") for path in (ROOT / name).rglob("*.py")]
@@ -46,7 +47,13 @@ def test_held_out_seeds_are_no_others(held_out: ComparisonConfig):
     for file in (ROOT / "configs" / "train").glob("*.yaml"):
         evaluation = yaml.safe_load(file.read_text())["evaluation"]
         assert not mine & set(evaluation["seeds"])
+    assert not mine & {case.seed for case in load_tuning().scenarios}
     assert not mine & {*range(100), *range(1000, 1100)}  # of the studies, of the calibrations
+
+
+def test_trainings_draw_from_seeds_beyond_the_held_out_ones(held_out: ComparisonConfig):
+    learning = pytest.importorskip("agents.learning_env", exc_type=ImportError)
+    assert max(*held_out.seeds, *held_out.critical_speed.seeds) < learning.SEEDS_APART
 
 
 def test_nothing_but_the_comparison_reads_them():
