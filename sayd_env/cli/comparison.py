@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -64,6 +65,8 @@ def compare(
     given = list(assignments or ()) + ([] if seed is None else [f"bootstrap.seed={seed}"])
     conditions = load_comparison(config or HELD_OUT, given)
     chosen = contestants(policies)
+    if out is None and quick and not as_json:
+        out = Path("results") / "compare-quick"  # a look must not replace a result
     job = Job("compare", out, as_json)
     folder = None if job.directory is None else job.directory.path / "runs"
     try:

@@ -284,7 +284,7 @@ def compare(
         contestants=tuple(contestants),
         runs=runs,
         costs=costs,
-        scores=_scores(arena, costs, bounds),
+        scores=_scores(arena, costs, bounds, [each.name for each in contestants if not each.learned]),
         bounds=bounds,
         stability={cell.policy: stability_of(cell) for cell in cells.cells},
         learned=learned,
@@ -326,13 +326,17 @@ def _critical_speeds(
 
 
 def _scores(
-    arena: Arena, costs: Mapping[Variant, Mapping[str, Array]], bounds: Mapping[Variant, Bound]
+    arena: Arena,
+    costs: Mapping[Variant, Mapping[str, Array]],
+    bounds: Mapping[Variant, Bound],
+    controllers: Sequence[str],
 ) -> dict[Variant, dict[str, Score]]:
     settings = arena.config
     bootstrap = Bootstrap(len(arena.conditions), len(settings.seeds), settings.bootstrap)
     return {
         variant: {
-            name: score(name, table, bounds[variant].costs, arena.conditions, bootstrap) for name in table
+            name: score(name, table, bounds[variant].costs, arena.conditions, bootstrap, controllers)
+            for name in table
         }
         for variant, table in costs.items()
     }

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 BEST_CONSTANT = "best constant each"
 """How the table calls the best constant command of each condition."""
+_AGAINST = (
+    *("policy", "filter", "force_weight", "controller", "reduction", "reduction_low", "reduction_high"),
+    *("improvement", "improvement_low", "improvement_high"),
+)
 _SCORES = (
     *("policy", "filter", "force_weight", "training_seeds", "J"),
     *("iqm_to_passive", "iqm_to_passive_low", "iqm_to_passive_high"),
@@ -31,9 +35,10 @@ _SCORES = (
 
 
 def tables(result: CompareResult) -> dict[str, Table]:
-    """Tables by file name: scores by policy and way of taking J, the score matrix, targets, bounds."""
+    """Tables by file name: scores by policy and way of taking J, pairs, score matrix, targets, bounds."""
     found: dict[str, Table] = {
         "scores": (_SCORES, _scores(result)),
+        "against": (_AGAINST, _against(result)),
         "matrix": (*(("policy", "training_seed", *_scenario_header(result), *MATRIX), _matrix(result)),),
         "stability": (
             ("policy", "critical_speed_kmh", "status", *RATIO.values(), "largest_run"),
@@ -67,8 +72,11 @@ def show(result: CompareResult, console: Console) -> None:
     console.print(_scores_table(result))
     for line in _notes(result):
         console.print(line, markup=False, highlight=False)
+    if any(each.learned for each in result.contestants):
+        console.print(_against_table(result))
     if rows := result.targets:
-        from rich.table import Table as Printed  # noqa: PLC0415 - only who prints pays for it
+        from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
+        from rich.table import Table as Printed  # noqa: PLC0415
 
         table = Printed(title="learned policies: what was asked")
         for name in ("policy", "asked", "measured", "holds"):
@@ -76,7 +84,8 @@ def show(result: CompareResult, console: Console) -> None:
         for i, row in enumerate(rows):
             last = i + 1 == len(rows) or rows[i + 1].policy != row.policy
             verdict = "yes" if row.holds else "[bold red]no[/]"
-            table.add_row(row.policy, row.asked, row.measured, verdict, end_section=last)
+            cells = [escape(text) for text in (row.policy, row.asked, row.measured)]
+            table.add_row(*cells, verdict, end_section=last)
         console.print(table)
 
 
@@ -105,12 +114,29 @@ def _scores_table(result: CompareResult) -> Any:
     return table
 
 
+def _against_table(result: CompareResult) -> Any:
+    """Mean J of the learned policies beside that of each controller."""
+    from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
+    from rich.table import Table as Printed  # noqa: PLC0415
+
+    learned = [each.name for each in result.contestants if each.learned]
+    headers = map(escape, learned)
+    table = Printed("controller", *headers, title="mean J of learned policies below the controller's (95 %)")
+    for other in (each.name for each in result.contestants if not each.learned):
+        gains = [result.scores[OWN][name].reductions[other] for name in learned]
+        cells = [f"{100 * g.value:.1f} % ({100 * g.low:.1f} to {100 * g.high:.1f})" for g in gains]
+        table.add_row(escape(other), *cells)
+    return table
+
+
 def _line(result: CompareResult, contestant: Contestant) -> list[str]:
+    from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
+
     own = result.scores[OWN][contestant.name]
     offline = result.scores[Variant("offline", 1.0)][contestant.name]
     count = len(contestant.members)
     return [
-        contestant.name + (f" ({count} seeds)" if count > 1 else ""),
+        escape(contestant.name) + (f" ({count} seeds)" if count > 1 else ""),
         f"{own.mean:.4f}",
         f"{own.to_passive.value:.2f}",
         f"{own.to_mppt2.value:.2f} ({own.to_mppt2.low:.2f}-{own.to_mppt2.high:.2f})",
@@ -130,7 +156,7 @@ def _notes(result: CompareResult) -> list[str]:
     ]
     notes += [
         f"{each.name}: {count} of {result.field(each, 'lost').size} runs derailed; they count with infinite "
-        "ratios, and in J with the environment's charge, off line too"
+        "ratios, and in J with the environment's charge for what is missing, off line of the whole length"
         for each in result.contestants
         if (count := result.derailed(each))
     ]
@@ -165,6 +191,17 @@ def _scores(result: CompareResult) -> list[list[Any]]:
                     *(own.by_training.min(), own.by_training.max()),
                 ]
             )
+    return rows
+
+
+def _against(result: CompareResult) -> list[list[Any]]:
+    controllers = [each.name for each in result.contestants if not each.learned]
+    rows = []
+    for variant, found in result.scores.items():
+        for name, own in found.items():
+            for other in controllers:
+                gain, chance = own.reductions[other], own.improvement[other]
+                rows.append([name, *variant, other, *_numbers(gain), *_numbers(chance)])
     return rows
 
 

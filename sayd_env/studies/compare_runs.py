@@ -21,7 +21,13 @@ from sayd_env.envs.rollout import Rollout
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.evaluate import environment_of
-from sayd_env.studies.kept_runs import identity, run_kept
+from sayd_env.studies.kept_runs import (
+    CONSTANT,
+    constant_command,
+    identity,
+    identity_of_constants,
+    run_kept,
+)
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.policy_run import policy_row
 from sayd_env.studies.rollouts import Group, PolicySpec, for_policy
@@ -31,7 +37,6 @@ Array = npt.NDArray[np.float64]
 Filter = Literal["online", "offline"]
 FILTERS: tuple[Filter, ...] = ("online", "offline")
 KMH = 3.6
-CONSTANT = "constant"
 
 
 class Condition(NamedTuple):
@@ -84,6 +89,8 @@ class CompareRun:
     """(psi_F / F_max)^2 of this."""
     lost: float
     """Share of the episode that a derailment has cut off."""
+    offline_lost: float
+    """Share of the assessed length that it has cut off."""
     offline_acceleration: float
     """(psi_y / y_lim)^2 over the assessed length, off-line filter."""
     offline_force: float
@@ -173,7 +180,8 @@ class Arena:
     def costs(self, runs: Runs, variant: Variant) -> Array:
         """J of runs, charge for derailments included.
 
-        A run that derailed has no assessed length: off line it counts as on line.
+        A run that derailed has no assessed length: off line it counts with what it cost on line until then,
+        and with the charge for the larger share that is missing, of the episode or of the length.
 
         Parameters
         ----------
@@ -182,12 +190,13 @@ class Arena:
         """
         own = self.scenario.cost
         cost = own.model_copy(update={"force_weight": own.force_weight * variant.factor})
+        charge = charge_a_second(self.environment, cost)
         online = _weighted(cost, runs["acceleration"], runs["force"])
-        online = online + charge_a_second(self.environment, cost) * runs["lost"]
         if variant.filter == "online":
-            return online
+            return online + charge * runs["lost"]
         offline = _weighted(cost, runs["offline_acceleration"], runs["offline_force"])
-        return np.where(np.isfinite(offline), offline, online)
+        charged = online + charge * np.maximum(runs["lost"], runs["offline_lost"])
+        return np.where(np.isfinite(offline), offline, charged)
 
 
 class Keeper:
@@ -208,12 +217,12 @@ class Keeper:
         """Store and name of a run; constant commands share a store, they stand in the names of the runs."""
         if self.folder is None:
             return None, ""
-        constant = group.policy.name == CONSTANT
-        title = CONSTANT if constant else group.policy.title
+        command = constant_command(group.policy)
+        title = group.policy.title if command is None else CONSTANT
         key = (title, self.arena.irregularities.index(group.scenario.track.irregularity))
         if key not in self._stores:
             scenario = group.scenario.model_copy(update={"wear": 0.0, "friction": 1.0})
-            who = {} if constant else identity(group.policy)
+            who = identity(group.policy) if command is None else identity_of_constants()
             self._stores[key] = RunStore(
                 self.folder,
                 f"compare-{title}-track-{key[1]}",
@@ -223,7 +232,7 @@ class Keeper:
                 who,
                 group.initial_current,
             )
-        current = f"_V_{group.policy.parameters['current']:.9g}" if constant else ""
+        current = "" if command is None else f"_V_{command:.9g}"
         where = f"wear_{group.scenario.wear:.9g}_friction_{group.scenario.friction:.9g}"
         return self._stores[key], f"{where}{current}_{run_name(group.speed, seed)}"
 
@@ -278,7 +287,8 @@ def compare_run(group: Group, rollout: Rollout) -> CompareRun:
     return CompareRun(
         acceleration=row.J_acceleration,
         force=row.J_force,
-        lost=_lost(rollout, group.config),
+        lost=_lost(rollout, group.config.episode_s),
+        offline_lost=_lost(rollout, (group.scenario.assessment.length or 0.0) / group.speed),
         offline_acceleration=row.J_offline_acceleration,
         offline_force=row.J_offline_force,
         acceleration_ratio=row.acceleration_ratio,
@@ -311,12 +321,12 @@ def _check_episode(config: ComparisonConfig, environment: EnvironmentConfig) -> 
         )
 
 
-def _lost(rollout: Rollout, environment: EnvironmentConfig) -> float:
-    """Share of the episode that an early end has cut off."""
+def _lost(rollout: Rollout, time: float) -> float:
+    """Share of a time (s) from step 0 on that an early end has cut off."""
     if rollout.ending is None:
         return 0.0
     run = len(rollout.terms) * rollout.control_period
-    return max(1.0 - run / environment.episode_s, 0.0)
+    return max(1.0 - run / time, 0.0)
 
 
 def _arrays(records: Sequence[Sequence[CompareRun]]) -> Runs:

@@ -19,7 +19,7 @@ from sayd_env.studies.compare_statistics import (
     middle,
     reduction,
 )
-from sayd_env.studies.contestants import PAPER, Contestant
+from sayd_env.studies.contestants import PAPER, REFERENCES, Contestant
 from sayd_env.studies.map import Cell
 
 Array = npt.NDArray[np.float64]
@@ -43,11 +43,13 @@ class Score:
     to_mppt2: Estimate
     """The same over MPPT2's."""
     improvement: Mapping[str, Estimate]
-    """Probability of a lower J than MPPT2, and than the best of the paper's controllers."""
+    """Probability of a lower J than each controller, MPPT2 and the best of the paper's among them."""
     best_of_paper: str
     """The one of the paper's controllers that take part with the lowest mean J."""
     reduction: Estimate
     """Of mean J against that one, as a share."""
+    reductions: Mapping[str, Estimate]
+    """The same against each controller."""
     difference: Estimate
     """Mean J minus that one's."""
     worst_vs_passive: float
@@ -73,6 +75,9 @@ class Score:
             },
             "best_of_paper": self.best_of_paper,
             "reduction": _estimate_dict(self.reduction, "share"),
+            "reduction_by_controller": {
+                name: _estimate_dict(each, "share") for name, each in self.reductions.items()
+            },
             "difference": _estimate_dict(self.difference, "J"),
             "worst_vs_passive": self.worst_vs_passive,
             "worst_condition": self.worst_condition.as_dict(),
@@ -83,7 +88,12 @@ class Score:
 
 
 def score(
-    name: str, costs: Costs, bound: Array, conditions: Sequence[Condition], bootstrap: Bootstrap
+    name: str,
+    costs: Costs,
+    bound: Array,
+    conditions: Sequence[Condition],
+    bootstrap: Bootstrap,
+    controllers: Sequence[str] = REFERENCES,
 ) -> Score:
     """Judge a policy.
 
@@ -96,10 +106,12 @@ def score(
         J of the best constant command of each condition.
     conditions : sequence of Condition
     bootstrap : Bootstrap
+    controllers : sequence of str
+        All that were not trained, with which the policy is compared one by one.
     """
     mine, passive, mppt2 = costs[name], costs["passive"], costs["mppt2"]
     best = best_of_paper(costs)
-    against = {"mppt2": mppt2, best: costs[best]}
+    against = {other: costs[other] for other in dict.fromkeys(("mppt2", best, *controllers))}
     by_condition = mine.mean(axis=(0, 2))
     allowed = passive.mean(axis=(0, 2))
     worst = int(np.argmax(by_condition / allowed))
@@ -112,6 +124,7 @@ def score(
         improvement={other: improvement(mine, theirs, bootstrap) for other, theirs in against.items()},
         best_of_paper=best,
         reduction=reduction(mine, costs[best], bootstrap),
+        reductions={other: reduction(mine, theirs, bootstrap) for other, theirs in against.items()},
         difference=difference(mine, costs[best], bootstrap),
         worst_vs_passive=float(by_condition[worst] / allowed[worst]),
         worst_condition=conditions[worst],

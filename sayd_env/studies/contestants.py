@@ -127,6 +127,8 @@ def _files(texts: Iterable[str]) -> list[Path]:
     """Files of learned policies that texts name, those of folders in the order of their names."""
     found: list[Path] = []
     for text in texts:
+        if not text.strip():  # would be the current directory
+            raise ConfigError("policies 'NAME=FILE+FILE...': found an empty place; expected files or folders")
         path = Path(text.strip())
         if not path.is_dir():
             found.append(path)
@@ -156,6 +158,8 @@ def _group(name: str, files: Sequence[Path]) -> Contestant:
         raise ConfigError(
             f"policies '{name}=...': expected a name of letters, digits and _ . - before the equals sign"
         )
+    if name in baselines.NAMES:  # it would be taken for that controller, the paper's perhaps
+        raise ConfigError(f"policies '{name}=...': is the name of a controller; choose another one")
     policies = [read_policy(file) for file in files]
     seeds = [_training_seed(policy) for policy in policies]
     known = None not in seeds and len(set(seeds)) == len(seeds)

@@ -14,6 +14,7 @@ from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.rollouts import Group, PolicySpec, run_groups
 
+CONSTANT = "constant"
 Record = TypeVar("Record")
 Place = Callable[[Group, int], tuple[RunStore[Record] | None, str]]
 """Store and name of the run of a group with a seed; None for a study that keeps nothing."""
@@ -65,11 +66,30 @@ def run_kept(
     return [[results[seed] for seed in group.seeds] for group, results in zip(groups, found, strict=True)]
 
 
+def constant_command(policy: PolicySpec) -> float | None:
+    """Command of a policy that gives one for ever, of its own parameters or of its file; None for others.
+
+    Raises
+    ------
+    ConfigError
+        Parameters that cannot be read.
+    """
+    if policy.name != CONSTANT:
+        return None
+    found = load_controller(policy.name, policy.parameters)
+    return float(found.model_dump()["current"])
+
+
+def identity_of_constants() -> dict[str, Any]:
+    """`identity` of all constant commands together; the command stands in the names of their runs."""
+    return {"policy": CONSTANT, "online": load_online().model_dump(mode="json")}
+
+
 def identity(policy: PolicySpec) -> dict[str, Any]:
     """What a kept run depends on because of its policy.
 
     Of a controller all its parameters, of a learned policy the SHA-256 of its weights and description, of
-    each the on-line filter, whose output they may see.
+    each the on-line filter, whose output they may see and by which J is taken.
 
     Raises
     ------

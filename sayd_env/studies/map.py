@@ -21,7 +21,7 @@ from sayd_env.physics.throttle import overlap
 from sayd_env.stability import Crossing, critical_speed
 from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.evaluate import conditions, policy_groups
-from sayd_env.studies.kept_runs import identity, run_kept
+from sayd_env.studies.kept_runs import constant_command, identity, identity_of_constants, run_kept
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.policy_run import policy_row
 from sayd_env.studies.rollouts import Group, PolicySpec, for_policy
@@ -513,12 +513,13 @@ class _Study:
             return None, ""
         # One store for all conditions and currents of a policy: they stand in the names of the runs.
         spec = group.policy
-        key = spec.name if spec.name == "constant" else spec.title
+        command = constant_command(spec)
+        key = spec.title if command is None else spec.name
         if key not in self._stores:
             scenario = group.scenario.model_copy(update={"wear": 0.0, "friction": 1.0})
-            who = {} if spec.name == "constant" else identity(spec)
+            who = identity(spec) if command is None else identity_of_constants()
             self._stores[key] = RunStore(self.folder, f"map-{key}", MapRun, scenario, group.config, who)
-        current = f"_V_{group.policy.parameters['current']:.9g}" if spec.name == "constant" else ""
+        current = "" if command is None else f"_V_{command:.9g}"
         where = f"wear_{group.scenario.wear:.9g}_friction_{group.scenario.friction:.9g}"
         return self._stores[key], f"{where}{current}_{run_name(group.speed, seed)}"
 

@@ -1,4 +1,4 @@
-"""Comparisons: who takes part, how runs become scores and verdicts, and a small one from end to end."""
+"""Comparisons: who takes part, how runs become J, and a small one from end to end."""
 
 from __future__ import annotations
 
@@ -15,24 +15,13 @@ from agents.config import InputConfig, NetworkConfig, OutputConfig
 from agents.policy_file import StoredPolicy, describe, save_policy
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
-from sayd_env.config.comparison import BootstrapConfig, ComparedTrack, ComparisonConfig, load_comparison
+from sayd_env.config.comparison import ComparedTrack, ComparisonConfig, load_comparison
+from sayd_env.config.control import load_controller
 from sayd_env.envs.single import SaydEnv
-from sayd_env.stability import Crossing
 from sayd_env.studies import compare as module
 from sayd_env.studies.compare import CompareResult, compare, fewer
-from sayd_env.studies.compare_runs import OWN, Arena, Condition, Variant
-from sayd_env.studies.compare_scores import (
-    Score,
-    Stability,
-    best_constants,
-    least_stable,
-    score,
-    stability_of,
-    targets,
-)
-from sayd_env.studies.compare_statistics import Bootstrap
+from sayd_env.studies.compare_runs import OWN, Arena, Keeper, Variant, constant
 from sayd_env.studies.contestants import Contestant, contestants
-from sayd_env.studies.map import Cell
 from sayd_env.studies.rollouts import PolicySpec
 
 ENVIRONMENT = "base: randomized\nepisode_s: 4.0\n"
@@ -135,7 +124,9 @@ def test_who_takes_part_by_default():
         ("x={0}/empty", r"empty: holds no files of learned policies"),
         ("a b={0}/a.npz", r"'a b=...': expected a name of letters"),
         ("x={0}/a.npz+{0}/a.npz", r"a.npz: is the same policy as .*a.npz"),
-        ("passive={0}/a.npz,passive", r"policy 'passive' stands there twice"),
+        ("x={0}/a.npz+", r"'NAME=FILE\+FILE...': found an empty place"),
+        ("mppt1={0}/a.npz", r"'mppt1=...': is the name of a controller"),
+        ("mppt1,mppt1", r"policy 'mppt1' stands there twice"),
         ("x={0}/a.npz,y={0}/a.npz", r"a.npz: is the same policy as .*a.npz; a training seed counts once"),
     ],
 )
@@ -178,6 +169,20 @@ def test_conditions_are_all_combinations_and_reach_the_vehicle(config: Compariso
     assert arena.groups(PolicySpec("passive"))[0].scenario.damper.type == "passive"
 
 
+def test_the_constant_s_run_is_that_of_its_command(config: ComparisonConfig, tmp_path: Path):
+    """By name, with the command of its file, it shares the store of those with a command of their own."""
+    arena = Arena.of(config)
+    own = load_controller("constant").model_dump()["current"]
+    keeper = Keeper(tmp_path, arena)
+    places = [
+        keeper.place(arena.groups(policy)[0], 5)
+        for policy in (PolicySpec("constant"), constant(own), constant(1.0))
+    ]
+    assert places[0] == places[1]
+    assert places[0][0] is places[2][0]
+    assert places[0][1] != places[2][1]
+
+
 def test_j_has_the_weights_and_the_charge_of_its_variant(config: ComparisonConfig):
     """k_y = 1 and k_F = 0.5; J_term = 12 a second, doubled with k_F because 2 k_F then exceeds k_y."""
     arena = Arena.of(config)
@@ -187,6 +192,7 @@ def test_j_has_the_weights_and_the_charge_of_its_variant(config: ComparisonConfi
         "offline_acceleration": 0.5,
         "offline_force": 0.1,
         "lost": 0.25,
+        "offline_lost": 0.25,
     }
     runs = {name: np.array([[value, value]]) for name, value in columns.items()}
     runs["lost"][0, 0] = 0.0
@@ -194,94 +200,11 @@ def test_j_has_the_weights_and_the_charge_of_its_variant(config: ComparisonConfi
     assert arena.costs(runs, OWN)[0] == pytest.approx([0.3 + 0.1, 0.4 + 0.25 * 12])
     assert arena.costs(runs, Variant("online", 2.0))[0] == pytest.approx([0.5, 0.5 + 0.25 * 24])
     assert arena.costs(runs, Variant("online", 0.5))[0] == pytest.approx([0.35, 0.35 + 0.25 * 12])
-    # Off line, what derailed counts as on line.
+    # Off line, what derailed counts as on line, also if it was behind the episode.
     assert arena.costs(runs, Variant("offline", 1.0))[0] == pytest.approx([0.55, 0.4 + 0.25 * 12])
-
-
-CONDITIONS = [Condition(ComparedTrack(name="china"), 300.0, 1.0, friction) for friction in (0.3, 0.4)]
-
-
-def made_up(learned: list[list[float]]) -> Score:
-    """Score of trainings with the given J in two conditions, where MPPT2 has 1 and 3, the passive one 2."""
-    costs = {
-        "passive": np.full((1, 2, 1), 2.0),
-        "mppt2": np.array([[[1.0], [3.0]]]),
-        "mppt1": np.full((1, 2, 1), 4.0),
-        "ppo": np.array(learned)[..., None],
-    }
-    bound = np.full((1, 2, 1), 0.5)
-    return score("ppo", costs, bound, CONDITIONS, Bootstrap(2, 1, BootstrapConfig(samples=500, seed=0)))
-
-
-def test_a_score_compares_scenario_by_scenario():
-    found = made_up([[0.5, 1.5], [0.5, 2.1]])
-    assert found.mean == pytest.approx(4.6 / 4)
-    assert found.by_training.tolist() == [1.0, pytest.approx(1.3)]
-    assert found.best_of_paper == "mppt2"
-    assert found.to_mppt2.value == 0.5  # the middle two of 0.5, 0.5, 0.5 and 0.7
-    assert found.improvement["mppt2"].value == 1.0
-    assert found.reduction.value == pytest.approx(1 - 1.15 / 2)
-    assert found.worst_vs_passive == pytest.approx(0.9)
-    assert found.worst_condition == CONDITIONS[1]
-    assert (found.worse_than_passive, found.worse_trainings) == (0, 1)
-    assert found.to_best_constant == pytest.approx(2.3)
-
-
-STABLE = Stability(None, "not reached", {}, (340.0, 400.0), {"acceleration": 0.4}, 0.5)
-
-
-@pytest.mark.parametrize(
-    ("learned", "stability", "holds"),
-    [
-        ([0.5, 1.5], STABLE, [True, True, True]),
-        ([0.95, 2.85], STABLE, [False, False, True]),  # 5 % below MPPT2, and 2.85 above 2
-        ([0.5, 2.1], STABLE, [True, False, True]),
-        ([1.9, 0.1], STABLE, [False, True, True]),  # half of MPPT2's on average, not in each condition
-        (
-            [0.5, 1.5],
-            Stability(390.0, "found", {}, (340.0, 400.0), {"acceleration": 1.1}, 1.2),
-            [True, True, False],
-        ),
-        (
-            [0.5, 1.5],
-            Stability(None, "not reached", {}, (340.0, 370.0), {"acceleration": 0.4}, 0.5),
-            [True, True, False],  # nobody knows about 400 km/h
-        ),
-    ],
-)
-def test_targets(learned: list[float], stability: Stability, holds: list[bool]):
-    rows = targets(Contestant("ppo", (PolicySpec("ppo-s0"),)), {OWN: made_up([learned])}, stability, 0.6)
-    assert [row.holds for row in rows] == holds
-
-
-def test_the_best_constant_is_that_of_the_mean_over_the_seeds():
-    one, other = np.array([[[1.0, 9.0], [2.0, 2.0]]]), np.array([[[4.0, 4.0], [3.0, 0.5]]])
-    found = best_constants([0.0, 0.4], [one, other])
-    assert found.currents.tolist() == [0.4, 0.4]
-    assert found.costs.tolist() == [[[4.0, 4.0], [3.0, 0.5]]]
-
-
-def test_stability_is_judged_by_medians_up_to_400_km_h():
-    ratios = {
-        "acceleration": {340.0: (0.2, 0.4, 3.0), 400.0: (0.9, 0.8, 0.7), 430.0: (2.0, 2.0, 2.0)},
-        "track_shift_force": {340.0: (0.1, 0.1, 0.1), 400.0: (0.1, 0.1, 0.2), 430.0: (0.1, 0.1, 0.1)},
-    }
-    found = stability_of(
-        Cell(
-            "x",
-            1.0,
-            0.4,
-            {"acceleration": (405.0, Crossing.FOUND), "track_shift_force": (None, Crossing.NOT_REACHED)},
-            ratios,
-        )
-    )
-    assert found.critical_speed_kmh == 405.0
-    assert found.ratios == {"acceleration": 0.8, "track_shift_force": 0.1}
-    assert found.largest_run == 3.0
-    assert found.stable
-    below = Stability(None, "below grid", {}, (340.0,), {"acceleration": 2.0, "track_shift_force": 0.1}, 2.0)
-    both = least_stable([found, below])
-    assert (both.critical_speed_kmh, both.status, both.stable) == (None, "below grid", False)
+    runs["lost"][0, 1] = 0.0
+    assert arena.costs(runs, OWN)[0, 1] == pytest.approx(0.4)
+    assert arena.costs(runs, Variant("offline", 1.0))[0, 1] == pytest.approx(0.4 + 0.25 * 12)
 
 
 def test_quick_takes_a_few(config: ComparisonConfig):
@@ -384,5 +307,13 @@ def test_an_interrupted_comparison_keeps_what_was_run(
     printed = capsys.readouterr()
     assert "3 runs had been finished by an earlier start" in printed.err
     assert json.loads(printed.out)["scores"]["mppt2"]["iqm"] == 1.0
-    tables = ("scores.csv", "matrix.csv", "stability.csv", "best_constant.csv", "compare.png", "result.json")
+    tables = (
+        "scores.csv",
+        "against.csv",
+        "matrix.csv",
+        "stability.csv",
+        "best_constant.csv",
+        "compare.png",
+        "result.json",
+    )
     assert {path.name for path in tmp_path.iterdir()} == {*tables, "runs"}
