@@ -5,8 +5,8 @@ SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
 
-# Ready learned policies beside the others in `make run`: ",ppo,sac" once agents/pretrained/ holds both.
-LEARNED =
+# Ready learned policies beside the others in `make run`; they need no torch.
+LEARNED = ,ppo,sac
 
 # The main job of `make run`: the passive vehicle and the paper's four controllers side by side, on worn wheels.
 RUN_JOB = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous$(LEARNED) \

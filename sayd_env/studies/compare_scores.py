@@ -296,10 +296,10 @@ def _never_worse(name: str, variant: Variant, found: Score, trainings: int) -> T
     count = len(found.by_condition)
     return Target(
         name,
-        f"J of no condition above the passive vehicle's: {_FILTER[variant.filter]}",
-        f"{found.worse_than_passive} of {count} (single training seeds {found.worse_trainings} of "
-        f"{count * trainings}); worst {found.worst_vs_passive:.2f} times, at {found.worst_condition.text}",
-        found.worse_than_passive == 0,
+        f"J of no condition above the passive vehicle's, each training seed: {_FILTER[variant.filter]}",
+        f"{found.worse_trainings} of {count * trainings} (mean of the seeds {found.worse_than_passive} of "
+        f"{count}); worst mean {found.worst_vs_passive:.2f} times, at {found.worst_condition.text}",
+        found.worse_trainings == 0,
     )
 
 
