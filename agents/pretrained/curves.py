@@ -53,8 +53,8 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
     found = groups(folder)
     references = {str(row["policy"]): float(row["J"]) for row in Table(folder / REFERENCES).rows}
     figure.set_size_inches(10.0, 4.5)
-    axes = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
-    for axis, (algorithm, files) in zip(axes, found.items(), strict=True):
+    axes = figure.subplots(1, max(len(found), 1), sharey=True, squeeze=False)[0]
+    for axis, (algorithm, files) in zip(axes, found.items(), strict=False):
         for file in files:
             steps, costs = curve(file.with_suffix(".csv"))
             axis.plot([step / 1e6 for step in steps], costs, "o-", markersize=3, label=file.stem)
@@ -63,4 +63,4 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
         axis.set(title=algorithm.upper(), xlabel="steps of bogies (millions)")
         axis.grid(alpha=0.3)
         axis.legend(fontsize="small", ncols=2)
-    axes[0].set_ylabel("mean J of 24 scenarios")
+    axes[0].set_ylabel("mean J of the scenarios that judge a training")
