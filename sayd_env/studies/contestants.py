@@ -63,7 +63,7 @@ def contestants(names: Sequence[str] | None = None) -> list[Contestant]:
         A damaged file.
     """
     if names is None:
-        chosen = [*(name for name in DEFAULT if name in baselines.NAMES), *pretrained.groups()]
+        chosen = [*DEFAULT, *pretrained.groups()]
     else:
         chosen = [*(name for name in REFERENCES if name not in names), *names]
     found = [contestant for text in chosen for contestant in _read(text.strip())]
