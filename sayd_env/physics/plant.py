@@ -1,7 +1,11 @@
-"""What the compiled step works on: a vehicle's constants and its state, as arrays of one type.
+"""What the compiled step works on: constants, state and scratch memory of vehicles side by side.
 
-A `Plant` holds the constants of one vehicle on one track at one speed, a `State` what changes. Both are
-named tuples of arrays, so that a compiled function reads `plant.stiffness` as its uncompiled caller does.
+All arrays of W vehicles are flat: element ``row * W + vehicle``. One vehicle is the case W = 1. What there is
+eight of in a vehicle, wheels and yaw dampers, stands in rows of eight: element ``(row * 8 + i) * W + vehicle``.
+Wheels come side by side: those on the left of the four wheelsets first, then those on the right.
+
+A `Plant` holds constants, a `State` what changes, a `Work` scratch memory and outputs. They are named tuples of
+arrays, so that compiled code reads `plant.mobility` as its caller in Python does.
 """
 
 from __future__ import annotations
@@ -11,141 +15,244 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.physics.rows import Column
+
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
-Column = npt.NDArray[np.uint32]
-"""Indices that compiled code need not check for being negative."""
 
 LANES = 8
-"""Wheels of a vehicle, and the width of the loops over them: four wheelsets, left and right in turn."""
+"""Wheels and yaw dampers of a vehicle, and the width of the loops over them."""
+WHEELSETS = 4
+"""Wheelsets of a vehicle; those that it does not have keep their wheels in the air."""
+
+# Rows of `Plant.number`, one number for each vehicle.
+(
+    STEP,  # time step h, s; the same for vehicles side by side
+    SUBSTEPS,  # steps of the semi-active dampers in a time step; likewise
+    SPEED,  # V, m/s
+    RAIL_START,  # position of the first knot of the irregularities, m
+    RAIL_STEP,  # distance of knots, m
+    RAIL_COUNT,  # number of their coefficients
+    RAIL_BASE,  # first row of the vehicle's coefficients in the common array
+    WIDEST,  # lateral shift at the end of the contact table, m
+    NUMBERS,
+) = range(9)
+
+# Rows of `Plant.wheel`, one number for each wheel.
+(
+    TABLE_BASE,  # first element of the contact table in `Plant.table`
+    TABLE_START,  # lateral shift of its first node, m
+    PER_TABLE_STEP,  # 1 / distance of nodes, 1/m
+    TABLE_LAST,  # number of the last node but one
+    RADIUS,  # nominal rolling radius r_0, m
+    PER_RADIUS,  # 1/m
+    WHEEL_SPEED,  # V, m/s
+    PER_SPEED,  # s/m
+    FRICTION,  # coefficient of friction (-)
+    SHEAR_MODULUS,  # G of wheel and rail, N/m2
+    APPROACH,  # vertical approach under the static load at zero shift, m; -1 for a wheel that there is not
+    LOAD_FACTOR,  # Hunt-Crossley factor of the normal force, s/m
+    WHEEL_ROWS,
+) = range(13)
 
 
 class Plant(NamedTuple):
-    """Constants of one vehicle (n unknowns, w wheelsets, m Maxwell dampers, s stops)."""
+    """Constants of W vehicles (n unknowns, w wheelsets, m Maxwell dampers, s stops, d yaw dampers each)."""
 
+    number: Array
+    """(NUMBERS * W,)."""
+    wheel: Array
+    """(WHEEL_ROWS * 8 * W,)."""
     mass: Array
-    """(n,) diagonal mass matrix, kg and kg m2."""
-    linear_start: Column
-    """(n + 1,) where the entries of each row of K and C begin (compressed sparse rows)."""
-    linear_column: Column
-    """(entries,) their columns."""
-    linear_value: Array
-    """(entries, 2) K and C + (V / r0) G there, C without its diagonal."""
+    """(n * W,) diagonal mass matrix, kg and kg m2."""
     damping_diagonal: Array
-    """(n,) diagonal D of C: treated implicitly."""
+    """(n * W,) diagonal D of C: treated implicitly."""
     mobility: Array
-    """(n,) 1 / (M + h/2 D)."""
-    wheelset_dofs: Index
-    """(w, 6) columns of x, y, z, roll, pitch, yaw."""
-    section_dofs: Index
-    """(w, 3) columns of the track sections' y, z, roll."""
+    """(n * W,) 1 / (M + h/2 D)."""
+    load: Array
+    """(n * W,) what static loads put on the unknowns where wheels stand on rails, N."""
     wheelset_x: Array
-    """(w,) position along the vehicle, m."""
-    wheel_load: Array
-    """(w,) static load of a wheel, N."""
+    """(w * W,) position along the vehicle, m."""
     table: Array
-    """(nodes * columns,) contact table of all wheels, packed node by node."""
-    table_start: float
-    """Lateral shift of the first node, m."""
-    table_step: float
-    """Distance of nodes, m."""
-    approach: Array
-    """(w,) vertical approach of a wheel under its static load at zero shift, m."""
-    contact_damping: Array
-    """(w,) Hunt-Crossley factor of the normal force, s/m."""
-    shear_modulus: float
-    """G of wheel and rail, N/m2."""
-    friction: float
-    """Coefficient of friction (-)."""
-    radius: float
-    """Nominal rolling radius, m."""
-    speed: float
-    """V, m/s."""
-    step: float
-    """Time step h, s."""
-    damper_start: Column
-    """(m + 1,) where the entries of each Maxwell damper's connection vector begin."""
-    damper_column: Column
-    """(entries,) the degrees of freedom that it connects."""
-    damper_value: Array
-    """(entries,) the connection vectors' entries."""
+    """(nodes * columns,) contact tables, each packed node by node."""
+    motion_start: Column
+    """`Rows` that give `Work.y` from the motion in `Work.x`."""
+    motion_column: Column
+    motion_value: Array
+    force_start: Column
+    """`Rows` that give the generalised forces from motion and element forces in `Work.x`."""
+    force_column: Column
+    force_value: Array
+    measure_start: Column
+    """`Rows` that give the measuring points' accelerations from those of the unknowns."""
+    measure_column: Column
+    measure_value: Array
     damper_velocity: Array
-    """(p, m) abscissae of the force-velocity curves, m/s."""
+    """(p, m * W) abscissae of the Maxwell dampers' force-velocity curves, m/s."""
     damper_force: Array
-    """(p, m) ordinates, N."""
+    """(p, m * W) ordinates, N."""
     damper_knot: Array
-    """(p, m) F + k h / 2 v at these points, N."""
+    """(p, m * W) F + k h / 2 v at these points, N."""
     damper_slope: Array
-    """(p, m) dv / d(F + k h / 2 v) behind each point, m/(N s)."""
+    """(p, m * W) dv / d(F + k h / 2 v) behind each point, m/(N s)."""
     damper_stiffness: Array
-    """(m,) series stiffness, N/m."""
-    sayd_start: Column
-    """(2 d + 1,) where the d semi-active dampers' ends begin: those on bogies, then those on the carbody."""
-    sayd_column: Column
-    """(entries,) the degrees of freedom that move them."""
-    sayd_value: Array
-    """(entries,) by how much."""
+    """(m * W,) series stiffness, N/m."""
+    stop_shift: Array
+    """(p, s * W) abscissae of the stops' curves, m."""
+    stop_force: Array
+    """(p, s * W) ordinates, N."""
     sayd_constant: Array
     """Constants of the semi-active dampers, as in `sayd_env.physics.sayd`; empty without them."""
     sayd_table: Array
     """Their flow through throttle and rectifier, flat; empty without them."""
-    sayd_substeps: float
-    """Steps of their hydraulics in a time step."""
-    stop_g: Array
-    """(s, n) connection vectors of the stops."""
-    stop_shift: Array
-    """(p, s) abscissae of their curves, m."""
-    stop_force: Array
-    """(p, s) ordinates, N."""
-    measure: Array
-    """(w, n) rows that give the lateral motion of the bogie frame above each wheelset."""
+
+    @property
+    def step(self) -> float:
+        """Time step h (s)."""
+        return float(self.number[STEP * len(self.number) // NUMBERS])
+
+    @property
+    def speed(self) -> float:
+        """Speed V of the first vehicle (m/s)."""
+        return float(self.number[SPEED * len(self.number) // NUMBERS])
+
+
+class Ground(NamedTuple):
+    """What vehicles share and only read: too large for a copy each."""
+
     irregularity: Array
-    """(nodes, 4) spline coefficients of alignment, vertical, cross-level angle, gauge."""
-    irregularity_start: float
-    """Position of the first coefficient's knot, m."""
-    irregularity_step: float
-    """Knot distance, m."""
+    """(nodes, 4) spline coefficients of alignment, vertical, cross-level angle, gauge; one track or several
+    behind one another."""
+    creep: Array
+    """Table of the creep-force law."""
 
 
 class State(NamedTuple):
-    """State of one vehicle; the compiled functions change it in place."""
+    """State of W vehicles; the compiled functions change it in place. All arrays are flat."""
 
     q: Array
-    """(n,) displacements, m and rad."""
+    """(n * W,) displacements, m and rad."""
     v: Array
-    """(n,) velocities."""
+    """(n * W,) velocities."""
     a: Array
-    """(n,) accelerations."""
+    """(n * W,) accelerations."""
     elongation: Array
-    """(m,) elongation of each Maxwell damper, m."""
+    """(m * W,) elongation of each Maxwell damper, m."""
     piston: Array
-    """(m,) velocity of each Maxwell damper's viscous part, m/s."""
+    """(m * W,) velocity of each Maxwell damper's viscous part, m/s."""
     force: Array
-    """(m,) damper forces on the elements' b ends, pulling when positive, N."""
+    """(m * W,) damper forces on the elements' b ends, pulling when positive, N."""
     sayd: Array
     """States, forces and valves of the semi-active dampers, as in `sayd_env.physics.sayd`; may be empty."""
     sayd_line: Array
     """Their commands of the last steps, on the way through the valve drivers."""
     clock: Array
-    """(2,) time (s) and position of the vehicle's centre along the track (m)."""
+    """(2 * W,) time (s) and position of the vehicle's centre along the track (m)."""
 
 
 class Work(NamedTuple):
-    """Scratch memory and outputs of one vehicle; no state survives in it."""
+    """Scratch memory and outputs of W vehicles; no state survives in it."""
 
     f: Array
-    """(n,) generalised forces."""
-    velocity: Array
-    """(n,) predicted velocities."""
-    motion: Array
-    """(n, 2) displacements and velocities side by side, as the product with K and C reads them."""
-    shift: Array
-    """(m,) elongations at the end of the step."""
-    sayd_inputs: Array
-    """Motion of the semi-active dampers' ends, as in `sayd_env.physics.sayd`; may be empty."""
+    """(n * W,) generalised forces."""
+    x: Array
+    """Displacements, predicted and present velocities (3 n * W); then the wheels' forces (ROWS_OUT * 8 * W) and
+    those of Maxwell dampers (m * W), semi-active dampers' ends (2 * 8 * W) and stops (s * W), N."""
+    y: Array
+    """Kinematics of the wheelsets (MOTIONS * 4 * W), elongations of Maxwell dampers (m * W) and stops (s * W),
+    inputs of the semi-active dampers (`sayd.INPUTS` * 8 * W)."""
     rail: Array
-    """(w, 8) irregularity under each wheelset: four values and their four slopes."""
+    """(8 * 4 * W,) irregularity under each wheelset: four values, then their four slopes."""
     lane_in: Array
-    """(rows * LANES,) kinematics of each wheel."""
-    lane_out: Array
-    """(rows * LANES,) contact forces of each wheel."""
+    """(ROWS_IN * 8 * W,) kinematics of each wheel."""
+    patch: Array
+    """(PATCH_ROWS * 8 * W,) what happens in each contact patch."""
+    measured: Array
+    """(measuring points * W,) accelerations, m/s2."""
+
+    @property
+    def lane_out(self) -> Array:
+        """The part of x that holds what the contact does, (ROWS_OUT * 8 * W,), by the rows of `physics.step`."""
+        first = 3 * len(self.f)
+        return self.x[first : first + ROWS_OUT * LANES * len(self.rail) // (8 * WHEELSETS)]
+
+
+# Rows of the kinematics of a wheelset in `Work.y`.
+(
+    M_OFFSET,  # y + r_0 roll - y of the track section, m
+    M_HEIGHT,  # z less that of the track section, m
+    M_ROLL,
+    M_PLANE,  # roll of the track section
+    M_YAW,
+    M_SLIP_X,  # longitudinal velocity, m/s
+    M_BOTTOM,  # rate of M_OFFSET
+    M_RISE,  # rate of M_HEIGHT
+    M_ROLL_RATE,
+    M_PLANE_RATE,
+    M_SPIN_RATE,  # pitch rate over the nominal one, rad/s
+    M_YAW_RATE,
+    MOTIONS,
+) = range(13)
+
+# Rows of `Work.lane_in`: the kinematics of a wheel against its rail.
+(
+    SIDE,  # +1 left, -1 right
+    SHIFT,  # lateral shift of the wheel towards flange contact, m
+    OFFSET,  # lateral offset of the wheelset from the track's centre at rail level, m
+    LIFT,  # height of the unloaded wheelset over the track plane at the centre, m
+    TILT,  # roll of the wheelset against the track plane, times side
+    YAW,  # against the mean track: the slope of its alignment is left out
+    SLIP_X,  # longitudinal slip velocity of the axle's centre, m/s
+    YAW_RATE,
+    SPIN_RATE,  # pitch rate over the nominal one, rad/s
+    SLIP_Y,  # lateral slip velocity at rail level, m/s
+    SHIFT_RATE,  # d SHIFT / dt, m/s
+    LIFT_RATE,  # d LIFT / dt, m/s
+    TILT_RATE,
+    SLIP_Z,  # vertical velocity of the axle's centre over the rail's, m/s
+    ROLL_RATE,  # wheelset, times side, rad/s
+    PLANE_RATE,  # turning of the track plane with the train, rad/s
+    PLANE,  # angle of the track plane, rad
+    ROWS_IN,
+) = range(18)
+
+# Rows of `Work.patch`: what happens where a wheel touches its rail.
+(
+    XI_X,  # longitudinal and lateral creepage
+    XI_Y,
+    SPIN,  # spin creepage, 1/m
+    BOUND,  # friction times normal force, N
+    SEMI_A,  # semi-axes of the ellipse in rolling and lateral direction, m
+    SEMI_B,
+    C11,  # Kalker's coefficients
+    C22,
+    C23,
+    SPIN_GAIN,  # Polach's constant of the spin force
+    CREEP_X,  # creep forces on the wheel, N
+    CREEP_Y,
+    ARM,  # lateral distance of the contact from the wheelset's centre, m
+    TANGENT,  # of the contact angle
+    COSINE,
+    LEVER,  # by how much the contact leads or lags the axle for each radian of yaw, m
+    ROLLING,  # rolling radius, m
+    RAIL_ARM,  # lateral position of the contact from the track's centre, m
+    SLIP_T,  # lateral slip velocity in the contact plane, m/s
+    PATCH_ROWS,
+) = range(20)
+
+# Rows of `Work.lane_out`: what the contact does to wheelset and track.
+(
+    FORCE_X,
+    FORCE_Y,
+    FORCE_Z,
+    MOMENT_ROLL,
+    MOMENT_PITCH,
+    MOMENT_YAW,
+    MOMENT_TRACK,  # roll moment on the track section
+    NORMAL,  # normal force, N
+    PENETRATION,  # normal approach, m
+    POWER_SLIP,  # dissipated by slip, W
+    POWER_DAMPING,  # dissipated by the contact damping, W
+    STORED,  # elastic energy of the contact, J
+    ROWS_OUT,
+) = range(13)

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.contact import ContactConfig
@@ -20,9 +19,58 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.physics import sayd
 from sayd_env.physics.contact.geometry import ContactTable, contact_table
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
-from sayd_env.physics.plant import LANES, Plant, State, Work
+from sayd_env.physics.plant import (
+    APPROACH,
+    FORCE_X,
+    FORCE_Y,
+    FORCE_Z,
+    FRICTION,
+    LANES,
+    LOAD_FACTOR,
+    M_BOTTOM,
+    M_HEIGHT,
+    M_OFFSET,
+    M_PLANE,
+    M_PLANE_RATE,
+    M_RISE,
+    M_ROLL,
+    M_ROLL_RATE,
+    M_SLIP_X,
+    M_SPIN_RATE,
+    M_YAW,
+    M_YAW_RATE,
+    MOMENT_TRACK,
+    MOMENT_YAW,
+    MOTIONS,
+    NUMBERS,
+    PATCH_ROWS,
+    PER_RADIUS,
+    PER_SPEED,
+    PER_TABLE_STEP,
+    RADIUS,
+    RAIL_COUNT,
+    RAIL_START,
+    RAIL_STEP,
+    ROWS_IN,
+    ROWS_OUT,
+    SHEAR_MODULUS,
+    SPEED,
+    STEP,
+    SUBSTEPS,
+    TABLE_LAST,
+    TABLE_START,
+    WHEEL_ROWS,
+    WHEEL_SPEED,
+    WHEELSETS,
+    WIDEST,
+    Ground,
+    Plant,
+    State,
+    Work,
+)
 from sayd_env.physics.profiles import rail_profile, wheel_profile
-from sayd_env.physics.step import LIFT, ROWS_IN, ROWS_OUT, advance
+from sayd_env.physics.rows import Rows, sparse_rows
+from sayd_env.physics.step import advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 
 Array = npt.NDArray[np.float64]
@@ -159,65 +207,149 @@ class VehicleModel:
         length = assessment.run_in + assessment.length + RUN_OUT
         return realise(self.scenario.track.irregularity, length, seed)
 
-    def plant(self, speed: float, track: TrackRealisation, table: ContactTable | None = None) -> Plant:
-        """Constants of the compiled step at a speed (m/s) on a track, with another contact table if given."""
+    def plant(
+        self,
+        speed: float,
+        track: TrackRealisation,
+        table: ContactTable | None = None,
+        points: Array | None = None,
+    ) -> Plant:
+        """Constants of the compiled step.
+
+        Parameters
+        ----------
+        speed : float
+            m/s.
+        track : TrackRealisation
+            Where the vehicle runs.
+        table : ContactTable, optional
+            A contact table in place of the model's.
+        points : ndarray, shape (p, n), optional
+            Rows of further measuring points, behind those of the bogie frames.
+        """
         h, _ = self.step(speed)
-        s, b, table = self.scenario, self.multibody, table or self.table
-        radius = s.vehicle.wheel_radius
-        damping = b.damping + (speed / radius) * b.gyroscopic
+        b, table = self.multibody, table or self.table
+        damping = b.damping + (speed / self.scenario.vehicle.wheel_radius) * b.gyroscopic
         diagonal = np.diag(damping).copy()
         np.fill_diagonal(damping, 0.0)
-        linear = _sparse_rows(b.stiffness, damping)
-        connection = _sparse_rows(np.array([e.connection for e in self.dampers]).reshape(-1, b.n))
         maxwell = damper_curves(self.dampers, h)
         sayds = self._sayds(h)
-        ends = [] if sayds is None else [x for i in (1, 2) for x in (d[i] for d in b.yaw_dampers)]
-        sayd_ends = _sparse_rows(np.array(ends).reshape(-1, b.n))
+        motion = self._motion_rows()
+        force = sparse_rows(self._force_matrix(damping))
+        frames = np.array([g for _, g in b.measuring_points]).reshape(-1, b.n)
+        measure = sparse_rows(frames if points is None else np.vstack([frames, points]))
         shift, stop = _curves(b.stops)
-        approach, hunt_crossley = self._static_contact(table)
         return Plant(
+            number=self._numbers(speed, track, table, 0 if sayds is None else sayds.substeps),
+            wheel=self._wheels(speed, table),
             mass=b.mass,
-            linear_start=linear.start,
-            linear_column=linear.column,
-            linear_value=np.stack(linear.values, axis=1),
             damping_diagonal=diagonal,
             mobility=1.0 / (b.mass + 0.5 * h * diagonal),
-            wheelset_dofs=b.wheelset_dofs,
-            section_dofs=b.section_dofs,
+            load=self._static_load(),
             wheelset_x=b.wheelset_x,
-            wheel_load=b.wheel_load,
-            table=np.ascontiguousarray(table.packed().ravel()),
-            table_start=float(table.dy[0]),
-            table_step=float(table.step),
-            approach=approach,
-            contact_damping=hunt_crossley,
-            shear_modulus=s.contact.shear_modulus,
-            friction=s.friction,
-            radius=radius,
-            speed=speed,
-            step=h,
-            damper_start=connection.start,
-            damper_column=connection.column,
-            damper_value=connection.values[0],
+            table=table.flat,
+            motion_start=motion.start,
+            motion_column=motion.column,
+            motion_value=motion.value,
+            force_start=force.start,
+            force_column=force.column,
+            force_value=force.value,
+            measure_start=measure.start,
+            measure_column=measure.column,
+            measure_value=measure.value,
             damper_velocity=maxwell.velocity,
             damper_force=maxwell.force,
             damper_knot=maxwell.knot,
             damper_slope=maxwell.slope,
             damper_stiffness=maxwell.stiffness,
-            sayd_start=sayd_ends.start,
-            sayd_column=sayd_ends.column,
-            sayd_value=sayd_ends.values[0],
-            sayd_constant=np.zeros(0) if sayds is None else sayds.constant,
-            sayd_table=np.zeros(0) if sayds is None else sayds.table,
-            sayd_substeps=0.0 if sayds is None else float(sayds.substeps),
-            stop_g=np.array([e.connection for e in b.stops]).reshape(-1, b.n),
             stop_shift=shift,
             stop_force=stop,
-            measure=np.array([g for _, g in b.measuring_points]).reshape(-1, b.n),
-            irregularity=track.coefficients,
-            irregularity_start=track.x0,
-            irregularity_step=track.step,
+            sayd_constant=np.zeros(0) if sayds is None else sayds.constant,
+            sayd_table=np.zeros(0) if sayds is None else sayds.table,
         )
+
+    def ground(self, track: TrackRealisation) -> Ground:
+        """What the vehicle's step reads and others may share."""
+        return Ground(irregularity=track.coefficients, creep=np.zeros(0))
+
+    def _numbers(self, speed: float, track: TrackRealisation, table: ContactTable, substeps: int) -> Array:
+        number = np.zeros(NUMBERS)
+        number[STEP], number[SUBSTEPS], number[SPEED] = self.step(speed)[0], substeps, speed
+        number[RAIL_START], number[RAIL_STEP] = track.x0, track.step
+        number[RAIL_COUNT] = len(track.coefficients)
+        number[WIDEST] = table.dy[-1]
+        return number
+
+    def _wheels(self, speed: float, table: ContactTable) -> Array:
+        """Constants of the wheels, (WHEEL_ROWS * LANES,)."""
+        radius, count = self.scenario.vehicle.wheel_radius, len(self.multibody.wheelset_x)
+        approach, hunt_crossley = self._static_contact(table)
+        wheel = np.zeros((WHEEL_ROWS, 2, WHEELSETS))
+        wheel[TABLE_START], wheel[PER_TABLE_STEP] = table.dy[0], 1.0 / table.step
+        wheel[TABLE_LAST] = len(table.delta_r) - 2
+        wheel[RADIUS], wheel[PER_RADIUS] = radius, 1.0 / radius
+        wheel[WHEEL_SPEED], wheel[PER_SPEED] = speed, 1.0 / speed
+        wheel[FRICTION], wheel[SHEAR_MODULUS] = self.scenario.friction, self.scenario.contact.shear_modulus
+        wheel[APPROACH] = -1.0  # wheels that the vehicle does not have stay in the air
+        wheel[APPROACH, :, :count], wheel[LOAD_FACTOR, :, :count] = approach, hunt_crossley
+        return wheel.ravel()
+
+    def _static_load(self) -> Array:
+        """What the static loads of the wheels put on wheelsets and track sections, shape (n,)."""
+        load = np.zeros(self.multibody.n)
+        load[self.multibody.wheelset_dofs[:, 2]] -= 2.0 * self.multibody.wheel_load
+        load[self.multibody.section_dofs[:, 1]] += 2.0 * self.multibody.wheel_load
+        return load
+
+    def _motion_rows(self) -> Rows:
+        """Rows of `Work.y` over the motion in `Work.x`: displacements, predicted and present velocities."""
+        b, n, radius = self.multibody, self.multibody.n, self.scenario.vehicle.wheel_radius
+        motions = np.zeros((MOTIONS, WHEELSETS, 3 * n))
+        for j, (wheelset, section) in enumerate(zip(b.wheelset_dofs, b.section_dofs, strict=True)):
+            x, y, z, roll, pitch, yaw = wheelset
+            section_y, section_z, section_roll = section
+            for first, offset, height, turn, plane in (
+                (0, M_OFFSET, M_HEIGHT, M_ROLL, M_PLANE),
+                (n, M_BOTTOM, M_RISE, M_ROLL_RATE, M_PLANE_RATE),
+            ):
+                motions[offset, j, first + np.array([y, roll, section_y])] = 1.0, radius, -1.0
+                motions[height, j, first + np.array([z, section_z])] = 1.0, -1.0
+                motions[turn, j, first + roll] = motions[plane, j, first + section_roll] = 1.0
+            motions[M_YAW, j, yaw] = motions[M_YAW_RATE, j, n + yaw] = 1.0
+            motions[M_SLIP_X, j, n + x] = motions[M_SPIN_RATE, j, n + pitch] = 1.0
+        elongations = [e.connection for e in (*self.dampers, *b.stops)]
+        rows = [motions.reshape(-1, 3 * n), np.pad(np.reshape(elongations, (-1, n)), ((0, 0), (0, 2 * n)))]
+        if self._semi_active:
+            ends = np.zeros((sayd.INPUTS, LANES, 3 * n))
+            for k, (_, *pair) in enumerate(b.yaw_dampers):
+                for row, end in zip((sayd.END_1, sayd.END_2), pair, strict=True):
+                    for part in range(3):  # position, velocity and old velocity stand one behind another
+                        ends[row + part, k, part * n : (part + 1) * n] = end
+            rows.append(ends.reshape(-1, 3 * n))
+        return sparse_rows(np.vstack(rows))
+
+    def _force_matrix(self, damping: Array) -> Array:
+        """Generalised forces over `Work.x`, from the damping matrix without its diagonal."""
+        b, n = self.multibody, self.multibody.n
+        contact = np.zeros((n, ROWS_OUT, 2, WHEELSETS))
+        for j, (wheelset, section) in enumerate(zip(b.wheelset_dofs, b.section_dofs, strict=True)):
+            for dof, row in zip(wheelset, range(FORCE_X, MOMENT_YAW + 1), strict=True):
+                contact[dof, row, :, j] = 1.0
+            for dof, row, sign in zip(section, (FORCE_Y, FORCE_Z, MOMENT_TRACK), (-1.0, -1.0, 1.0), strict=True):
+                contact[dof, row, :, j] = sign
+        parts = [-b.stiffness, -damping, np.zeros((n, n)), contact.reshape(n, -1)]
+        parts.append(-np.reshape([e.connection for e in self.dampers], (-1, n)).T)
+        if self._semi_active:
+            ends = np.zeros((n, 2, LANES))
+            for k, (_, bogie, car) in enumerate(b.yaw_dampers):
+                ends[:, 0, k], ends[:, 1, k] = -bogie, -car
+            parts.append(ends.reshape(n, -1))
+        parts.append(-np.reshape([e.connection for e in b.stops], (-1, n)).T)
+        return np.hstack(parts)
+
+    @property
+    def _semi_active(self) -> bool:
+        return not isinstance(self.scenario.damper, PassiveDamperConfig)
 
     def _static_contact(self, table: ContactTable) -> tuple[Array, Array]:
         """Vertical approach under the static load and the Hunt-Crossley factor, for each wheelset."""
@@ -255,24 +387,15 @@ class VehicleModel:
             clock=np.array([0.0, -float(np.max(self.multibody.wheelset_x))]),
         )
 
-    def work(self) -> Work:
-        """Scratch memory for one vehicle."""
-        n, m, w = self.multibody.n, len(self.dampers), len(self.multibody.wheelset_x)
-        passive = isinstance(self.scenario.damper, PassiveDamperConfig)
-        lanes = np.zeros(ROWS_IN * LANES)
-        lanes[LIFT * LANES : (LIFT + 1) * LANES] = (
-            1.0  # wheels that the vehicle does not have stay in the air
-        )
-        return Work(
-            f=np.zeros(n),
-            velocity=np.zeros(n),
-            motion=np.zeros((n, 2)),
-            shift=np.zeros(m),
-            sayd_inputs=np.zeros(0 if passive else sayd.INPUTS * LANES),
-            rail=np.zeros((w, 8)),
-            lane_in=lanes,
-            lane_out=np.zeros(ROWS_OUT * LANES),
-        )
+    def work(self, points: int = 0, width: int = 1) -> Work:
+        """Scratch memory for vehicles side by side, with room for further measuring points."""
+        b = self.multibody
+        n, m, s, w = b.n, len(self.dampers), len(b.stops), len(b.wheelset_x)
+        semi_active = self._semi_active
+        x = 3 * n + ROWS_OUT * LANES + m + s + (2 * LANES if semi_active else 0)
+        y = MOTIONS * WHEELSETS + m + s + (sayd.INPUTS * LANES if semi_active else 0)
+        sizes = (n, x, y, 8 * WHEELSETS, ROWS_IN * LANES, PATCH_ROWS * LANES, w + points)
+        return Work(*(np.zeros(size * width) for size in sizes))
 
 
 class Simulator:
@@ -313,6 +436,7 @@ class Simulator:
         self.speed = speed
         self.track = model.realisation(seed) if track is None else track
         self.plant = model.plant(speed, self.track, table)
+        self.ground = model.ground(self.track)
         self.state = model.state(speed)
         self.work = model.work()
 
@@ -397,7 +521,7 @@ class Simulator:
         forces = np.empty((samples if wheels else 0, 2 * LANES))
         motions = np.empty((samples if motion else 0, self.model.multibody.n))
         dampers = np.empty((samples if sayds else 0, self.state.sayd.size))
-        done = advance(self.plant, self.state, self.work, substeps, signals, forces, motions, dampers)
+        done = advance(self.plant, self.ground, self.state, self.work, substeps, signals, forces, motions, dampers)
         if done < samples:
             raise StudyError(self.divergence())
         return Telemetry(
@@ -455,21 +579,6 @@ def checked_currents(currents: npt.ArrayLike, count: int) -> Array:
 def threads(workers: int | None) -> ThreadPoolExecutor:
     """Pool for many simulators at once: compiled code and SciPy's filters run outside Python's lock."""
     return ThreadPoolExecutor(max_workers=workers, thread_name_prefix="sayd")
-
-
-class _Rows(NamedTuple):
-    """Several matrices of one pattern as compressed sparse rows."""
-
-    start: npt.NDArray[np.uint32]
-    column: npt.NDArray[np.uint32]
-    values: tuple[Array, ...]
-
-
-def _sparse_rows(*matrices: Array) -> _Rows:
-    pattern = csr_matrix(np.any([m != 0.0 for m in matrices], axis=0))
-    start, column = pattern.indptr.astype(np.uint32), pattern.indices.astype(np.uint32)
-    row = np.repeat(np.arange(pattern.shape[0]), np.diff(start))
-    return _Rows(start, column, tuple(m[row, column] for m in matrices))
 
 
 class DamperCurves(NamedTuple):

@@ -1,4 +1,4 @@
-"""One compiled time step of one vehicle: track and contact, suspension, dampers, integration, in this order.
+"""One compiled time step of vehicles side by side: track and contact, suspension, dampers, integration.
 
 Scheme: explicit Newmark (beta = 0, gamma = 1/2) with one evaluation of the forces for each step,
 
@@ -10,6 +10,12 @@ The velocity in the forces is predicted; the diagonal D of the damping matrix (t
 sections) is treated implicitly, which costs a division. Maxwell dampers use the trapezoidal rule, solved
 exactly on their piecewise-linear curves; semi-active dampers take steps of their own between the same
 instants (`sayd_env.physics.sayd`). All of it is second order in h.
+
+How W vehicles stand side by side is said in `sayd_env.physics.plant`. Loops run over what is alike: all wheels of
+all vehicles, all dampers. They have no branches, and their bounds come from arrays' lengths, so that the compiler
+makes vector instructions of them (of a loop whose length it knows it makes a long straight line instead). Sums
+over a vehicle's unknowns are sparse products (`sayd_env.physics.rows`). A vehicle's results are the same bits
+alone and beside others: what is done to its numbers, and in which order, does not depend on W.
 """
 
 from __future__ import annotations
@@ -20,264 +26,349 @@ from sayd_env.physics import sayd
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.polach import polach
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import LANES, Array, Plant, State, Work
+from sayd_env.physics.plant import (
+    APPROACH,
+    ARM,
+    BOUND,
+    C11,
+    C22,
+    C23,
+    COSINE,
+    CREEP_X,
+    CREEP_Y,
+    FORCE_X,
+    FORCE_Y,
+    FORCE_Z,
+    FRICTION,
+    LANES,
+    LEVER,
+    LIFT,
+    LIFT_RATE,
+    LOAD_FACTOR,
+    MOMENT_PITCH,
+    MOMENT_ROLL,
+    MOMENT_TRACK,
+    MOMENT_YAW,
+    MOTIONS,
+    M_BOTTOM,
+    M_HEIGHT,
+    M_OFFSET,
+    M_PLANE,
+    M_PLANE_RATE,
+    M_RISE,
+    M_ROLL,
+    M_ROLL_RATE,
+    M_SLIP_X,
+    M_SPIN_RATE,
+    M_YAW,
+    M_YAW_RATE,
+    NORMAL,
+    OFFSET,
+    PATCH_ROWS,
+    PENETRATION,
+    PER_RADIUS,
+    PER_SPEED,
+    PER_TABLE_STEP,
+    PLANE,
+    PLANE_RATE,
+    POWER_DAMPING,
+    POWER_SLIP,
+    RADIUS,
+    RAIL_ARM,
+    RAIL_BASE,
+    RAIL_COUNT,
+    RAIL_START,
+    RAIL_STEP,
+    ROLLING,
+    ROLL_RATE,
+    ROWS_IN,
+    ROWS_OUT,
+    SEMI_A,
+    SEMI_B,
+    SHEAR_MODULUS,
+    SHIFT,
+    SHIFT_RATE,
+    SIDE,
+    SLIP_T,
+    SLIP_X,
+    SLIP_Y,
+    SLIP_Z,
+    SPEED,
+    SPIN,
+    SPIN_GAIN,
+    SPIN_RATE,
+    STEP,
+    STORED,
+    SUBSTEPS,
+    TABLE_BASE,
+    TABLE_LAST,
+    TABLE_START,
+    TANGENT,
+    TILT,
+    TILT_RATE,
+    WHEELSETS,
+    WHEEL_SPEED,
+    WIDEST,
+    XI_X,
+    XI_Y,
+    YAW,
+    YAW_RATE,
+    Array,
+    Ground,
+    Plant,
+    State,
+    Work,
+)
+from sayd_env.physics.rows import SINGLE, Lanes, add_product, multiply
 from sayd_env.physics.track.spline import spline_weights
 
 # Rows of `Work.rail`: values and slopes of the irregularities.
 ALIGNMENT, VERTICAL, CROSS_LEVEL, GAUGE = 0, 1, 2, 3
 SLOPE = 4
 
-# Rows of `Work.lane_in`: the kinematics of a wheel against its rail.
-(
-    SIDE,  # +1 left, -1 right
-    SHIFT,  # lateral shift of the wheel towards flange contact, m
-    OFFSET,  # lateral offset of the wheelset from the track's centre at rail level, m
-    LIFT,  # height of the unloaded wheelset over the track plane at the centre, m
-    TILT,  # roll of the wheelset against the track plane, times side
-    YAW,  # against the mean track: the slope of its alignment is left out
-    SLIP_X,  # longitudinal slip velocity of the axle's centre, m/s
-    YAW_RATE,
-    SPIN_RATE,  # pitch rate over the nominal one, rad/s
-    SLIP_Y,  # lateral slip velocity at rail level, m/s
-    SHIFT_RATE,  # d SHIFT / dt, m/s
-    LIFT_RATE,  # d LIFT / dt, m/s
-    TILT_RATE,
-    SLIP_Z,  # vertical velocity of the axle's centre over the rail's, m/s
-    ROLL_RATE,  # wheelset, times side, rad/s
-    PLANE_RATE,  # turning of the track plane with the train, rad/s
-    PLANE,  # angle of the track plane, rad
-    LOAD_FACTOR,  # Hunt-Crossley factor, s/m
-    ROWS_IN,
-) = range(19)
 
-# Rows of `Work.lane_out`: what the contact does to wheelset and track.
-(
-    FORCE_X,
-    FORCE_Y,
-    FORCE_Z,
-    MOMENT_ROLL,
-    MOMENT_PITCH,
-    MOMENT_YAW,
-    MOMENT_TRACK,  # roll moment on the track section
-    NORMAL,  # normal force, N
-    PENETRATION,  # normal approach, m
-    POWER_SLIP,  # dissipated by slip, W
-    POWER_DAMPING,  # dissipated by the contact damping, W
-    STORED,  # elastic energy of the contact, J
-    ROWS_OUT,
-) = range(13)
+@kernel(distinct=True, allocates=False)
+def _predict(h: float, q: Array, v: Array, a: Array, load: Array, diagonal: Array, x: Array, f: Array) -> None:
+    """Displacements at the end of the step, the motion that forces are computed from, and their first terms."""
+    n = q.shape[0]
+    for i in range(n):
+        f[i] = load[i] - diagonal[i] * (v[i] + 0.5 * h * a[i])
+        moved = q[i] + h * (v[i] + 0.5 * h * a[i])
+        q[i] = moved
+        x[i] = moved
+        x[n + i] = v[i] + h * a[i]
+        x[2 * n + i] = v[i]
+
+
+@kernel(distinct=True, allocates=False)
+def _correct(h: float, f: Array, mobility: Array, v: Array, a: Array) -> None:
+    """Accelerations from forces, velocities at the end of the step."""
+    for i in range(f.shape[0]):
+        new = f[i] * mobility[i]
+        v[i] += 0.5 * h * (a[i] + new)
+        a[i] = new
 
 
 @kernel(allocates=False)
-def read_track(plant: Plant, position: float, work: Work) -> None:
+def read_track(
+    lanes: Lanes, number: Array, wheelset_x: Array, irregularity: Array, clock: Array, rail: Array
+) -> None:
     """Irregularities under each wheelset and their slopes along the track."""
-    c, rail = plant.irregularity, work.rail
-    for j in range(plant.wheelset_x.shape[0]):
-        x = position + plant.wheelset_x[j]
-        i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(
-            c.shape[0], plant.irregularity_start, plant.irregularity_step, x
+    w = len(lanes)
+    block = WHEELSETS * w
+    for j in range(wheelset_x.shape[0] // w):
+        for k in range(w):
+            x = clock[w + k] + wheelset_x[j * w + k]
+            i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(
+                int(number[RAIL_COUNT * w + k]), number[RAIL_START * w + k], number[RAIL_STEP * w + k], x
+            )
+            i += int(number[RAIL_BASE * w + k])
+            place = j * w + k
+            for m in range(SLOPE):
+                c0, c1 = irregularity[i, m], irregularity[i + 1, m]
+                c2, c3 = irregularity[i + 2, m], irregularity[i + 3, m]
+                rail[m * block + place] = w0 * c0 + w1 * c1 + w2 * c2 + w3 * c3
+                rail[(SLOPE + m) * block + place] = d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3
+
+
+@kernel(distinct=True, allocates=False)
+def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Array) -> None:
+    """Position and velocity of each wheel against its rail, into `Work.lane_in`, from those of its wheelset."""
+    n = LANES * len(lanes)
+    block = n // 2
+    for e in range(rail.shape[0] // (2 * SLOPE)):
+        right = e + block
+        speed = wheel[WHEEL_SPEED * n + e]
+        alignment, vertical = rail[ALIGNMENT * block + e], rail[VERTICAL * block + e]
+        half_gauge = 0.5 * rail[GAUGE * block + e]
+        plane = rail[CROSS_LEVEL * block + e] + y[M_PLANE * block + e]
+        plane_rate = speed * rail[(SLOPE + CROSS_LEVEL) * block + e] + y[M_PLANE_RATE * block + e]
+        bottom = y[M_BOTTOM * block + e]
+        offset = y[M_OFFSET * block + e] - alignment
+        offset_rate = bottom - speed * rail[(SLOPE + ALIGNMENT) * block + e]
+        rise = y[M_RISE * block + e] - speed * rail[(SLOPE + VERTICAL) * block + e]
+        half_gauge_rate = 0.5 * speed * rail[(SLOPE + GAUGE) * block + e]
+        height = y[M_HEIGHT * block + e] - vertical - plane * offset
+        lift_rate = rise - plane_rate * offset - plane * offset_rate
+        tilt, tilt_rate = y[M_ROLL * block + e] - plane, y[M_ROLL_RATE * block + e] - plane_rate
+        yaw, roll_rate = y[M_YAW * block + e], y[M_ROLL_RATE * block + e]
+        slip_y = bottom - speed * yaw
+        slip_x, yaw_rate, spin_rate = (
+            y[M_SLIP_X * block + e],
+            y[M_YAW_RATE * block + e],
+            y[M_SPIN_RATE * block + e],
         )
-        for k in range(SLOPE):
-            rail[j, k] = w0 * c[i, k] + w1 * c[i + 1, k] + w2 * c[i + 2, k] + w3 * c[i + 3, k]
-            rail[j, SLOPE + k] = d0 * c[i, k] + d1 * c[i + 1, k] + d2 * c[i + 2, k] + d3 * c[i + 3, k]
+        lane[SIDE * n + e], lane[SIDE * n + right] = 1.0, -1.0
+        lane[SHIFT * n + e], lane[SHIFT * n + right] = offset - half_gauge, -offset - half_gauge
+        lane[OFFSET * n + e], lane[OFFSET * n + right] = offset, offset
+        lane[LIFT * n + e] = height - wheel[APPROACH * n + e]
+        lane[LIFT * n + right] = height - wheel[APPROACH * n + right]
+        lane[TILT * n + e], lane[TILT * n + right] = tilt, -tilt
+        lane[YAW * n + e], lane[YAW * n + right] = yaw, yaw
+        lane[SLIP_X * n + e], lane[SLIP_X * n + right] = slip_x, slip_x
+        lane[YAW_RATE * n + e], lane[YAW_RATE * n + right] = yaw_rate, yaw_rate
+        lane[SPIN_RATE * n + e], lane[SPIN_RATE * n + right] = spin_rate, spin_rate
+        lane[SLIP_Y * n + e], lane[SLIP_Y * n + right] = slip_y, slip_y
+        lane[SHIFT_RATE * n + e] = offset_rate - half_gauge_rate
+        lane[SHIFT_RATE * n + right] = -offset_rate - half_gauge_rate
+        lane[LIFT_RATE * n + e], lane[LIFT_RATE * n + right] = lift_rate, lift_rate
+        lane[TILT_RATE * n + e], lane[TILT_RATE * n + right] = tilt_rate, -tilt_rate
+        lane[SLIP_Z * n + e], lane[SLIP_Z * n + right] = rise, rise
+        lane[ROLL_RATE * n + e], lane[ROLL_RATE * n + right] = roll_rate, -roll_rate
+        lane[PLANE_RATE * n + e], lane[PLANE_RATE * n + right] = plane_rate, plane_rate
+        lane[PLANE * n + e], lane[PLANE * n + right] = plane, plane
 
 
-@kernel(allocates=False)
-def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
-    """Position and velocity of each wheel against its rail, into `work.lane_in`."""
-    lane = work.lane_in
-    speed, radius = plant.speed, plant.radius
-    for j in range(plant.wheelset_x.shape[0]):
-        w, s, rail = plant.wheelset_dofs[j], plant.section_dofs[j], work.rail[j]
-        plane = rail[CROSS_LEVEL] + q[s[2]]
-        plane_rate = speed * rail[SLOPE + CROSS_LEVEL] + v[s[2]]
-        bottom = v[w[1]] + radius * v[w[3]] - v[s[0]]
-        offset = q[w[1]] + radius * q[w[3]] - rail[ALIGNMENT] - q[s[0]]
-        offset_rate = bottom - speed * rail[SLOPE + ALIGNMENT]
-        rise = v[w[2]] - v[s[1]] - speed * rail[SLOPE + VERTICAL]
-        for k in range(2):
-            i, side = 2 * j + k, 1.0 - 2.0 * k
-            lane[SIDE * LANES + i] = side
-            lane[SHIFT * LANES + i] = side * offset - 0.5 * rail[GAUGE]
-            lane[OFFSET * LANES + i] = offset
-            lane[LIFT * LANES + i] = q[w[2]] - q[s[1]] - rail[VERTICAL] - plane * offset - plant.approach[j]
-            lane[TILT * LANES + i] = side * (q[w[3]] - plane)
-            lane[YAW * LANES + i] = q[w[5]]
-            lane[SLIP_X * LANES + i] = v[w[0]]
-            lane[YAW_RATE * LANES + i] = v[w[5]]
-            lane[SPIN_RATE * LANES + i] = v[w[4]]
-            lane[SLIP_Y * LANES + i] = bottom - speed * q[w[5]]
-            lane[SHIFT_RATE * LANES + i] = side * offset_rate - 0.5 * speed * rail[SLOPE + GAUGE]
-            lane[LIFT_RATE * LANES + i] = rise - plane_rate * offset - plane * offset_rate
-            lane[TILT_RATE * LANES + i] = side * (v[w[3]] - plane_rate)
-            lane[SLIP_Z * LANES + i] = rise
-            lane[ROLL_RATE * LANES + i] = side * v[w[3]]
-            lane[PLANE_RATE * LANES + i] = plane_rate
-            lane[PLANE * LANES + i] = plane
-            lane[LOAD_FACTOR * LANES + i] = plant.contact_damping[j]
+@kernel(distinct=True, allocates=False)
+def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, patch: Array, out: Array) -> None:
+    """Contact geometry, normal force and creepages of all wheels, from `Work.lane_in` into `Work.patch`.
 
-
-@kernel(allocates=False)
-def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop body, as the physics reads
-    """Normal and creep forces of all wheels, from `work.lane_in` into `work.lane_out`.
-
-    One branch-free loop over eight wheels, which compiles to vector instructions. Normal force: Hertz on the
-    approach along the contact normal, with Hunt-Crossley damping, zero when the wheel lifts off. Creepages:
-    slip over V (Kalker), spin from yaw rate and contact angle. Creep forces: Polach.
+    Normal force: Hertz on the approach along the contact normal, with Hunt-Crossley damping, zero when the
+    wheel lifts off. Creepages: slip over V (Kalker), spin from yaw rate and contact angle.
     """
-    x, out, table = work.lane_in, work.lane_out, plant.table
-    nodes = table.shape[0] // geometry.WIDTH
-    per_step, last = 1.0 / plant.table_step, float(nodes - 2)
-    speed, radius = plant.speed, plant.radius
-    per_speed, per_radius = 1.0 / speed, 1.0 / radius
-    start = plant.table_start
-    friction, shear = plant.friction, plant.shear_modulus
+    n = LANES * len(lanes)
     for i in range(x.shape[0] // ROWS_IN):
-        side = x[SIDE * LANES + i]
+        side = x[SIDE * n + i]
+        radius, per_radius = wheel[RADIUS * n + i], wheel[PER_RADIUS * n + i]
+        speed, per_speed = wheel[WHEEL_SPEED * n + i], wheel[PER_SPEED * n + i]
+        per_step, last = wheel[PER_TABLE_STEP * n + i], wheel[TABLE_LAST * n + i]
         # Contact geometry at this shift, linear between the nodes of a fine table.
-        place = (x[SHIFT * LANES + i] - start) * per_step
+        place = (x[SHIFT * n + i] - wheel[TABLE_START * n + i]) * per_step
         place = place if place > 0.0 else 0.0
         place = place if place < last else last
         node = int(place)
         right = place - node
         left = 1.0 - right
-        p = node * geometry.WIDTH
-        n = p + geometry.WIDTH
-        delta_r = left * table[p + geometry.DELTA_R] + right * table[n + geometry.DELTA_R]
-        gap_0 = left * table[p + geometry.G0] + right * table[n + geometry.G0]
-        arm = left * table[p + geometry.Y_C] + right * table[n + geometry.Y_C]
-        arm_slope = (table[n + geometry.Y_C] - table[p + geometry.Y_C]) * per_step
-        tilt_0 = left * table[p + geometry.PHI_K] + right * table[n + geometry.PHI_K]
-        tangent = left * table[p + geometry.TAN_GAMMA] + right * table[n + geometry.TAN_GAMMA]
-        hertz = left * table[p + geometry.C_HERTZ] + right * table[n + geometry.C_HERTZ]
-        a_s = left * table[p + geometry.A_S] + right * table[n + geometry.A_S]
-        b_s = left * table[p + geometry.B_S] + right * table[n + geometry.B_S]
-        c11 = left * table[p + geometry.C11] + right * table[n + geometry.C11]
-        c22 = left * table[p + geometry.C22] + right * table[n + geometry.C22]
-        c23 = left * table[p + geometry.C23] + right * table[n + geometry.C23]
-        gain = left * table[p + geometry.SPIN_GAIN] + right * table[n + geometry.SPIN_GAIN]
+        p = int(wheel[TABLE_BASE * n + i]) + node * geometry.WIDTH
+        q = p + geometry.WIDTH
+        delta_r = left * table[p + geometry.DELTA_R] + right * table[q + geometry.DELTA_R]
+        gap_0 = left * table[p + geometry.G0] + right * table[q + geometry.G0]
+        arm_left, arm_right = table[p + geometry.Y_C], table[q + geometry.Y_C]
+        arm = left * arm_left + right * arm_right
+        arm_slope = (arm_right - arm_left) * per_step
+        tilt_0 = left * table[p + geometry.PHI_K] + right * table[q + geometry.PHI_K]
+        tangent = left * table[p + geometry.TAN_GAMMA] + right * table[q + geometry.TAN_GAMMA]
+        hertz = left * table[p + geometry.C_HERTZ] + right * table[q + geometry.C_HERTZ]
+        a_s = left * table[p + geometry.A_S] + right * table[q + geometry.A_S]
+        b_s = left * table[p + geometry.B_S] + right * table[q + geometry.B_S]
+        patch[C11 * n + i] = left * table[p + geometry.C11] + right * table[q + geometry.C11]
+        patch[C22 * n + i] = left * table[p + geometry.C22] + right * table[q + geometry.C22]
+        patch[C23 * n + i] = left * table[p + geometry.C23] + right * table[q + geometry.C23]
+        patch[SPIN_GAIN * n + i] = (
+            left * table[p + geometry.SPIN_GAIN] + right * table[q + geometry.SPIN_GAIN]
+        )
 
         # The table is made at the kinematic roll; another roll moves the contact and so the slope.
-        tilt, yaw, plane = x[TILT * LANES + i], x[YAW * LANES + i], x[PLANE * LANES + i]
+        tilt, yaw = x[TILT * n + i], x[YAW * n + i]
         tangent += (tilt_0 - tilt) * arm_slope
         cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
         sine = tangent * cosine
 
         # Normal force. A yawed wheel touches ahead of or behind its axle, by `lead`.
+        yaw_rate = x[YAW_RATE * n + i]
         lever = arm - radius * tangent
         lead = -side * yaw * lever
-        gap = x[LIFT * LANES + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * tangent * lever
+        gap = x[LIFT * n + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * tangent * lever
         gap_rate = (
-            x[LIFT_RATE * LANES + i]
-            + x[TILT_RATE * LANES + i] * arm
-            + yaw * x[YAW_RATE * LANES + i] * tangent * lever
-            - tangent * x[SHIFT_RATE * LANES + i]
+            x[LIFT_RATE * n + i]
+            + x[TILT_RATE * n + i] * arm
+            + yaw * yaw_rate * tangent * lever
+            - tangent * x[SHIFT_RATE * n + i]
         )
         pressed = -gap * cosine
         pressed = pressed if pressed > 0.0 else 0.0
         root = math.sqrt(pressed)
         elastic = hertz * pressed * root
-        factor = 1.0 - x[LOAD_FACTOR * LANES + i] * gap_rate * cosine
+        factor = 1.0 - wheel[LOAD_FACTOR * n + i] * gap_rate * cosine
         normal = elastic * (factor if factor > 0.0 else 0.0)
 
         # Slip of the wheel over the rail, and creepages.
         slip_x = (
-            x[SLIP_X * LANES + i]
-            - side * x[YAW_RATE * LANES + i] * arm
-            - x[SPIN_RATE * LANES + i] * (radius + delta_r)
+            x[SLIP_X * n + i]
+            - side * yaw_rate * arm
+            - x[SPIN_RATE * n + i] * (radius + delta_r)
             - speed * delta_r * per_radius
         )
-        rail_arm = side * arm + x[OFFSET * LANES + i]
-        slip_y = x[SLIP_Y * LANES + i] + lead * x[YAW_RATE * LANES + i]
-        slip_z = x[SLIP_Z * LANES + i] + x[ROLL_RATE * LANES + i] * arm - x[PLANE_RATE * LANES + i] * rail_arm
+        rail_arm = side * arm + x[OFFSET * n + i]
+        slip_y = x[SLIP_Y * n + i] + lead * yaw_rate
+        slip_z = x[SLIP_Z * n + i] + x[ROLL_RATE * n + i] * arm - x[PLANE_RATE * n + i] * rail_arm
         # Touching ahead of its axle by r yaw tan(gamma), the wheel also turns downwards there: with it the
         # slip of yaw is V yaw / cos(gamma), and along the normal none is left.
         slip_t = slip_y * cosine + side * sine * slip_z - speed * yaw * tangent * sine
-        spin = x[YAW_RATE * LANES + i] * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
-        force_x, force_t = polach(
-            slip_x * per_speed,
-            slip_t * per_speed,
-            spin,
-            normal,
-            a_s * root,
-            b_s * root,
-            c11,
-            c22,
-            c23,
-            gain,
-            friction,
-            shear,
+        patch[XI_X * n + i] = slip_x * per_speed
+        patch[XI_Y * n + i] = slip_t * per_speed
+        patch[SPIN * n + i] = yaw_rate * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
+        patch[BOUND * n + i] = wheel[FRICTION * n + i] * normal
+        patch[SEMI_A * n + i] = a_s * root
+        patch[SEMI_B * n + i] = b_s * root
+        patch[ARM * n + i] = arm
+        patch[TANGENT * n + i] = tangent
+        patch[COSINE * n + i] = cosine
+        patch[LEVER * n + i] = lever
+        patch[ROLLING * n + i] = radius + delta_r
+        patch[RAIL_ARM * n + i] = rail_arm
+        out[NORMAL * n + i] = normal
+        out[PENETRATION * n + i] = pressed
+        out[POWER_SLIP * n + i] = slip_x
+        patch[SLIP_T * n + i] = slip_t
+        out[POWER_DAMPING * n + i] = (elastic - normal) * gap_rate * cosine
+        out[STORED * n + i] = 0.4 * elastic * pressed
+
+
+@kernel(distinct=True, allocates=False)
+def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, out: Array) -> None:
+    """What the wheels' forces do to the wheelsets (about their centres) and to the track sections."""
+    n = LANES * len(lanes)
+    for i in range(x.shape[0] // ROWS_IN):
+        side, yaw = x[SIDE * n + i], x[YAW * n + i]
+        force_x, force_t = patch[CREEP_X * n + i], patch[CREEP_Y * n + i]
+        arm, tangent, cosine = patch[ARM * n + i], patch[TANGENT * n + i], patch[COSINE * n + i]
+        lever = patch[LEVER * n + i]
+        lead = -side * yaw * lever
+        up = out[NORMAL * n + i] * cosine
+        creep_y = force_t * cosine
+        force_y = creep_y - up * (side * tangent + x[PLANE * n + i])
+        force_z = up + side * tangent * creep_y
+        out[FORCE_X * n + i] = force_x
+        out[FORCE_Y * n + i] = force_y
+        out[FORCE_Z * n + i] = force_z
+        out[MOMENT_ROLL * n + i] = wheel[RADIUS * n + i] * force_y + side * arm * force_z
+        out[MOMENT_PITCH * n + i] = -patch[ROLLING * n + i] * force_x
+        out[MOMENT_YAW * n + i] = -side * arm * force_x + lead * creep_y + up * yaw * tangent * lever
+        out[MOMENT_TRACK * n + i] = -patch[RAIL_ARM * n + i] * force_z
+        out[POWER_SLIP * n + i] = -(force_x * out[POWER_SLIP * n + i] + force_t * patch[SLIP_T * n + i])
+
+
+@kernel(distinct=True, allocates=False)
+def _polach(lanes: Lanes, wheel: Array, patch: Array) -> None:
+    """Creep forces by Polach's law."""
+    n = LANES * len(lanes)
+    for i in range(patch.shape[0] // PATCH_ROWS):
+        patch[CREEP_X * n + i], patch[CREEP_Y * n + i] = polach(
+            patch[XI_X * n + i],
+            patch[XI_Y * n + i],
+            patch[SPIN * n + i],
+            patch[BOUND * n + i],
+            patch[SEMI_A * n + i],
+            patch[SEMI_B * n + i],
+            patch[C11 * n + i],
+            patch[C22 * n + i],
+            patch[C23 * n + i],
+            patch[SPIN_GAIN * n + i],
+            1.0,
+            wheel[SHEAR_MODULUS * n + i],
         )
 
-        # Resultants on the wheelset (about its centre) and on the track section.
-        up = normal * cosine
-        creep_y = force_t * cosine
-        force_y = creep_y - up * (side * tangent + plane)
-        force_z = up + side * sine * force_t
-        out[FORCE_X * LANES + i] = force_x
-        out[FORCE_Y * LANES + i] = force_y
-        out[FORCE_Z * LANES + i] = force_z
-        out[MOMENT_ROLL * LANES + i] = radius * force_y + side * arm * force_z
-        out[MOMENT_PITCH * LANES + i] = -(radius + delta_r) * force_x
-        out[MOMENT_YAW * LANES + i] = -side * arm * force_x + lead * creep_y + up * yaw * tangent * lever
-        out[MOMENT_TRACK * LANES + i] = -rail_arm * force_z
-        out[NORMAL * LANES + i] = normal
-        out[PENETRATION * LANES + i] = pressed
-        out[POWER_SLIP * LANES + i] = -(force_x * slip_x + force_t * slip_t)
-        out[POWER_DAMPING * LANES + i] = (elastic - normal) * gap_rate * cosine
-        out[STORED * LANES + i] = 0.4 * elastic * pressed
-
 
 @kernel(allocates=False)
-def add_contact(plant: Plant, work: Work) -> None:
-    """Add the wheels' resultants, less the static loads, to the generalised forces."""
-    out, f = work.lane_out, work.f
-    for j in range(plant.wheelset_x.shape[0]):
-        w, s, load = plant.wheelset_dofs[j], plant.section_dofs[j], 2.0 * plant.wheel_load[j]
-        left, right = 2 * j, 2 * j + 1
-        lateral = out[FORCE_Y * LANES + left] + out[FORCE_Y * LANES + right]
-        vertical = out[FORCE_Z * LANES + left] + out[FORCE_Z * LANES + right] - load
-        f[w[0]] += out[FORCE_X * LANES + left] + out[FORCE_X * LANES + right]
-        f[w[1]] += lateral
-        f[w[2]] += vertical
-        f[w[3]] += out[MOMENT_ROLL * LANES + left] + out[MOMENT_ROLL * LANES + right]
-        f[w[4]] += out[MOMENT_PITCH * LANES + left] + out[MOMENT_PITCH * LANES + right]
-        f[w[5]] += out[MOMENT_YAW * LANES + left] + out[MOMENT_YAW * LANES + right]
-        f[s[0]] -= lateral
-        f[s[1]] -= vertical
-        f[s[2]] += out[MOMENT_TRACK * LANES + left] + out[MOMENT_TRACK * LANES + right]
-
-
-@kernel(allocates=False)
-def add_suspension(plant: Plant, q: Array, v: Array, work: Work) -> None:
-    """Add -K q - C v (C without its diagonal), row by row over the entries that are not zero."""
-    start, column, value, motion = plant.linear_start, plant.linear_column, plant.linear_value, work.motion
-    for i in range(q.shape[0]):
-        motion[i, 0] = q[i]
-        motion[i, 1] = v[i]
-    for i in range(q.shape[0]):
-        elastic, viscous = 0.0, 0.0
-        for e in range(start[i], start[i + 1]):
-            j = column[e]
-            elastic += value[e, 0] * motion[j, 0]
-            viscous += value[e, 1] * motion[j, 1]
-        work.f[i] -= elastic + viscous
-
-
-@kernel(allocates=False)
-def add_stops(plant: Plant, q: Array, f: Array) -> None:
-    """Add the lateral stops' forces."""
-    for s in range(plant.stop_g.shape[0]):
-        g = plant.stop_g[s]
-        stretch = 0.0
-        for j in range(q.shape[0]):
-            stretch += g[j] * q[j]
-        size = abs(stretch)
-        if size <= plant.stop_shift[1, s] and plant.stop_force[1, s] == 0.0:
-            continue
-        force = math.copysign(_curve(plant.stop_shift[:, s], plant.stop_force[:, s], size), stretch)
-        for j in range(q.shape[0]):
-            f[j] -= g[j] * force
+def step_stops(w: int, stretch: Array, shift: Array, force: Array, out: Array) -> None:
+    """Forces of the lateral stops at their elongations."""
+    for i in range(stretch.shape[0]):
+        size = abs(stretch[i])
+        if size <= shift[1, i] and force[1, i] == 0.0:
+            out[i] = 0.0
+        else:
+            out[i] = math.copysign(_curve(shift[:, i], force[:, i], size), stretch[i])
 
 
 @kernel(allocates=False)
@@ -289,146 +380,150 @@ def _curve(x: Array, y: Array, at: float) -> float:
     return float(y[p] + (at - x[p]) * (y[p + 1] - y[p]) / (x[p + 1] - x[p]))
 
 
-@kernel(allocates=False)
-def damper_elongations(plant: Plant, q: Array, shift: Array) -> None:
-    """Elongation of each Maxwell damper, g.q."""
-    start, column, value = plant.damper_start, plant.damper_column, plant.damper_value
-    for k in range(shift.shape[0]):
-        total = 0.0
-        for e in range(start[k], start[k + 1]):
-            total += value[e] * q[column[e]]
-        shift[k] = total
-
-
-@kernel(allocates=False)
-def step_dampers(plant: Plant, state: State, work: Work) -> None:
+@kernel(distinct=True, allocates=False)
+def step_dampers(
+    h: float,
+    shift: Array,
+    velocity: Array,
+    knot: Array,
+    slope: Array,
+    stiffness: Array,
+    elongation: Array,
+    piston: Array,
+    force: Array,
+) -> None:
     """Advance the Maxwell dampers by the trapezoidal rule, exactly on their piecewise-linear curves.
 
     The force F in spring and viscous part obeys F' = k (x' - w), F = curve(w). With kappa = k h / 2:
     curve(w_1) + kappa w_1 = F_0 - kappa w_0 + k (x_1 - x_0), whose left side rises strictly.
+
+    Parameters
+    ----------
+    h : float
+        Time step, s.
+    shift : ndarray, shape (m,)
+        Elongations at the end of the step, m.
+    velocity, knot, slope : ndarray, shape (p, m)
+    stiffness : ndarray, shape (m,)
+        As in `Plant`.
+    elongation, piston, force : ndarray, shape (m,)
+        As in `State`; advanced.
     """
-    elongation, piston, force, shift = state.elongation, state.piston, state.force, work.shift
-    velocity, knot, slope = plant.damper_velocity, plant.damper_knot, plant.damper_slope
     for k in range(shift.shape[0]):
-        stiffness = plant.damper_stiffness[k]
-        kappa = 0.5 * plant.step * stiffness
-        right = force[k] - kappa * piston[k] + stiffness * (shift[k] - elongation[k])
-        size = abs(right)
-        speed = size * slope[0, k]
-        for p in range(1, knot.shape[0]):
-            beyond = velocity[p, k] + (size - knot[p, k]) * slope[p, k]
-            speed = beyond if size > knot[p, k] else speed
-        speed = speed if right >= 0.0 else -speed
-        piston[k] = speed
-        force[k] = right - kappa * speed
+        kappa = 0.5 * h * stiffness[k]
+        force[k] = force[k] - kappa * piston[k] + stiffness[k] * (shift[k] - elongation[k])
         elongation[k] = shift[k]
+        piston[k] = abs(force[k]) * slope[0, k]
+    for p in range(1, knot.shape[0]):
+        for k in range(shift.shape[0]):
+            over = abs(force[k]) - knot[p, k]
+            beyond = velocity[p, k] + over * slope[p, k]
+            piston[k] = beyond if over > 0.0 else piston[k]
+    for k in range(shift.shape[0]):
+        speed = piston[k] if force[k] >= 0.0 else -piston[k]
+        piston[k] = speed
+        force[k] -= 0.5 * h * stiffness[k] * speed
 
 
 @kernel(allocates=False)
-def add_dampers(plant: Plant, force: Array, f: Array) -> None:
-    """Add -g F of the Maxwell dampers to the generalised forces."""
-    start, column, value = plant.damper_start, plant.damper_column, plant.damper_value
-    for k in range(force.shape[0]):
-        for e in range(start[k], start[k + 1]):
-            f[column[e]] -= value[e] * force[k]
+def _copy(values: Array, row: Array) -> None:
+    for i in range(values.shape[0]):
+        row[i] = values[i]
 
 
-@kernel(inline=True, allocates=False)
-def step_sayds(plant: Plant, state: State, work: Work) -> None:
-    """Advance the semi-active dampers over the step that ends at state.q with the velocities work.velocity.
+@kernel(distinct=True, allocates=False)
+def _follow_lost_ends(n: int, state: Array, inputs: Array) -> None:
+    """Torn off the bogie, a damper's rod goes with its housing."""
+    for k in range(n):
+        attached = state[sayd.ATTACHED * n + k] != 0.0
+        stroke = state[sayd.STROKE * n + k]
+        end, rate, old = inputs[sayd.END_1 * n + k], inputs[sayd.RATE_1 * n + k], inputs[sayd.OLD_RATE_1 * n + k]
+        housing, its_rate = inputs[sayd.END_2 * n + k], inputs[sayd.RATE_2 * n + k]
+        its_old = inputs[sayd.OLD_RATE_2 * n + k]
+        inputs[sayd.END_1 * n + k] = end if attached else housing + stroke
+        inputs[sayd.RATE_1 * n + k] = rate if attached else its_rate
+        inputs[sayd.OLD_RATE_1 * n + k] = old if attached else its_old
 
-    `state.v` still holds the velocities at the step's start.
-    """
-    start, column, value = plant.sayd_start, plant.sayd_column, plant.sayd_value
-    inputs, count = work.sayd_inputs, (plant.sayd_start.shape[0] - 1) // 2
-    for r in range(2 * count):
-        position, velocity, before = 0.0, 0.0, 0.0
-        for e in range(start[r], start[r + 1]):
-            j = column[e]
-            position += value[e] * state.q[j]
-            velocity += value[e] * work.velocity[j]
-            before += value[e] * state.v[j]
-        place = sayd.END_1 * LANES + r if r < count else sayd.END_2 * LANES + r - count
-        inputs[place] = position
-        inputs[LANES + place] = velocity
-        inputs[2 * LANES + place] = before
-    for k in range(count):
-        if state.sayd[sayd.ATTACHED * LANES + k] == 0.0:
-            # Torn off the bogie, the rod goes with the housing.
-            stroke = state.sayd[sayd.STROKE * LANES + k]
-            inputs[sayd.END_1 * LANES + k] = inputs[sayd.END_2 * LANES + k] + stroke
-            inputs[sayd.RATE_1 * LANES + k] = inputs[sayd.RATE_2 * LANES + k]
-            inputs[sayd.OLD_RATE_1 * LANES + k] = inputs[sayd.OLD_RATE_2 * LANES + k]
-    sayd.move_valves(plant.sayd_constant, state.sayd_line, inputs, state.sayd)
-    sayd.integrate(
-        plant.step, int(plant.sayd_substeps), plant.sayd_constant, plant.sayd_table, inputs, state.sayd
-    )
+
+@kernel(distinct=True, allocates=False)
+def _sayd_forces(n: int, state: Array, forces: Array) -> None:
+    """What the semi-active dampers do to the vehicle: F_1 on bogies, F_2 on the carbody, none if they are lost."""
+    for k in range(n):
+        attached = state[sayd.ATTACHED * n + k]
+        forces[k] = attached * state[sayd.FORCE_1 * n + k]
+        forces[n + k] = attached * state[sayd.FORCE_2 * n + k]
 
 
 @kernel(allocates=False)
-def add_sayds(plant: Plant, state: State, f: Array) -> None:
-    """Add the semi-active dampers' reactions: -F_1 on the bogie, -F_2 on the carbody."""
-    start, column, value = plant.sayd_start, plant.sayd_column, plant.sayd_value
-    count = (start.shape[0] - 1) // 2
-    for r in range(2 * count):
-        force = state.sayd[sayd.FORCE_1 * LANES + r if r < count else sayd.FORCE_2 * LANES + r - count]
-        force *= state.sayd[sayd.ATTACHED * LANES + (r if r < count else r - count)]
-        for e in range(start[r], start[r + 1]):
-            f[column[e]] -= value[e] * force
-
-
-@kernel(inline=True, allocates=False)
-def contact(plant: Plant, q: Array, v: Array, position: float, work: Work) -> None:
-    """Track and contact: from the vehicle's motion to the wheels' forces in `work`."""
-    read_track(plant, position, work)
-    wheel_kinematics(plant, q, v, work)
-    wheel_forces(plant, work)
+def contact(lanes: Lanes, plant: Plant, ground: Ground, clock: Array, work: Work) -> None:
+    """Track and contact: from the motion in `Work.x` and the kinematics in `Work.y` to the wheels' forces."""
+    w = len(lanes)
+    first = 3 * work.f.shape[0]
+    out = work.x[first : first + ROWS_OUT * LANES * w]
+    read_track(lanes, plant.number, plant.wheelset_x, ground.irregularity, clock, work.rail)
+    wheel_kinematics(lanes, plant.wheel, work.y, work.rail, work.lane_in)
+    _touch(lanes, plant.wheel, work.lane_in, plant.table, work.patch, out)
+    _polach(lanes, plant.wheel, work.patch)
+    _resultants(lanes, plant.wheel, work.lane_in, work.patch, out)
 
 
 @kernel(allocates=False)
-def step(plant: Plant, state: State, work: Work) -> None:
-    """Advance one vehicle by the plant's time step."""
-    h = plant.step
-    q, v, a, f = state.q, state.v, state.a, work.f
-    n = q.shape[0]
-    # Short loops over few arrays: the compiler can rule out overlap and make them vector instructions.
-    for i in range(n):
-        q[i] += h * (v[i] + 0.5 * h * a[i])
-    for i in range(n):
-        work.velocity[i] = v[i] + h * a[i]
-    for i in range(n):
-        f[i] = -plant.damping_diagonal[i] * (v[i] + 0.5 * h * a[i])
-    state.clock[0] += h
-    state.clock[1] += h * plant.speed
-
-    contact(plant, q, work.velocity, state.clock[1], work)
-    add_contact(plant, work)
-    add_suspension(plant, q, work.velocity, work)
-    add_stops(plant, q, f)
-    damper_elongations(plant, q, work.shift)
-    step_dampers(plant, state, work)
-    add_dampers(plant, state.force, f)
-    if state.sayd.shape[0] > 0:
-        step_sayds(plant, state, work)
-        add_sayds(plant, state, f)
-
-    for i in range(n):
-        f[i] *= plant.mobility[i]
-    for i in range(n):
-        v[i] += 0.5 * h * (a[i] + f[i])
-    for i in range(n):
-        a[i] = f[i]
+def steps(lanes: Lanes, plant: Plant, ground: Ground, state: State, work: Work, count: int) -> None:
+    """Advance vehicles by a number of the plant's time steps."""
+    w = len(lanes)
+    h = plant.number[STEP * w]
+    n, m, s = state.q.shape[0], state.force.shape[0], plant.stop_shift.shape[1]
+    d = LANES * w if state.sayd.shape[0] > 0 else 0
+    # Sections of x and y.
+    x_dampers = 3 * n + ROWS_OUT * LANES * w
+    x_sayds = x_dampers + m
+    x_stops = x_sayds + 2 * d
+    y_dampers = MOTIONS * WHEELSETS * w
+    y_stops = y_dampers + m
+    shift, stretch = work.y[y_dampers:y_stops], work.y[y_stops : y_stops + s]
+    inputs = work.y[y_stops + s :]
+    for _ in range(count):
+        _predict(h, state.q, state.v, state.a, plant.load, plant.damping_diagonal, work.x[: 3 * n], work.f)
+        for k in range(w):
+            state.clock[k] += h
+            state.clock[w + k] += h * plant.number[SPEED * w + k]
+        multiply(lanes, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
+        contact(lanes, plant, ground, state.clock, work)
+        step_dampers(
+            h,
+            shift,
+            plant.damper_velocity,
+            plant.damper_knot,
+            plant.damper_slope,
+            plant.damper_stiffness,
+            state.elongation,
+            state.piston,
+            state.force,
+        )
+        _copy(state.force, work.x[x_dampers:x_sayds])
+        if d > 0:
+            _follow_lost_ends(d, state.sayd, inputs)
+            sayd.move_valves(plant.sayd_constant, state.sayd_line, inputs, state.sayd)
+            substeps = int(plant.number[SUBSTEPS * w])
+            sayd.integrate(h, substeps, plant.sayd_constant, plant.sayd_table, inputs, state.sayd)
+            _sayd_forces(d, state.sayd, work.x[x_sayds:x_stops])
+        step_stops(w, stretch, plant.stop_shift, plant.stop_force, work.x[x_stops:])
+        add_product(lanes, plant.force_start, plant.force_column, plant.force_value, work.x, work.f)
+        _correct(h, work.f, plant.mobility, state.v, state.a)
 
 
 @kernel(allocates=False)
-def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work: Work, out: Array) -> None:
-    """Time derivative of (q, v, F) for a general integrator: the same forces as `step`.
+def rates(
+    plant: Plant, ground: Ground, position: float, q: Array, v: Array, force: Array, work: Work, out: Array
+) -> None:
+    """Time derivative of (q, v, F) of one vehicle for a general integrator: the same forces as `steps`.
 
     Semi-active dampers have states of their own and are left out.
 
     Parameters
     ----------
     plant : Plant
+    ground : Ground
     position : float
         Position of the vehicle's centre along the track, m.
     q, v, force : ndarray
@@ -438,74 +533,98 @@ def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work:
     out : ndarray, shape (2 n + m,)
         The derivative.
     """
-    n, f = q.shape[0], work.f
+    n, m, s = q.shape[0], force.shape[0], plant.stop_shift.shape[1]
+    x_dampers = 3 * n + ROWS_OUT * LANES
+    y_dampers = MOTIONS * WHEELSETS
     for i in range(n):
-        f[i] = 0.0
-    contact(plant, q, v, position, work)
-    add_contact(plant, work)
-    add_suspension(plant, q, v, work)
-    add_stops(plant, q, f)
-    add_dampers(plant, force, f)
-    damper_elongations(plant, v, work.shift)
-    for i in range(n):
-        out[i] = v[i]
-        out[n + i] = (f[i] - plant.damping_diagonal[i] * v[i]) / plant.mass[i]
-    for k in range(force.shape[0]):
+        work.f[i] = plant.load[i] - plant.damping_diagonal[i] * v[i]
+        # Rates of the dampers' elongations: their rows act on displacements.
+        work.x[i] = v[i]
+        work.x[n + i] = 0.0
+        work.x[2 * n + i] = 0.0
+    multiply(SINGLE, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
+    for k in range(m):
         size = _curve(plant.damper_force[:, k], plant.damper_velocity[:, k], abs(force[k]))
         piston = math.copysign(size, force[k])
-        out[2 * n + k] = plant.damper_stiffness[k] * (work.shift[k] - piston)
+        out[2 * n + k] = plant.damper_stiffness[k] * (work.y[y_dampers + k] - piston)
+        work.x[x_dampers + k] = force[k]
+    for i in range(n):
+        work.x[i] = q[i]
+        work.x[n + i] = v[i]
+        work.x[2 * n + i] = v[i]
+    multiply(SINGLE, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
+    clock = work.measured  # scratch
+    clock[0], clock[1] = 0.0, position
+    contact(SINGLE, plant, ground, clock, work)
+    step_stops(1, work.y[y_dampers + m : y_dampers + m + s], plant.stop_shift, plant.stop_force, work.x[x_dampers + m :])
+    add_product(SINGLE, plant.force_start, plant.force_column, plant.force_value, work.x, work.f)
+    for i in range(n):
+        out[i] = v[i]
+        out[n + i] = work.f[i] / plant.mass[i]
 
 
 @kernel(allocates=False)
-def record(plant: Plant, state: State, work: Work, row: Array) -> None:
-    """Write the assessed signals of this instant.
+def measure(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
+    """Accelerations of the measuring points at this instant, into `Work.measured`."""
+    multiply(lanes, plant.measure_start, plant.measure_column, plant.measure_value, state.a, work.measured)
+
+
+@kernel(allocates=False)
+def record(lanes: Lanes, k: int, plant: Plant, state: State, work: Work, row: Array) -> None:
+    """Write the assessed signals of vehicle k at this instant; `measure` comes before.
 
     Order: bogie-frame lateral acceleration above each wheelset (w), track shift force of each wheelset (w),
     force of each yaw damper (the rest of the row).
     """
-    w = plant.wheelset_x.shape[0]
-    for j in range(w):
-        g = plant.measure[j]
-        total = 0.0
-        for i in range(g.shape[0]):
-            total += g[i] * state.a[i]
-        row[j] = total
-        out = work.lane_out
-        row[w + j] = -(out[FORCE_Y * LANES + 2 * j] + out[FORCE_Y * LANES + 2 * j + 1])
-    for k in range(row.shape[0] - 2 * w):
+    w = len(lanes)
+    n = LANES * w
+    first = 3 * work.f.shape[0] + FORCE_Y * n
+    count = plant.wheelset_x.shape[0] // w
+    for j in range(count):
+        left, right = j * w + k, (WHEELSETS + j) * w + k
+        row[j] = work.measured[left]
+        row[count + j] = -(work.x[first + left] + work.x[first + right])
+    for j in range(row.shape[0] - 2 * count):
+        place = j * w + k
         if state.sayd.shape[0] > 0:
-            attached = state.sayd[sayd.ATTACHED * LANES + k]
-            row[2 * w + k] = attached * state.sayd[sayd.FORCE_1 * LANES + k]
+            row[2 * count + j] = state.sayd[sayd.ATTACHED * n + place] * state.sayd[sayd.FORCE_1 * n + place]
         else:
-            row[2 * w + k] = state.force[k]
+            row[2 * count + j] = state.force[place]
 
 
 @kernel(allocates=False)
-def record_wheels(work: Work, row: Array) -> None:
-    """Write lateral and vertical force of each wheel on the rail (two rows of LANES)."""
-    for i in range(LANES):
-        row[i] = -work.lane_out[FORCE_Y * LANES + i]
-        row[LANES + i] = work.lane_out[FORCE_Z * LANES + i]
+def record_wheels(lanes: Lanes, k: int, work: Work, row: Array) -> None:
+    """Write lateral and vertical force of each wheel of vehicle k on the rail.
+
+    Two rows of LANES, in each the wheelsets one after another, left and right in turn.
+    """
+    w = len(lanes)
+    n = LANES * w
+    first = 3 * work.f.shape[0]
+    for j in range(WHEELSETS):
+        for side in range(2):
+            place = first + (side * WHEELSETS + j) * w + k
+            row[2 * j + side] = -work.x[FORCE_Y * n + place]
+            row[LANES + 2 * j + side] = work.x[FORCE_Z * n + place]
 
 
 @kernel(allocates=False)
-def largest_shift(plant: Plant, work: Work) -> float:
-    """Largest shift of a wheel towards its flange, m: beyond the contact table it has climbed the rail."""
+def largest_shift(lanes: Lanes, k: int, plant: Plant, work: Work) -> float:
+    """Largest shift of a wheel of vehicle k towards its flange over that of the contact table's end.
+
+    Beyond 1 the wheel has climbed its rail.
+    """
+    w = len(lanes)
     largest = 0.0
-    for i in range(2 * plant.wheelset_x.shape[0]):
-        largest = max(largest, work.lane_in[SHIFT * LANES + i])
-    return largest
-
-
-@kernel(allocates=False)
-def _copy(values: Array, row: Array) -> None:
-    for i in range(values.shape[0]):
-        row[i] = values[i]
+    for i in range(LANES):
+        largest = max(largest, work.lane_in[(SHIFT * LANES + i) * w + k])
+    return largest / plant.number[WIDEST * w + k]
 
 
 @kernel(allocates=False, announce="the simulator (first start, about 10 s)")
 def advance(
     plant: Plant,
+    ground: Ground,
     state: State,
     work: Work,
     substeps: int,
@@ -514,11 +633,11 @@ def advance(
     motion: Array,
     sayds: Array,
 ) -> int:
-    """Advance by as many samples as `signals` has rows, `substeps` steps each.
+    """Advance one vehicle by as many samples as `signals` has rows, `substeps` steps each.
 
     Parameters
     ----------
-    plant, state, work
+    plant, ground, state, work
         One vehicle.
     substeps : int
         Steps between two samples.
@@ -537,17 +656,16 @@ def advance(
         Number of samples taken: fewer than asked for if the state is no longer finite or a wheel has left
         the contact table.
     """
-    widest = plant.table_start + plant.table_step * (plant.table.shape[0] // geometry.WIDTH - 1)
     for t in range(signals.shape[0]):
-        for _ in range(substeps):
-            step(plant, state, work)
-        record(plant, state, work, signals[t])
+        steps(SINGLE, plant, ground, state, work, substeps)
+        measure(SINGLE, plant, state, work)
+        record(SINGLE, 0, plant, state, work, signals[t])
         if wheels.shape[0] > 0:
-            record_wheels(work, wheels[t])
+            record_wheels(SINGLE, 0, work, wheels[t])
         if motion.shape[0] > 0:
             _copy(state.q, motion[t])
         if sayds.shape[0] > 0:
             _copy(state.sayd, sayds[t])
-        if not math.isfinite(signals[t, 0] + state.v[0]) or largest_shift(plant, work) >= widest:
+        if not math.isfinite(signals[t, 0] + state.v[0]) or largest_shift(SINGLE, 0, plant, work) >= 1.0:
             return t
     return int(signals.shape[0])

@@ -26,6 +26,7 @@ The wheelset's roll is the kinematic one, with both wheels just touching.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +105,12 @@ class ContactTable:
     def dy(self) -> Array:
         """Lateral shifts of the nodes (m)."""
         return np.asarray(self.dy_min + self.step * np.arange(len(self.delta_r)), dtype=np.float64)
+
+    @cached_property
+    def flat(self) -> Array:
+        """The columns for compiled code, node by node: made once, so that vehicles can share it."""
+        values = self.packed().ravel()
+        return values
 
     def packed(self) -> Array:
         """Return the columns for compiled code: (n, `WIDTH`), C-contiguous, `DELTA_R` first."""

@@ -1,0 +1,141 @@
+"""Products of a sparse matrix with the states of several vehicles side by side.
+
+A vector of W vehicles is a flat array: element ``row * W + vehicle``. The product takes each entry of the
+matrix once for all vehicles, with W numbers in a vector register: written out in LLVM's own vectors, because
+its vectorisers either unroll so short a loop or spoil the long ones. Each vehicle's sum has the same terms in
+the same order whatever W is, so its result is the same bits.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from scipy.sparse import csr_matrix
+
+from sayd_env.physics.kernel import kernel
+
+Array = npt.NDArray[np.float64]
+Column = npt.NDArray[np.uint32]
+Lanes = tuple[int, ...]
+"""A tuple whose length is the number of vehicles side by side: compiled code knows it as a constant."""
+
+SINGLE: Lanes = (0,)
+"""One vehicle."""
+ABREAST: Lanes = (0,) * 8
+"""As many vehicles as a 512-bit register has numbers; two 256-bit registers serve as well."""
+
+
+class Rows(NamedTuple):
+    """A sparse matrix by rows."""
+
+    start: Column
+    """(rows + 1,) where the entries of each row begin."""
+    column: Column
+    """(entries,) their columns."""
+    value: Array
+    """(entries,) what they are, the same for all vehicles, or (entries * W,) for each vehicle."""
+
+
+def sparse_rows(matrix: Array, pattern: Array | None = None) -> Rows:
+    """Rows of a matrix (r, c), with entries wherever the pattern (by default the matrix) is not zero."""
+    found = csr_matrix((matrix if pattern is None else pattern) != 0.0)
+    row = np.repeat(np.arange(found.shape[0]), np.diff(found.indptr))
+    value = np.ascontiguousarray(matrix[row, found.indices])
+    return Rows(found.indptr.astype(np.uint32), found.indices.astype(np.uint32), value)
+
+
+def _row_product(each: bool, accumulate: bool) -> Any:
+    """Intrinsic: one row of a product, with values of `each` vehicle or of all, added to what is there or not.
+
+    Called as ``f(lanes, column, value, first, last, x, out, row)``.
+    """
+
+    def typed(
+        _context: Any,
+        lanes: Any,
+        column: Any,
+        value: Any,
+        first: Any,
+        last: Any,
+        x: Any,
+        out: Any,
+        row: Any,
+    ) -> Any:
+        width = len(lanes)
+        number = ir.DoubleType()
+        vector = number if width == 1 else ir.VectorType(number, width)
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            arrays = [
+                context.make_array(signature.args[k])(context, builder, arguments[k]).data
+                for k in (1, 2, 5, 6)
+            ]
+            columns, values, source, target = arrays
+            index = context.get_value_type(types.intp)
+
+            def place(base: Any, i: Any) -> Any:
+                flat = builder.mul(i, ir.Constant(index, width))
+                return builder.bitcast(builder.gep(base, [flat]), vector.as_pointer())
+
+            def repeated(scalar: Any) -> Any:
+                if width == 1:
+                    return scalar
+                empty = ir.Constant(vector, ir.Undefined)
+                one = builder.insert_element(empty, scalar, ir.Constant(ir.IntType(32), 0))
+                mask = ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width)
+                return builder.shuffle_vector(one, empty, mask)
+
+            where = place(target, arguments[7])
+            total = cgutils.alloca_once(builder, vector)
+            initial = builder.load(where, align=8) if accumulate else ir.Constant(vector, None)
+            builder.store(initial, total)
+            one = ir.Constant(index, 1)
+            with cgutils.for_range_slice(builder, arguments[3], arguments[4], one, index) as (entry, _):
+                j = builder.zext(builder.load(builder.gep(columns, [entry])), index)
+                if each:
+                    factor = builder.load(place(values, entry), align=8)
+                else:
+                    factor = repeated(builder.load(builder.gep(values, [entry])))
+                product = builder.fmul(factor, builder.load(place(source, j), align=8))
+                builder.store(builder.fadd(builder.load(total), product), total)
+            builder.store(builder.load(total), where, align=8)
+            return context.get_dummy_value()
+
+        return types.void(lanes, column, value, first, last, x, out, row), codegen
+
+    return intrinsic(typed)
+
+
+_row_of_all = _row_product(each=False, accumulate=False)
+_row_of_each = _row_product(each=True, accumulate=False)
+_add_row_of_all = _row_product(each=False, accumulate=True)
+_add_row_of_each = _row_product(each=True, accumulate=True)
+
+
+@kernel(allocates=False)
+def multiply(lanes: Lanes, start: Column, column: Column, value: Array, x: Array, out: Array) -> None:
+    """Write the product of a matrix (`Rows`) with x (columns * W,) into out (rows * W,)."""
+    rows = start.shape[0] - 1
+    if value.shape[0] == column.shape[0]:
+        for i in range(rows):
+            _row_of_all(lanes, column, value, np.int64(start[i]), np.int64(start[i + 1]), x, out, i)
+    else:
+        for i in range(rows):
+            _row_of_each(lanes, column, value, np.int64(start[i]), np.int64(start[i + 1]), x, out, i)
+
+
+@kernel(allocates=False)
+def add_product(lanes: Lanes, start: Column, column: Column, value: Array, x: Array, out: Array) -> None:
+    """Add the product of a matrix (`Rows`) with x (columns * W,) to out (rows * W,)."""
+    rows = start.shape[0] - 1
+    if value.shape[0] == column.shape[0]:
+        for i in range(rows):
+            _add_row_of_all(lanes, column, value, np.int64(start[i]), np.int64(start[i + 1]), x, out, i)
+    else:
+        for i in range(rows):
+            _add_row_of_each(lanes, column, value, np.int64(start[i]), np.int64(start[i + 1]), x, out, i)
