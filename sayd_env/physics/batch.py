@@ -7,6 +7,7 @@ threads.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,24 +18,59 @@ from numba.core import config
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import LANES, Plant, State, Work
+from sayd_env.physics.formation import Formation, Units, interleave, put_back
+from sayd_env.physics.plant import LANES, Ground, Plant, State, Work
+from sayd_env.physics.rows import ABREAST
 from sayd_env.physics.simulator import Simulator
-from sayd_env.physics.stack import Stack, vehicle_of
-from sayd_env.physics.step import advance
+from sayd_env.physics.stack import vehicle_of
+from sayd_env.physics.step import advance, largest_shift, measure, record, steps
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 numba_config: Any = config  # its settings are made at run time
 
 
+@kernel(allocates=False)
+def _advance_group(
+    plant: Plant,
+    ground: Ground,
+    state: State,
+    work: Work,
+    members: Index,
+    substeps: int,
+    signals: Array,
+    done: Index,
+) -> None:
+    """`sayd_env.physics.step.advance` for vehicles side by side, into the rows of the batch's arrays."""
+    for t in range(signals.shape[1]):
+        steps(ABREAST, plant, ground, state, work, substeps)
+        measure(ABREAST, plant, state, work)
+        for k in range(len(ABREAST)):
+            i = members[k]
+            if i >= 0 and done[i] == t:
+                record(ABREAST, k, plant, state, work, signals[i, t])
+                finite = math.isfinite(signals[i, t, 0] + state.v[k])
+                if finite and largest_shift(ABREAST, k, plant, work) < 1.0:
+                    done[i] = t + 1
+
+
 @kernel(parallel=True, announce="the simulator of many vehicles (first use, about 15 s)")
 def advance_batch(
+    units: Units,
     plant: Plant,
     plant_spans: Index,
     state: State,
     state_spans: Index,
     work: Work,
     work_spans: Index,
+    group_plant: Plant,
+    group_plant_spans: Index,
+    group_state: State,
+    group_state_spans: Index,
+    group_work: Work,
+    group_work_spans: Index,
+    ground: Ground,
+    track_spans: Index,
     substeps: Index,
     signals: Array,
     done: Index,
@@ -43,27 +79,53 @@ def advance_batch(
 
     Parameters
     ----------
-    plant, plant_spans, state, state_spans, work, work_spans
-        The vehicles, by `Stack`. (A parallel loop takes no nested tuples.)
+    units : Units
+        Which of them run side by side and which alone.
+    plant, plant_spans, ..., group_work, group_work_spans
+        The vehicles and the groups, by `Stack`. (A parallel loop takes no nested tuples.)
+    ground : Ground
+        The tracks of all vehicles behind one another.
+    track_spans : ndarray, shape (1, v, 2)
+        Where each begins and ends.
     substeps : ndarray, shape (v,)
         Steps between two samples of each vehicle.
     signals : ndarray, shape (v, samples, 2 w + d)
         Receives the signals of `sayd_env.physics.step.record`.
     done : ndarray, shape (v,)
-        Receives the number of samples taken: fewer if a state is no longer finite.
+        Zeros; receives the number of samples taken: fewer if a state is no longer finite.
     """
-    for i in numba.prange(signals.shape[0]):
-        none = np.empty((0, LANES))
-        done[i] = advance(
-            vehicle_of(plant, plant_spans, i),
-            vehicle_of(state, state_spans, i),
-            vehicle_of(work, work_spans, i),
-            substeps[i],
-            signals[i],
-            none,
-            none,
-            none,
-        )
+    groups = units.groups.shape[0]
+    for u in numba.prange(groups + units.alone.shape[0]):
+        if u < groups:
+            g, members = units.groups[u], units.members[u]
+            together = vehicle_of(group_state, group_state_spans, g)
+            interleave(ABREAST, members, state, state_spans, together)
+            _advance_group(
+                vehicle_of(group_plant, group_plant_spans, g),
+                ground,
+                together,
+                vehicle_of(group_work, group_work_spans, g),
+                members,
+                substeps[np.max(members)],
+                signals,
+                done,
+            )
+            put_back(ABREAST, members, state, state_spans, together)
+        else:
+            i = units.alone[u - groups]
+            none = np.empty((0, LANES))
+            rows = ground.irregularity[track_spans[0, i, 0] : track_spans[0, i, 1]]
+            done[i] = advance(
+                vehicle_of(plant, plant_spans, i),
+                Ground(rows, ground.creep),
+                vehicle_of(state, state_spans, i),
+                vehicle_of(work, work_spans, i),
+                substeps[i],
+                signals[i],
+                none,
+                none,
+                none,
+            )
 
 
 class BatchSimulator:
@@ -108,11 +170,15 @@ class BatchSimulator:
         self.num_threads = checked_threads(num_threads)
         self._channels = channels.pop()
         self._substeps = np.array([s.model.step(s.speed)[1] for s in self.simulators])
-        self._plant = Stack([s.plant for s in self.simulators])
-        self._state = Stack([s.state for s in self.simulators])
-        self._work = Stack([s.work for s in self.simulators])
+        self._formation = Formation(
+            [s.plant for s in self.simulators],
+            [s.ground.irregularity for s in self.simulators],
+            [s.state for s in self.simulators],
+            [s.work for s in self.simulators],
+        )
+        self._creep = self.simulators[0].ground.creep
         for i, simulator in enumerate(self.simulators):
-            simulator.state, simulator.work = self._state.view(i), self._work.view(i)
+            simulator.state, simulator.work = self._formation.state.view(i), self._formation.work.view(i)
 
     def advance(self, samples: int) -> Array:
         """Run all vehicles on for a number of samples.
@@ -142,12 +208,9 @@ class BatchSimulator:
             # Vehicles differ in their substeps: a thread that is free takes the next one.
             with numba.parallel_chunksize(1):
                 advance_batch(
-                    self._plant.values,
-                    self._plant.spans,
-                    self._state.values,
-                    self._state.spans,
-                    self._work.values,
-                    self._work.spans,
+                    self._formation.units(),
+                    *self._formation.arguments(),
+                    *self._formation.ground(self._creep),
                     self._substeps,
                     signals,
                     done,

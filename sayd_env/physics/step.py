@@ -128,16 +128,27 @@ SLOPE = 4
 
 
 @kernel(distinct=True, allocates=False)
-def _predict(h: float, q: Array, v: Array, a: Array, load: Array, diagonal: Array, x: Array, f: Array) -> None:
+def _predict(
+    h: float,
+    q: Array,
+    v: Array,
+    a: Array,
+    load: Array,
+    diagonal: Array,
+    displacement: Array,
+    predicted: Array,
+    present: Array,
+    f: Array,
+) -> None:
     """Displacements at the end of the step, the motion that forces are computed from, and their first terms."""
-    n = q.shape[0]
-    for i in range(n):
-        f[i] = load[i] - diagonal[i] * (v[i] + 0.5 * h * a[i])
-        moved = q[i] + h * (v[i] + 0.5 * h * a[i])
+    for i in range(f.shape[0]):
+        half = v[i] + 0.5 * h * a[i]
+        moved = q[i] + h * half
+        f[i] = load[i] - diagonal[i] * half
         q[i] = moved
-        x[i] = moved
-        x[n + i] = v[i] + h * a[i]
-        x[2 * n + i] = v[i]
+        displacement[i] = moved
+        predicted[i] = v[i] + h * a[i]
+        present[i] = v[i]
 
 
 @kernel(distinct=True, allocates=False)
@@ -483,7 +494,18 @@ def steps(lanes: Lanes, plant: Plant, ground: Ground, state: State, work: Work, 
     shift, stretch = work.y[y_dampers:y_stops], work.y[y_stops : y_stops + s]
     inputs = work.y[y_stops + s :]
     for _ in range(count):
-        _predict(h, state.q, state.v, state.a, plant.load, plant.damping_diagonal, work.x[: 3 * n], work.f)
+        _predict(
+            h,
+            state.q,
+            state.v,
+            state.a,
+            plant.load,
+            plant.damping_diagonal,
+            work.x[:n],
+            work.x[n : 2 * n],
+            work.x[2 * n : 3 * n],
+            work.f,
+        )
         for k in range(w):
             state.clock[k] += h
             state.clock[w + k] += h * plant.number[SPEED * w + k]
