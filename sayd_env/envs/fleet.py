@@ -357,7 +357,8 @@ class Fleet:
         """The signals or features of the last period within their ranges: scratch, shape (count, numbers)."""
         newest = self.lanes.features if self.settings.features else self.lanes.signals
         np.maximum(newest, self._low, out=self._bounded)
-        return np.minimum(self._bounded, self._high, out=self._bounded)
+        bounded: Array = np.minimum(self._bounded, self._high, out=self._bounded)
+        return bounded
 
     def _observe(self, which: Sequence[int], *, fresh: bool) -> None:
         """Take over the last signals of some vehicles; those of a fresh one fill its whole history.
