@@ -15,6 +15,7 @@ import numpy as np
 
 from agents.config import InputConfig, OutputConfig, View
 from agents.encoding import Array, Encoding, Observation, VehicleEncoding
+from agents.products import columns, times
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
@@ -130,14 +131,17 @@ class BogieEncoding(Encoding):
         self.moment = np.stack([self._quantity("yaw_force", bogie, newest) for bogie in BOGIES], axis=1)
         self.mirrored = np.array([float(name in MIRRORED) for name, _ in slots])
         weights = np.abs(np.concatenate([self.linear, self.force, self.moment], axis=1)).sum(axis=1)
+        self._linear, self._force = columns(self.linear), columns(self.force)
+        self._level, self._moment = columns(self.level), columns(self.moment)
         read = weights.reshape(interface.history, -1).any(axis=0)
         self.sensors = tuple(interface.signals[i].name for i in np.flatnonzero(read))
 
     def encode(self, observations: Observation) -> Observation:
         """Inputs of the network, shape (2 N, size): front and rear bogie of each vehicle in turn."""
         seen = np.nan_to_num(observations.reshape(len(observations), -1).astype(np.float64))
-        values = seen @ self.linear + np.abs(seen @ self.force) @ self.level + self.constant
-        turned = 1.0 - 2.0 * (seen @ self.moment < 0.0)
+        forces = np.abs(times(seen, self._force))
+        values = times(seen, self._linear) + times(forces, self._level) + self.constant
+        turned = 1.0 - 2.0 * (times(seen, self._moment) < 0.0)
         values = values.reshape(-1, self.size) * (1.0 + self.mirrored * (turned.reshape(-1, 1) - 1.0))
         bounded: Observation = np.clip(values, -self.clip, self.clip).astype(np.float32)
         return bounded

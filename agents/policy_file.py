@@ -25,6 +25,7 @@ from agents.bogie_encoding import make_encoding
 from agents.config import InputConfig, NetworkConfig, OutputConfig, View
 from agents.disk import write_file
 from agents.encoding import Encoding, Observation
+from agents.products import layer
 from sayd_env.config import DataError, Model, parse_yaml, quantity, validate
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.control import load_online
@@ -238,7 +239,10 @@ class LearnedPolicy:
         self.encoding = _encoding(description, interface)
         self.sensors = self.encoding.sensors
         # In double precision, so that the number of vehicles side by side does not show in the commands.
-        self.layers = [(weight.T.astype(float), bias.astype(float)) for weight, bias in stored.layers]
+        self.layers = [
+            (np.ascontiguousarray(weight.T, dtype=np.float64), bias.astype(np.float64))
+            for weight, bias in stored.layers
+        ]
         self._activate = np.tanh if description.network.activation == "tanh" else _relu
         self._squash = description.squash == "tanh"
 
@@ -277,9 +281,8 @@ class LearnedPolicy:
         """What the network makes of its inputs, a row for each; `Encoding.decode` cuts it off at -1 and 1."""
         values = inputs.astype(np.float64)
         for weight, bias in self.layers[:-1]:
-            values = self._activate(values @ weight + bias)
-        weight, bias = self.layers[-1]
-        values = values @ weight + bias
+            values = self._activate(layer(values, weight, bias))
+        values = layer(values, *self.layers[-1])
         outputs: Array = np.tanh(values) if self._squash else values
         return outputs
 

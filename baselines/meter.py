@@ -77,6 +77,20 @@ class Meter(ABC):
         self._restart_filters(readings, rows, lane)
 
     @abstractmethod
+    def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
+        """Take the readings before step 0, without measuring.
+
+        Parameters
+        ----------
+        readings : Readings
+            Made for the vehicles' speeds at step 0.
+        rows : ndarray, shape (T, n, sensors)
+            Readings of each control period but the last, which is the first to be measured.
+        begins : ndarray, shape (n,)
+            Row with which each vehicle's begin.
+        """
+
+    @abstractmethod
     def measure(self, readings: Readings, rows: Array) -> bool:
         """Take one control period's readings.
 
@@ -119,6 +133,9 @@ class FeatureMeter(Meter):
         self._force = parameters.k_F > 0.0
         acceleration = of_both(f"acceleration_rms.{{}}.{parameters.accelerometer}")
         self.sensors = acceleration + (of_both(f"force_rms.{{}}.{parameters.damper}") if self._force else ())
+
+    def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
+        """Take nothing: the environment has listened."""
 
     def measure(self, readings: Readings, rows: Array) -> bool:
         """Take one control period's readings."""
@@ -185,6 +202,22 @@ class SignalMeter(Meter):
             )
         )
 
+    def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
+        """Fill the filters and the spectra behind f_0."""
+        filters, lanes = readings.filters, len(begins)
+        assert filters is not None  # for signals there are some
+        # A speed sensor rises slowly to its reading: the length of the spectrum is that of the last one.
+        speeds = self._speed(rows[-1, :, 0]) if len(rows) else np.zeros(lanes)
+        for t, row in enumerate(rows):
+            for lane in np.flatnonzero(begins == t):
+                self._rest(filters, int(lane), float(speeds[lane]))
+            readings.sample[:] = readable(row[:, 1:3].reshape(-1))
+            push(self._band, filters, readings.sample, readings.filtered)
+
+    def _rest(self, filters: BandState, lane: int, speed: float) -> None:
+        for group in (2 * lane, 2 * lane + 1):
+            restart(self._band, filters, self._rate, self._assessment, group, speed)
+
     def _filters(self, rows: Array) -> BandState:
         # One group each bogie, for each has its own f_0.
         speed = np.repeat(self._speed(rows[:, 0]), 2)
@@ -194,8 +227,7 @@ class SignalMeter(Meter):
     def _restart_filters(self, readings: Readings, rows: Array, lane: int) -> None:
         (speed,) = self._speed(rows[lane : lane + 1, 0])
         assert readings.filters is not None
-        for group in (2 * lane, 2 * lane + 1):
-            restart(self._band, readings.filters, self._rate, self._assessment, group, float(speed))
+        self._rest(readings.filters, lane, float(speed))
 
     def _speed(self, readings: Array) -> Array:
         """Speeds that the filters accept, whatever a broken sensor says."""
@@ -249,6 +281,8 @@ def _measure(
     for i in range(lanes):
         count[i] = count[i] + 1 if count[i] < period else 1
         if count[i] == 0:
+            for b in range(2):
+                retune_group(constants, filters, 2 * i + b)
             continue
         for b in range(2):
             squares[i, b, 0] += filtered[2 * i + b] * filtered[2 * i + b]

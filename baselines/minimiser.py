@@ -12,7 +12,7 @@ import numpy.typing as npt
 from baselines.meter import CURRENTS, Readings, meter
 from baselines.policy import Array, BogiePolicy
 from sayd_env.config.control import BogieCostConfig
-from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
+from sayd_env.envs.interface import BOGIES, DAMPERS, Interface, RunIn
 
 CostParameters = TypeVar("CostParameters", bound=BogieCostConfig)
 
@@ -44,6 +44,27 @@ class Minimiser(BogiePolicy[CostParameters, Search]):
         scale = np.array([self.interface.acceleration_limit, self.interface.force_reference])
         weights = np.array([self.parameters.k_y, self.parameters.k_F])
         return np.asarray((rms / scale) ** 2 @ weights)
+
+    def listen(self, run_in: RunIn) -> Search | None:
+        """State at step 0 of controllers that have been running: filters and f_0 know the run-in.
+
+        Parameters
+        ----------
+        run_in : RunIn
+            What the vehicles observed before step 0.
+
+        Returns
+        -------
+        Search or None
+            For the first call of `predict`; None if there was no run-in.
+        """
+        if not len(run_in.observations):
+            return None
+        rows = run_in.observations[:, :, self._columns].astype(np.float64)
+        state = self._begin(rows[-1])
+        # The last observation is that of the reset, which `predict` gets.
+        self._meter.listen(state.readings, rows[:-1], run_in.begins)
+        return state
 
     @abstractmethod
     def _move(self, command: Array, previous: Array, cost: Array, rms: Array, direction: Array) -> Array:

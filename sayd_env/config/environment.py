@@ -178,8 +178,10 @@ class RandomisationConfig(Model):
 class DerailmentConfig(Model):
     """When a run is about to derail (a wheel that leaves the contact table has derailed)."""
 
-    quotient: float = quantity("-", "Limit of Y/Q of a wheel", gt=0.0, le=5.0)
-    duration: float = quantity("s", "Time for which Y/Q may stay beyond the limit", ge=0.0, le=1.0)
+    quotient: float = quantity("-", "Limit of Y/Q of a wheel, sliding mean", gt=0.0, le=5.0)
+    averaging: float = quantity(
+        "m", "Distance of the sliding means of Y/Q and of the track shift force", gt=0.0, le=100.0
+    )
 
 
 class EnvironmentConfig(Model):

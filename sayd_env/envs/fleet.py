@@ -26,7 +26,7 @@ from sayd_env.config.sensors import SIGNALS as SENSED
 from sayd_env.config.sensors import UNITS
 from sayd_env.envs.draw import Episode, episode_scenario
 from sayd_env.envs.faults import FaultSchedule
-from sayd_env.envs.interface import ACTIONS, BOGIES, Interface, Signal
+from sayd_env.envs.interface import ACTIONS, BOGIES, Interface, RunIn, Signal
 from sayd_env.envs.interface import DAMPERS as OF_A_BOGIE
 from sayd_env.envs.interface import POINTS as OF_A_FRAME
 from sayd_env.envs.lanes import Lanes, LaneState
@@ -43,7 +43,7 @@ Flags = npt.NDArray[np.bool_]
 
 ENDINGS = {
     CLIMBED: "derailment: a wheel has climbed over its rail",
-    OVERLOADED: "derailment risk: Y/Q stayed beyond its limit",
+    OVERLOADED: "derailment risk: mean Y/Q beyond its limit",
     NOT_FINITE: "non-finite: the simulation diverged",
 }
 """What a lane's status means."""
@@ -94,6 +94,8 @@ class Fleet:
         What each vehicle runs; None before the first reset.
     limits : list of Limits
         Each vehicle's limits of EN 14363.
+    heard : RunIn or None
+        What all vehicles observed in their run-in, if the last reset was asked to listen.
     """
 
     def __init__(
@@ -128,6 +130,7 @@ class Fleet:
         self._valve = np.repeat(np.arange(ACTIONS[config.valves]), DAMPERS // ACTIONS[config.valves])
         self._commanded = np.zeros((count, DAMPERS))
         self._faulty = False
+        self.heard: RunIn | None = None
 
     @property
     def lanes(self) -> Lanes:
@@ -142,7 +145,14 @@ class Fleet:
             raise ConfigError("step before reset: call reset first")
         return self._lanes
 
-    def reset(self, which: Sequence[int], episodes: Sequence[Episode], *, log: bool = False) -> list[Array]:
+    def reset(
+        self,
+        which: Sequence[int],
+        episodes: Sequence[Episode],
+        *,
+        log: bool = False,
+        listen: bool = False,
+    ) -> list[Array]:
         """Begin episodes: build the vehicles and run them in.
 
         Parameters
@@ -153,6 +163,8 @@ class Fleet:
             One for each of these.
         log : bool
             Return the true signals of the run-in, as `Lanes.run_in` does.
+        listen : bool
+            Keep the observations of the run-in in `heard`.
 
         Raises
         ------
@@ -169,7 +181,8 @@ class Fleet:
         else:
             for i, lane in zip(which, built, strict=True):
                 self._lanes.put(i, lane)
-        logs = self._lanes.run_in(which, log=log)
+        self.heard = self._prepared(self._lanes, which) if listen else None
+        logs = self._lanes.run_in(which, log=log, hear=self._hear if listen else None)
         for i, model, episode in zip(which, models, episodes, strict=True):
             self.episodes[i] = episode
             self.limits[i] = model_limits(model)
@@ -179,6 +192,19 @@ class Fleet:
         self._faulty = any(schedule is not None for schedule in self._faults)
         self._observe(which, fresh=True)
         return logs
+
+    def _prepared(self, lanes: Lanes, which: Sequence[int]) -> RunIn:
+        """Room for the observations of a run-in."""
+        periods = np.zeros(self.count, dtype=np.int64)
+        periods[list(which)] = [lanes.lane(i).run_in for i in which]
+        longest = int(periods.max())
+        shape = (longest, self.count, len(self.interface.signals))
+        return RunIn(np.zeros(shape, dtype=np.float32), longest - periods)
+
+    def _hear(self, period: int) -> None:
+        """Keep what is observed at the end of a control period of the run-in."""
+        assert self.heard is not None  # the reset has made it
+        self.heard.observations[period] = np.nan_to_num(self._newest())
 
     def _lane(self, model: VehicleModel, episode: Episode) -> Lane:
         return make_lane(
@@ -327,15 +353,20 @@ class Fleet:
         if schedule is not None:
             schedule.apply(self.elapsed[i] * self.config.control_period, self.lanes, i)
 
+    def _newest(self) -> Array:
+        """The signals or features of the last period within their ranges: scratch, shape (count, numbers)."""
+        newest = self.lanes.features if self.settings.features else self.lanes.signals
+        np.maximum(newest, self._low, out=self._bounded)
+        bounded: Array = np.minimum(self._bounded, self._high, out=self._bounded)
+        return bounded
+
     def _observe(self, which: Sequence[int], *, fresh: bool) -> None:
         """Take over the last signals of some vehicles; those of a fresh one fill its whole history.
 
         Where a run diverged, the observation of the period before stays: nothing but numbers gets out.
         """
         lanes = self.lanes
-        newest = lanes.features if self.settings.features else lanes.signals
-        np.maximum(newest, self._low, out=self._bounded)
-        values = np.minimum(self._bounded, self._high, out=self._bounded)
+        values = self._newest()
         rows: Any = slice(None) if len(which) == self.count else np.asarray(which, dtype=np.intp)
         if np.count_nonzero(lanes.status):
             rows = np.array([i for i in which if lanes.status[i] != NOT_FINITE], dtype=np.intp)
@@ -383,7 +414,7 @@ def loop_settings(config: EnvironmentConfig, scenario: Scenario) -> LoopSettings
         run_in=config.run_in,
         features=config.observation == "features",
         quotient_limit=config.derailment.quotient,
-        quotient_duration=config.derailment.duration,
+        averaging=config.derailment.averaging,
     )
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.control import OnlineConfig
@@ -97,3 +100,13 @@ class Interface:
             f"observation '{self.observation}' has no signal '{name}'{nearest(name, names)}; "
             f"its quantities: {', '.join(sorted({other.partition('.')[0] for other in names}))}"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class RunIn:
+    """What vehicles observed on their way to step 0, T control periods; all arrive there together."""
+
+    observations: npt.NDArray[np.float32]
+    """(T, count, numbers of a vector), the last ones those of the reset."""
+    begins: npt.NDArray[np.int64]
+    """(count,) period with which each vehicle's run-in begins; what is before it is not its own."""

@@ -7,7 +7,7 @@ any number of threads.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -124,6 +124,10 @@ class Lanes:
     def __len__(self) -> int:
         return len(self._lanes)
 
+    def lane(self, i: int) -> Lane:
+        """A vehicle as it was built."""
+        return self._lanes[i]
+
     def put(self, i: int, lane: Lane) -> None:
         """Replace the vehicle of a lane; `run_in` must follow before it is stepped."""
         self._place(i, lane)
@@ -170,7 +174,9 @@ class Lanes:
             getattr(self, name)[i] = value
         self._tuples = self._stacked()
 
-    def run_in(self, which: Sequence[int], *, log: bool = False) -> list[Array]:
+    def run_in(
+        self, which: Sequence[int], *, log: bool = False, hear: Callable[[int], None] | None = None
+    ) -> list[Array]:
         """Run lanes with fresh vehicles to their step 0, with their initial commands.
 
         Parameters
@@ -179,6 +185,9 @@ class Lanes:
             The lanes; the others stand still.
         log : bool
             Return the true signals.
+        hear : callable, optional
+            Called after each control period with its number; all lanes arrive at step 0 with the last one, so
+            some begin later than others. The results are the same bits with and without it.
 
         Returns
         -------
@@ -191,8 +200,24 @@ class Lanes:
         rows = self._no_log
         if log:
             rows = np.zeros((len(self), int(periods.max()) * self.settings.samples, LOG))
-        self._run(periods, self._silent, rows)
+        if hear is None:
+            self._run(periods, self._silent, rows)
+        else:
+            self._run_in_aloud(periods, rows, hear)
         return [rows[i, : periods[i] * self.settings.samples if log else 0] for i in which]
+
+    def _run_in_aloud(self, periods: Index, rows: Array, hear: Callable[[int], None]) -> None:
+        """Run lanes in, one control period in a call."""
+        samples, longest = self.settings.samples, int(periods.max())
+        log = np.zeros((len(self), samples, LOG)) if rows.size else self._no_log
+        for p in range(longest):
+            own = p - (longest - periods)  # each lane's own number of the period
+            active = (own >= 0) & (periods > 0) & (self.status == RUNNING)
+            log.fill(0.0)
+            self._run(active.astype(np.int64), self._silent, log)
+            for i in np.flatnonzero(active) if rows.size else ():
+                rows[i, own[i] * samples : (own[i] + 1) * samples] = log[i]
+            hear(p)
 
     def step(
         self,

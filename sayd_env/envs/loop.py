@@ -23,7 +23,8 @@ from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.stack import vehicle_of
 from sayd_env.physics.step import FORCE_Y, FORCE_Z, largest_shift, record, step
-from sayd_env.stability.online import Band, BandState, push, retune
+from sayd_env.stability.online import Band, BandState, push, replay, retune
+from sayd_env.stability.sliding import slide
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -59,9 +60,15 @@ FEATURES = FEATURE_SPEED + 1
     COST_FORCE,  # mean over a bogie's dampers of (A (p_A - p_B) / F_max)^2, over a second's samples
     _,
     PEAK_FORCE,  # largest hydraulic force, N
-    PEAK_QUOTIENT,  # largest Y/Q of a wheel
+    PEAK_QUOTIENT,  # largest Y/Q of a wheel, mean over the averaging distance
+    PEAK_TRACK_SHIFT,  # largest track shift force of a wheelset, mean over the same distance, N
     TERMS,
-) = range(7)
+) = range(8)
+
+# Channels of the forces on the rails that are averaged along the track.
+QUOTIENT = 0  # Y/Q of each wheel
+TRACK_SHIFT = QUOTIENT + LANES  # of each wheelset, N
+RAIL_FORCES = TRACK_SHIFT + POINTS
 
 # Columns of the log: true values at each sample.
 LOG_ACCELERATION = 0  # lateral, of the bogie frame above each wheelset, m/s2
@@ -98,9 +105,9 @@ class Loop(NamedTuple):
     force_weight: float
     """k_F."""
     quotient_limit: float
-    """Y/Q beyond which a wheel is about to climb."""
-    quotient_samples: float
-    """Samples for which it may stay there."""
+    """Mean Y/Q beyond which a wheel is about to climb."""
+    averaging: float
+    """Samples over which forces on the rails are averaged, at least 1; the last one may count in part."""
     features: float
     """1 if the features are computed, else 0."""
     low: Array
@@ -136,8 +143,16 @@ class LoopState(NamedTuple):
     """(SIGNALS,) 1 for a sensor that repeats its last reading, else 0."""
     squares: Array
     """(periods in a second, POINTS + DAMPERS) sums of squares of each period, for the features."""
-    climbing: Array
-    """(LANES,) samples since Y/Q of each wheel was within the limit."""
+    rail: Array
+    """(RAIL_FORCES,) this sample's Y/Q and track shift forces."""
+    rail_mean: Array
+    """(RAIL_FORCES,) their means over the averaging distance."""
+    rail_sum: Array
+    """(RAIL_FORCES,) sums over the whole samples of this distance."""
+    rail_ring: Array
+    """(whole samples of this distance + 1, RAIL_FORCES) their last values."""
+    rail_place: Index
+    """(1,) row of the oldest ones."""
     true: Array
     """(SIGNALS,) scratch: true values."""
     row: Array
@@ -242,26 +257,50 @@ def write_features(
 
 
 @kernel(allocates=False)
+def average_rail_forces(work: Work, loop: Loop, memory: LoopState, terms: Array) -> None:
+    """Take this sample's Y/Q and track shift forces into their sliding means, and find the largest means."""
+    for i in range(2 * POINTS):
+        vertical = work.lane_out[FORCE_Z * LANES + i]
+        # Towards the flange: the left wheel presses its rail to the left.
+        side = 1.0 - 2.0 * (i % 2)
+        lateral = -side * work.lane_out[FORCE_Y * LANES + i]
+        memory.rail[QUOTIENT + i] = lateral / vertical if vertical > 0.0 else 0.0
+    for k in range(POINTS):
+        memory.rail[TRACK_SHIFT + k] = memory.row[POINTS + k]
+    slide(memory.rail, loop.averaging, memory.rail_place, memory.rail_ring, memory.rail_sum, memory.rail_mean)
+    for i in range(2 * POINTS):
+        terms[PEAK_QUOTIENT] = max(terms[PEAK_QUOTIENT], memory.rail_mean[QUOTIENT + i])
+    for k in range(POINTS):
+        terms[PEAK_TRACK_SHIFT] = max(terms[PEAK_TRACK_SHIFT], abs(memory.rail_mean[TRACK_SHIFT + k]))
+
+
+@kernel(allocates=False)
 def judge(plant: Plant, state: State, work: Work, loop: Loop, memory: LoopState, terms: Array) -> int:
-    """Say whether the vehicle runs on: finite, no wheel over the rail, Y/Q not beyond its limit for long."""
+    """Say whether the vehicle runs on: finite, no wheel over the rail, no mean Y/Q beyond its limit."""
     if not math.isfinite(memory.row[0] + state.v[0] + memory.true[PRESSURE_A] + memory.passed[0]):
         return NOT_FINITE
     widest = plant.table_start + plant.table_step * (plant.table.shape[0] // WIDTH - 1)
     if largest_shift(plant, work) >= widest:
         return CLIMBED
-    status = RUNNING
-    for i in range(2 * POINTS):
-        vertical = work.lane_out[FORCE_Z * LANES + i]
-        side = 1.0 - 2.0 * (i % 2)
-        # Towards the flange: the left wheel presses its rail to the left.
-        lateral = -side * work.lane_out[FORCE_Y * LANES + i]
-        beyond = lateral > loop.quotient_limit * vertical and vertical > 0.0
-        memory.climbing[i] = memory.climbing[i] + 1.0 if beyond else 0.0
-        if memory.climbing[i] > loop.quotient_samples:
-            status = OVERLOADED
-        if vertical > 0.0:
-            terms[PEAK_QUOTIENT] = max(terms[PEAK_QUOTIENT], lateral / vertical)
-    return status
+    average_rail_forces(work, loop, memory, terms)
+    # The peak over the period so far: at the first sample beyond the limit the run ends.
+    return OVERLOADED if terms[PEAK_QUOTIENT] > loop.quotient_limit else RUNNING
+
+
+@kernel(allocates=False)
+def begin_second(
+    band: Band, passed: BandState, felt: BandState, loop: Loop, memory: LoopState, samples: int
+) -> None:
+    """Look for f_0 at the end of the run-in and of each second.
+
+    At step 0 the features' RMS of the last second is taken anew, in the band that the run-in has shown: that
+    of a train which has been running.
+    """
+    retune(band, passed)
+    if loop.features > 0.0:
+        retune(band, felt)
+        if memory.counter[0] == 0:
+            replay(band, felt, samples, memory.counter[1] % memory.squares.shape[0], memory.squares)
 
 
 @kernel(allocates=False)
@@ -282,7 +321,7 @@ def write_log(state: State, loop: Loop, memory: LoopState, row: Array) -> None:
 
 
 @kernel(allocates=False)
-def control_period(  # noqa: PLR0912 - a period from top to bottom
+def control_period(
     plant: Plant,
     state: State,
     work: Work,
@@ -339,10 +378,6 @@ def control_period(  # noqa: PLR0912 - a period from top to bottom
             state.sayd[sayd.COMMAND * LANES + k] = command[k]
     status, taken = RUNNING, 0
     for t in range(samples):
-        if memory.counter[0] >= 0 and memory.counter[0] % per_second == 0:
-            retune(band, passed)
-            if loop.features > 0.0:
-                retune(band, felt)
         for _ in range(substeps):
             step(plant, state, work)
         measure(plant, state, work, loop, memory)
@@ -358,6 +393,8 @@ def control_period(  # noqa: PLR0912 - a period from top to bottom
         status = judge(plant, state, work, loop, memory, terms)
         if status != RUNNING:
             break
+        if memory.counter[0] >= 0 and memory.counter[0] % per_second == 0:
+            begin_second(band, passed, felt, loop, memory, samples)
     for k in range(SIGNALS):
         signals[k] = memory.total[k] / taken
     if loop.features > 0.0:

@@ -34,6 +34,23 @@ class Policy(Protocol):
         """Actions for observations of N vehicles, and the state for the next call."""
 
 
+def listens(policy: Policy) -> bool:
+    """Whether a policy has ears for the run-in: a method `listen` beside `predict`."""
+    return hasattr(policy, "listen")
+
+
+def first_state(policy: Policy, fleet: Fleet) -> tuple[Any, npt.NDArray[np.bool_]]:
+    """State of a policy at step 0, and whether it begins there: what `predict` gets first.
+
+    A policy on a train has been running with it. Where the fleet's last reset has kept the run-in, one that
+    listens has taken it in.
+    """
+    state = None
+    if fleet.heard is not None and listens(policy):
+        state = policy.listen(fleet.heard)  # type: ignore[attr-defined]
+    return state, np.full(fleet.count, state is None)
+
+
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """One episode of a policy, t samples and n control periods long."""
@@ -101,7 +118,7 @@ def roll_out(
         A run whose numbers did not stay finite.
     """
     count, samples = fleet.count, fleet.settings.samples
-    run_in = fleet.reset(range(count), episodes, log=True)
+    run_in = fleet.reset(range(count), episodes, log=True, listen=listens(policy))
     before = [len(rows) for rows in run_in]
     true = [np.empty((first + n * samples, LOG)) for first, n in zip(before, steps, strict=True)]
     for rows, head in zip(true, run_in, strict=True):
@@ -111,8 +128,8 @@ def roll_out(
     rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
     log = np.empty((count, samples, LOG))
     length = np.array(steps)
-    observation, state = fleet.observations(), None
-    start = np.ones(count, dtype=np.bool_)
+    observation = fleet.observations()
+    state, start = first_state(policy, fleet)
     for n in range(most):
         action, state = policy.predict(observation, state, start, deterministic=True)
         start[:] = False

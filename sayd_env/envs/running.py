@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.signal import sosfilt
 
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.envs.loop import BOGIES, LOG_FILTERED, LOG_TRACK_SHIFT, POINTS
+from sayd_env.envs.loop import BOGIES, LOG_ACCELERATION, LOG_FILTERED, LOG_TRACK_SHIFT, POINTS
 from sayd_env.stability.online import Band
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ class RunningValues:
         self._filtered = np.zeros((0, 2 * POINTS))
 
     def advance(self, rows: Array, choice: Index) -> None:
-        """Take the samples of a run-in or of a control period.
+        """Take the samples of a control period, or of a run-in in which f_0 did not move.
 
         Parameters
         ----------
@@ -65,6 +65,30 @@ class RunningValues:
         self._choice = choice.copy()
         self._raw = np.concatenate([self._raw, shift])[-self._kept :]
         self._filtered = np.concatenate([self._filtered, new])[-self._window :]
+
+    def run_in(self, rows: Array, choice: Index) -> None:
+        """Take the samples of a run-in, at whose end f_0 was found.
+
+        The values are those of a train that has been running: the last seconds in the bands of this f_0.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (t, LOG)
+            True signals.
+        choice : ndarray, shape (BOGIES,)
+            Index of each bogie's f_0 at the end.
+        """
+        start, size = self._choice.copy(), POINTS // BOGIES
+        self.advance(rows, start)
+        acceleration = rows[-self._kept :, LOG_ACCELERATION : LOG_ACCELERATION + POINTS]
+        for k in np.flatnonzero(choice != start):
+            sections, rest = self._sections[choice[k]], np.zeros_like(self._filters[k])
+            for first, raw in ((0, acceleration), (POINTS, self._raw)):
+                passed, state = sosfilt(sections, raw[:, k * size : (k + 1) * size], axis=0, zi=rest)
+                own = slice(first + k * size, first + (k + 1) * size)
+                self._filtered[-len(passed) :, own] = passed[-len(self._filtered) :]
+            self._filters[k] = state
+        self._choice = choice.copy()
 
     def rms(self) -> tuple[Array, Array]:
         """Sliding RMS at the measuring points: acceleration (m/s2) and track shift force (N)."""

@@ -135,15 +135,21 @@ class Session:
     def step(self, actions: Array, active: Flags | None = None) -> tuple[Observation, Array, Flags, Flags]:
         """Run one control period, as `Fleet.step` does."""
         fleet = self.fleet
+        # f_0 moves at the end of a period: its samples were filtered in the bands before.
+        choice = self._choice() if self._log is not None else None
         result = fleet.step(actions, log=self._log, active=active)
         if self._recorder is not None:
             self._recorder.take()
-        if self._log is not None:
-            choice = fleet.lanes.passed.values.choice.reshape(fleet.count, -1)
+        if self._log is not None and choice is not None:
             for i, running in enumerate(self._running):
                 if running is not None and not result[2][i] and (active is None or active[i]):
                     running.advance(self._log[i], choice[i])
         return result
+
+    def _choice(self) -> npt.NDArray[np.int64]:
+        """Indices of f_0 of each vehicle's bogies, a new array of shape (count, BOGIES)."""
+        choice: npt.NDArray[np.int64] = self.fleet.lanes.passed.values.choice
+        return choice.reshape(self.fleet.count, -1).copy()
 
     def _run_in(self, i: int, rows: Array) -> None:
         fleet, episode = self.fleet, self.fleet.episodes[i]
@@ -151,7 +157,7 @@ class Session:
         band = fleet.lanes.band
         running = RunningValues(band, fleet.scenario.assessment, episode.speed, fleet.settings.sample_rate)
         if len(rows):
-            running.advance(rows, np.full(len(fleet.lanes.passed.view(i).choice), band.counts[2]))
+            running.run_in(rows, self._choice()[i])
         self._running[i] = running
 
     def told(self, i: int) -> dict[str, Any]:

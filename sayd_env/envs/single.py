@@ -101,8 +101,9 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     **Start.** The vehicle runs over 500 m with the initial command, so that filters and spectra are full.
 
     **End.** ``truncated`` after `episode_s` seconds. ``terminated`` where a wheel climbs over its rail, where
-    Y/Q of a wheel stays beyond its limit, or where the numbers do not stay finite (``info["error"]`` then
-    says so); the reward of that period is charged with `termination_cost` for every second that remains.
+    Y/Q of a wheel, in the mean over 2 m, exceeds its limit, or where the numbers do not stay finite
+    (``info["error"]`` then says so); the reward of that period is charged with `termination_cost` for every
+    second that remains.
 
     **Episodes.** ``reset(seed=s)`` begins episode 0 of seed s, ``reset()`` the next episode of the same seed.
     Episode k is drawn from [s, k] alone: it does not depend on how the ones before went.
@@ -117,7 +118,9 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     ``valve_command`` (8), ``hydraulic_flow`` (8, m3/s: what the pistons displace) and ``hydraulic_power``
     (8, W: what they put into the oil), and EN 14363's values of the last 100 m behind the on-line filter,
     ``running_acceleration`` (4, m/s2) and ``running_track_shift`` (4, N), with their limits
-    ``limit_acceleration`` and ``limit_track_shift``.
+    ``limit_acceleration`` and ``limit_track_shift``; for safety the means over 2 m ``mean_quotient`` (8, Y/Q
+    towards the flange) and ``mean_track_shift`` (4, N), with ``limit_quotient`` and
+    ``limit_mean_track_shift`` (Prud'homme).
 
     Parameters
     ----------

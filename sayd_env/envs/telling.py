@@ -9,7 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.envs.fleet import Fleet
-from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, DAMPERS, NOT_FINITE, POINTS, RUNNING
+from sayd_env.envs.loop import (
+    BOGIES,
+    COST_ACCELERATION,
+    COST_FORCE,
+    DAMPERS,
+    NOT_FINITE,
+    POINTS,
+    QUOTIENT,
+    RUNNING,
+    TRACK_SHIFT,
+)
 from sayd_env.envs.running import RunningValues
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES
@@ -67,7 +77,8 @@ def of_the_episode(fleet: Fleet, i: int) -> dict[str, Any]:
 def of_the_vehicle(fleet: Fleet, i: int, running: RunningValues) -> dict[str, Any]:
     """Forces, valves, flow, power and running values of a vehicle at the end of the last period."""
     lanes, limits = fleet.lanes, fleet.limits[i]
-    state, row, out = lanes.state.view(i), lanes.memory.view(i).row, lanes.work.view(i).lane_out
+    state, memory, out = lanes.state.view(i), lanes.memory.view(i), lanes.work.view(i).lane_out
+    row, mean = memory.row, memory.rail_mean
     acceleration, shift = running.rms()
     told = {
         "damper_force": row[2 * POINTS :],
@@ -79,11 +90,16 @@ def of_the_vehicle(fleet: Fleet, i: int, running: RunningValues) -> dict[str, An
         **_hydraulics(fleet, i, state),
         "running_acceleration": acceleration,
         "running_track_shift": shift,
+        "mean_quotient": mean[QUOTIENT:TRACK_SHIFT],
+        "mean_track_shift": mean[TRACK_SHIFT:],
     }
     finite = {name: np.nan_to_num(value, posinf=0.0, neginf=0.0) for name, value in told.items()}
     return finite | {
         "limit_acceleration": limits.acceleration,
         "limit_track_shift": limits.track_shift_force,
+        "limit_quotient": fleet.config.derailment.quotient,
+        # The RMS has half of Prud'homme's limit, which holds for the mean.
+        "limit_mean_track_shift": 2.0 * limits.track_shift_force,
     }
 
 

@@ -14,7 +14,7 @@ from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.sensors import SIGNALS as SENSED
 from sayd_env.config.sensors import SensorConfig, SensorsConfig
 from sayd_env.envs import loop as places
-from sayd_env.envs.loop import BODY_ROWS, DAMPERS, POINTS, SIGNALS, Loop, LoopState
+from sayd_env.envs.loop import BODY_ROWS, DAMPERS, POINTS, RAIL_FORCES, SIGNALS, Loop, LoopState
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.simulator import VehicleModel
@@ -45,9 +45,9 @@ class LoopSettings:
     features: bool = False
     """Compute the features too."""
     quotient_limit: float = math.inf
-    """Y/Q beyond which a wheel is about to climb the rail."""
-    quotient_duration: float = 0.0
-    """How long it may stay there, s."""
+    """Mean Y/Q beyond which a wheel is about to climb the rail."""
+    averaging: float = 2.0
+    """Distance over which Y/Q and track shift force are averaged, m."""
     tank_pressure: float = 1.0e5
     """What the pressure sensors of passive dampers read, Pa."""
 
@@ -153,6 +153,7 @@ def make_lane(
             state.sayd[row * LANES : (row + 1) * LANES] = current
         state.sayd_line[:] = current
     run_in = math.ceil(settings.run_in / speed / settings.control_period - 1e-9)
+    averaging = max(1.0, settings.averaging / speed * settings.sample_rate)
     each = sensors_by_signal(sensors)
     bias, spread = np.array([s.bias for s in each]), np.array([s.noise for s in each])
     if errors is not None:
@@ -168,8 +169,8 @@ def make_lane(
         plant=model.plant(speed, track),
         state=state,
         work=model.work(),
-        loop=loop_constants(model, sensors, settings)._replace(noise=spread),
-        memory=loop_state(settings, run_in, bias),
+        loop=loop_constants(model, sensors, settings, averaging)._replace(noise=spread),
+        memory=loop_state(settings, run_in, bias, averaging),
         passed=filters(),
         felt=filters(),
         substeps=model.step(speed)[1],
@@ -204,8 +205,10 @@ def on_line_band(model: VehicleModel, settings: LoopSettings) -> Band:
     return band(settings.online, model.scenario.assessment, settings.sample_rate)
 
 
-def loop_constants(model: VehicleModel, sensors: SensorsConfig, settings: LoopSettings) -> Loop:
-    """Constants of a vehicle's sensors, cost and limits."""
+def loop_constants(
+    model: VehicleModel, sensors: SensorsConfig, settings: LoopSettings, averaging: float
+) -> Loop:
+    """Constants of a vehicle's sensors, cost and limits; forces on the rails are averaged over samples."""
     damper, cost = model.scenario.damper, model.scenario.cost
     dt = 1.0 / settings.sample_rate
     each = sensors_by_signal(sensors)
@@ -219,7 +222,7 @@ def loop_constants(model: VehicleModel, sensors: SensorsConfig, settings: LoopSe
         acceleration_weight=cost.acceleration_weight,
         force_weight=cost.force_weight,
         quotient_limit=settings.quotient_limit if math.isfinite(settings.quotient_limit) else 1e300,
-        quotient_samples=settings.quotient_duration * settings.sample_rate,
+        averaging=averaging,
         features=float(settings.features),
         low=np.array([s.low for s in each]),
         high=np.array([s.high for s in each]),
@@ -265,7 +268,7 @@ def body_rows(model: VehicleModel) -> Array:
     )
 
 
-def loop_state(settings: LoopSettings, run_in: int, bias: Array) -> LoopState:
+def loop_state(settings: LoopSettings, run_in: int, bias: Array, averaging: float) -> LoopState:
     """Sensors and counters at the start of a run-in of so many control periods."""
     return LoopState(
         counter=np.array([-run_in * settings.samples, 0]),
@@ -276,7 +279,11 @@ def loop_state(settings: LoopSettings, run_in: int, bias: Array) -> LoopState:
         bias=bias.copy(),
         frozen=np.zeros(SIGNALS),
         squares=np.zeros((settings.per_second // settings.samples, POINTS + DAMPERS)),
-        climbing=np.zeros(LANES),
+        rail=np.zeros(RAIL_FORCES),
+        rail_mean=np.zeros(RAIL_FORCES),
+        rail_sum=np.zeros(RAIL_FORCES),
+        rail_ring=np.zeros((int(averaging) + 1, RAIL_FORCES)),
+        rail_place=np.zeros(1, dtype=np.int64),
         true=np.zeros(SIGNALS),
         row=np.zeros(2 * POINTS + DAMPERS),
         passed=np.zeros(POINTS),

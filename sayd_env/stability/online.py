@@ -417,3 +417,37 @@ def _settle(band: Band, state: BandState, group: int, size: int) -> None:
         for _ in range(kept):
             _filtered(sections, filters, state.recent[row, j])
             row = row + 1 if row + 1 < capacity else 0
+
+
+@kernel(allocates=False)
+def replay(band: Band, state: BandState, samples: int, last: int, squares: Array) -> None:
+    """Run all filters from rest over their kept samples, and add up the squares of what leaves them.
+
+    Parameters
+    ----------
+    band : Band
+        The filters.
+    state : BandState
+        Its filters are changed in place.
+    samples : int
+        Samples in a period, the last of which ends now.
+    last : int
+        Row of this period in `squares`.
+    squares : ndarray, shape (periods, c or more)
+        Ring: receives each period's sums in the channels' columns, 0 before the first kept sample.
+    """
+    size = state.block.shape[0] // state.choice.shape[0]
+    capacity, periods = state.recent.shape[0], squares.shape[0]
+    for j in range(state.block.shape[0]):
+        sections, place = band.sections[state.choice[j // size]], state.place[j // size]
+        filters, kept = state.filters[j], place[KEPT]
+        filters[:] = 0.0
+        squares[:, j] = 0.0
+        oldest = place[RECENT] - kept
+        row = oldest + capacity if oldest < 0 else oldest
+        for n in range(kept):
+            value = _filtered(sections, filters, state.recent[row, j])
+            row = row + 1 if row + 1 < capacity else 0
+            age = (kept - 1 - n) // samples
+            if age < periods:
+                squares[(last - age) % periods, j] += value * value

@@ -19,6 +19,7 @@ from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.fleet import Fleet, checked_actions
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, RUNNING
 from sayd_env.envs.recorder import Recorder
+from sayd_env.envs.rollout import first_state, listens
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.studies.film import Picture, checked_film, write_film
 from sayd_env.studies.output import Plot, Progress, Table, silent
@@ -187,7 +188,7 @@ def render(
     policy = film.policy.make(fleet)
     recorder = Recorder(fleet)
     scene = _scene(recorder, film)
-    fleet.reset([0], [episode])
+    fleet.reset([0], [episode], listen=listens(policy))
     first = recorder.frame()
     result = RenderResult(film, episode.speed, seed, first.wear, first.friction)
     pictures = _pictures(film, result, fleet, policy, recorder, scene, progress)
@@ -246,8 +247,8 @@ def _pictures(
 ) -> Iterator[Picture]:
     """Run the vehicle from picture to picture, and fill in the result on the way."""
     period = fleet.config.control_period
-    observation, state = fleet.observations(), None
-    start, shape = np.ones(1, dtype=np.bool_), (1, fleet.interface.actions)
+    observation, shape = fleet.observations(), (1, fleet.interface.actions)
+    state, start = first_state(policy, fleet)
     steps, sums, held = 0, np.zeros(2), 0
     for n in range(film.pictures):
         until = film.step(n, period)

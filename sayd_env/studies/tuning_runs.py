@@ -23,6 +23,7 @@ from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.fleet import Fleet, VehicleState
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.loop import NOT_FINITE, RUNNING
+from sayd_env.envs.rollout import first_state
 from sayd_env.studies.checkpoint import fingerprint
 from sayd_env.studies.output import ResultDirectory, csv_bytes
 from sayd_env.studies.rollouts import PASSIVE, PolicySpec
@@ -95,8 +96,8 @@ class Proving:
         fleet, states = self._fleet("passive" if policy.name == PASSIVE else "sayd")
         fleet.set_state(states)
         actor, total = policy.make(fleet), np.zeros(fleet.count)
-        observation, state = fleet.observations(), None
-        start = np.ones(fleet.count, dtype=np.bool_)
+        observation = fleet.observations()
+        state, start = first_state(actor, fleet)
         for _ in range(fleet.steps):
             action, state = actor.predict(observation, state, start, deterministic=True)
             start[:] = False
@@ -121,7 +122,7 @@ class Proving:
                 draw_episode(config, case.seed, 0, case.model_dump(exclude={"seed"}) | current)
                 for case in cases
             ]
-            fleet.reset(range(fleet.count), episodes)
+            fleet.reset(range(fleet.count), episodes, listen=True)
             self._ready[damper] = fleet, [fleet.get_state(i) for i in range(fleet.count)]
         return self._ready[damper]
 

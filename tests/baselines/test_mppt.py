@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 import baselines
+from sayd_env.envs.interface import RunIn
 
 LIMIT = 5.44
 REFERENCE = 12e3
@@ -175,6 +176,36 @@ def test_the_band_follows_hunting_after_500_m(interface):
     # f_0 is found at 500 m, 5 s; the second that ends at 6 s is the first in its band: 2 / sqrt(2) m/s2
     assert commands[599:1001:100] == pytest.approx([1.0, 0.9, 0.8, 0.7, 0.6], abs=1e-6)
     assert commands[600] == pytest.approx(0.9)
+
+
+def test_the_band_is_that_of_hunting_from_step_0_after_a_run_in(interface):
+    """Two vehicles at different speeds, each with a hunting frequency of its own; filters by SciPy."""
+    signals = interface()
+    settings = {"initial": 1.0, "threshold_max": 1e3, "threshold_min": 0.0, "k_F": 0.0, "k_J": 0.0}
+    policy = baselines.make("mppt1", signals, **settings)
+    t = 0.01 * np.arange(1001)
+    speeds, tones = np.array([100.0, 80.0]), np.array([9.0, 2.5])
+    rows = np.zeros((len(t), 2, len(signals.signals)), dtype=np.float32)
+    rows[:, :, :4] = np.sin(2 * np.pi * t[:, None] * tones)[:, :, None] + 0.2
+    rows[:, :, signals.index("speed")] = speeds
+    begins = np.array([125, 0])
+    rows[:125, 0] = 7.0  # of another train, before this one's run-in
+    run_in = RunIn(rows[:626], begins)  # 500 m and a step
+    state = policy.listen(run_in)
+    for row in rows[625 : 625 + 101]:
+        _, state = policy.predict(row, state, np.zeros(2, dtype=bool))
+    for vehicle, f0 in enumerate(tones):
+        sections = butter(4, (max(f0 - 2.0, 0.5), f0 + 2.0), "bandpass", fs=100.0, output="sos")
+        # The filter of the new band begins 2 s before f_0 was found, with the reading of step 0.
+        passed = sosfilt(sections, rows[426:726, vehicle, 0])[200:]
+        expected = math.sqrt(np.mean(passed.astype(float) ** 2))
+        assert state.readings.rms[vehicle, :, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_without_a_run_in_there_is_nothing_to_hear(interface):
+    signals = interface()
+    nothing = RunIn(np.zeros((0, 1, len(signals.signals)), dtype=np.float32), np.zeros(1, dtype=np.int64))
+    assert baselines.make("mppt1", signals).listen(nothing) is None
 
 
 def test_a_broken_sensor_leaves_no_trace(interface):

@@ -140,7 +140,7 @@ def test_j_is_minus_the_mean_reward_of_the_environment_with_this_seed(reward: st
 def test_a_derailment_is_charged_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A limit of Y/Q that the vehicle soon exceeds: J is the environment's, with its charge."""
     monkeypatch.chdir(tmp_path)
-    Path("touchy.yaml").write_text("episode_s: 4\nderailment: {quotient: 0.1, duration: 0.0}\n")
+    Path("touchy.yaml").write_text("episode_s: 4\nderailment: {quotient: 0.1, averaging: 0.1}\n")
     result = evaluate(
         load_scenario(overrides=SETTINGS),
         [SPEED],
@@ -149,7 +149,7 @@ def test_a_derailment_is_charged_and_told(tmp_path: Path, monkeypatch: pytest.Mo
         environment=load_environment("touchy.yaml"),
     )
     for row in result.rows:
-        assert row.ending == "derailment risk: Y/Q stayed beyond its limit"
+        assert row.ending == "derailment risk: mean Y/Q beyond its limit"
         assert row.acceleration_ratio == row.J_offline == math.inf
         total = episode("mppt2", row.seed, environment="touchy.yaml")
         assert pytest.approx(-total / 4.0, rel=1e-5) == row.J

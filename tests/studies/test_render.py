@@ -114,7 +114,7 @@ def test_a_run_that_ends_early_stops_the_film(
     tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
 ) -> None:
     # Any wheel is beyond a Y/Q limit that small: the run ends at once, and its last picture stays for 1 s.
-    strict = environment.derailment.model_copy(update={"quotient": 1e-6, "duration": 0.0})
+    strict = environment.derailment.model_copy(update={"quotient": 1e-6})
     config = environment.model_copy(update={"derailment": strict})
     result = render(film(tmp_path / "a.gif", seconds=4.0, fps=5.0), scenario, config)
     assert result.ending is not None

@@ -129,9 +129,9 @@ def test_some_thousand_steps_with_everything_drawn(tmp_path: Path) -> None:
 
 
 def test_a_termination_is_counted_and_its_charge_left_out(tmp_path: Path) -> None:
-    limits = "derailment: {quotient: 0.02, duration: 0.005}\ntermination_cost: 1.0e+6\n"
+    limits = "derailment: {quotient: 0.02, averaging: 0.5}\ntermination_cost: 1.0e+6\n"
     result = soak(environment(tmp_path, more=limits), 200, lanes=4)
-    assert list(result.endings) == ["derailment risk: Y/Q stayed beyond its limit"]
+    assert list(result.endings) == ["derailment risk: mean Y/Q beyond its limit"]
     assert 4 <= result.episodes - 4 <= sum(result.endings.values()) <= result.episodes
     assert result.failures == ""
     assert all(second.cut for second in result.worst)
