@@ -58,8 +58,9 @@ def _strike_damper(fault: ValveStuck | PowerLost | DamperLost, lanes: Lanes, lan
     damper, state = DAMPERS.index(fault.damper), lanes.state.view(lane)
     if state.sayd.size == 0:
         if isinstance(fault, DamperLost):
-            lanes.plant.view(lane).damper_stiffness[damper] = 0.0
-            state.force[damper] = 0.0
+            stiffness = lanes.formation.plant.view(lane).damper_stiffness.copy()
+            stiffness[damper] = state.force[damper] = 0.0
+            lanes.set_damper_stiffness(lane, stiffness)
         return
     rows = state.sayd.reshape(-1, LANES)
     match fault:

@@ -304,8 +304,8 @@ class Fleet:
     def dominant_frequency(self) -> Array:
         """f_0 of the on-line filter of each bogie, a new array of shape (count, BOGIES), Hz."""
         lanes = self.lanes
-        found: Array = lanes.band.frequency[lanes.passed.values.choice]
-        return found.reshape(self.count, -1)
+        found: Array = lanes.band.frequency[lanes.choice()]
+        return found
 
     def get_state(self, i: int) -> VehicleState:
         """All of a vehicle and its episode, as copies; it can be pickled."""

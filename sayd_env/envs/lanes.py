@@ -23,24 +23,31 @@ from sayd_env.envs.loop import (
     RUNNING,
     SIGNALS,
     TERMS,
-    run_lanes,
-    run_lanes_in_parallel,
+    Loop,
+    LoopState,
+    OnBoard,
+    Period,
+    run_units,
+    run_units_in_parallel,
 )
+from sayd_env.envs.trace import TRACE
 from sayd_env.envs.vehicle import Lane, LoopSettings
 from sayd_env.physics.batch import checked_threads
-from sayd_env.physics.stack import Stack
-from sayd_env.stability.online import Band
+from sayd_env.physics.formation import Formation
+from sayd_env.physics.plant import State
+from sayd_env.physics.ragged import RaggedBatch
+from sayd_env.stability.online import Band, BandState
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 type_of: Any = numba.typeof  # it has no annotations
 
-STACKS = ("plant", "state", "work", "loop", "memory", "passed", "felt")
-"""What a vehicle consists of, in the order of the compiled loop's arguments."""
-CHANGING = ("state", "work", "loop", "memory", "passed", "felt")
-"""Those of them that change while it runs; of the plant, only a damper's stiffness does."""
-RESULTS = ("command", "signals", "features", "terms", "rewards", "status")
+ON_BOARD = ("loop", "memory", "passed", "felt")
+"""What looks at a vehicle, in the order of the compiled loop's arguments."""
+CHANGING = ("state", *ON_BOARD)
+"""What changes while a vehicle runs; of its constants, only a damper's stiffness does."""
+RESULTS = ("command", "trace", "signals", "features", "terms", "rewards", "status")
 """What is known of its last control period."""
 
 
@@ -99,27 +106,28 @@ class Lanes:
         self.band = band
         self.num_threads = 1 if count == 1 and num_threads is None else checked_threads(num_threads)
         self._lanes = list(lanes)
-        self.plant = Stack([lane.plant for lane in lanes])
-        self.state = Stack([lane.state for lane in lanes])
-        self.work = Stack([lane.work for lane in lanes])
-        self.loop = Stack([lane.loop for lane in lanes])
-        self.memory = Stack([lane.memory for lane in lanes])
-        self.passed = Stack([lane.passed for lane in lanes])
-        self.felt = Stack([lane.felt for lane in lanes])
-        self._clock = np.array([settings.samples, settings.per_second, *(lane.substeps for lane in lanes)])
+        self.formation = Formation(
+            [lane.plant for lane in lanes],
+            [lane.state for lane in lanes],
+            [_copied(lane.work) for lane in lanes],  # other environments may have the same lanes
+        )
+        self.loop = RaggedBatch(Loop, [lane.loop for lane in lanes])
+        self.memory = RaggedBatch(LoopState, [lane.memory for lane in lanes])
+        self.passed = RaggedBatch(BandState, [lane.passed for lane in lanes])
+        self.felt = RaggedBatch(BandState, [lane.felt for lane in lanes])
+        self._substeps = np.array([lane.substeps for lane in lanes])
         self.command = np.zeros((count, DAMPERS))
         self._noise = np.zeros((count, settings.samples, SIGNALS))
         self._silent = np.zeros((count, 0, SIGNALS))
+        self.trace = np.zeros((count, settings.samples, TRACE))
         self.signals = np.zeros((count, SIGNALS))
         self.features = np.zeros((count, FEATURES))
         self.terms = np.zeros((count, TERMS))
         self.rewards = np.zeros(count)
         self.status = np.zeros(count, dtype=np.int64)
-        self._one_period = np.ones(count, dtype=np.int64)
         self._no_log = np.zeros((count, 0, LOG))
         self._noisy = any(lane.noise is not None for lane in lanes)
         self._compiled: Any = None
-        self._tuples = self._stacked()
 
     def __len__(self) -> int:
         return len(self._lanes)
@@ -131,21 +139,30 @@ class Lanes:
     def put(self, i: int, lane: Lane) -> None:
         """Replace the vehicle of a lane; `run_in` must follow before it is stepped."""
         self._place(i, lane)
-        for name in STACKS:
+        self.formation.put(i, lane.plant, lane.state, lane.work)
+        for name in ON_BOARD:
             getattr(self, name).put(i, getattr(lane, name))
-        self._tuples = self._stacked()
         self.status[i] = RUNNING
 
     def _place(self, i: int, lane: Lane) -> None:
         self._lanes[i] = lane
-        self._clock[2 + i] = lane.substeps
+        self._substeps[i] = lane.substeps
         self._noisy = any(each.noise is not None for each in self._lanes)
 
-    def _stacked(self) -> tuple[Any, ...]:
-        """The vehicles' arguments of the compiled loop, gathered once: there are some hundred arrays."""
-        self._compiled = None
-        stacks = [getattr(self, name) for name in STACKS]
-        return tuple(part for stack in stacks for part in (stack.values, stack.spans))
+    @property
+    def state(self) -> RaggedBatch[State]:
+        """States of the vehicles."""
+        return self.formation.state
+
+    def choice(self) -> Index:
+        """Indices of f_0 of each vehicle's bogies, a new array of shape (v, BOGIES)."""
+        return np.array([filters.choice for filters in self.passed])
+
+    def set_damper_stiffness(self, i: int, stiffness: Array) -> None:
+        """Give a vehicle's Maxwell dampers other series stiffnesses (N/m)."""
+        plant = self.formation.plant.view(i)
+        if not np.array_equal(plant.damper_stiffness, stiffness):
+            self.formation.change(i, plant._replace(damper_stiffness=stiffness.copy()))
 
     def get_state(self, i: int) -> LaneState:
         """All of a lane, as copies; it can be pickled."""
@@ -153,7 +170,7 @@ class Lanes:
         return LaneState(
             lane=replace(lane, noise=None),
             fields={name: _copied(getattr(self, name).view(i)) for name in CHANGING},
-            stiffness=self.plant.view(i).damper_stiffness.copy(),
+            stiffness=self.formation.plant.view(i).damper_stiffness.copy(),
             noise=None if lane.noise is None else copy.deepcopy(lane.noise.bit_generator.state),
             results={name: getattr(self, name)[i].copy() for name in RESULTS},
         )
@@ -164,15 +181,15 @@ class Lanes:
         if saved.noise is not None:
             noise = np.random.default_rng()
             noise.bit_generator.state = copy.deepcopy(saved.noise)
-        if self._lanes[i].plant is not saved.lane.plant:  # another vehicle or another track
-            self.plant.put(i, saved.lane.plant)
-        self.plant.view(i).damper_stiffness[:] = saved.stiffness
-        self._place(i, replace(saved.lane, noise=noise))
+        lane = saved.lane
+        if self._lanes[i].plant is not lane.plant:  # another vehicle or another track
+            self.formation.put(i, lane.plant, lane.state, _copied(lane.work))
+        self.set_damper_stiffness(i, saved.stiffness)
+        self._place(i, replace(lane, noise=noise))
         for name, fields in saved.fields.items():
-            getattr(self, name).put(i, fields)
+            getattr(self, name).put(i, _copied(fields))
         for name, value in saved.results.items():
             getattr(self, name)[i] = value
-        self._tuples = self._stacked()
 
     def run_in(
         self, which: Sequence[int], *, log: bool = False, hear: Callable[[int], None] | None = None
@@ -245,15 +262,16 @@ class Lanes:
         if log is not None:
             self._check_log(log)
         self.command[:] = commands
-        periods = self._one_period
-        if active is not None or np.count_nonzero(self.status):
-            periods = np.where((self.status == RUNNING) & (True if active is None else active), 1, 0)
+        running = self.status == RUNNING
+        if active is not None:
+            running &= active
         if self._noisy:
             # A lane that stands still draws nothing: its noise must not depend on the others.
-            for lane, runs, noise in zip(self._lanes, periods, self._noise, strict=True):
+            for lane, runs, noise in zip(self._lanes, running, self._noise, strict=True):
                 if lane.noise is not None and runs:
                     lane.noise.standard_normal(out=noise)
-        self._run(periods, self._noise if self._noisy else self._silent, self._no_log if log is None else log)
+        noise = self._noise if self._noisy else self._silent
+        self._run(running.astype(np.int64), noise, self._no_log if log is None else log)
 
     def _check_log(self, log: Array) -> None:
         shape = (len(self), self.settings.samples, LOG)
@@ -263,8 +281,29 @@ class Lanes:
             )
 
     def _run(self, periods: Index, noise: Array, log: Array) -> None:
-        outputs = (self.signals, self.features, self.terms, self.rewards, log, self.status)
-        arguments = (*self._tuples, self.band, self._clock, periods, self.command, noise, *outputs)
+        period = Period(
+            self.command,
+            noise,
+            self.trace,
+            self.signals,
+            self.features,
+            self.terms,
+            self.rewards,
+            log,
+            self.status,
+        )
+        units = self.formation.units(periods > 0)  # first: it may arrange the vehicles anew
+        on_board = OnBoard(*(getattr(self, name).table for name in ON_BOARD))
+        arguments = (
+            units,
+            *self.formation.arguments(),
+            self._substeps,
+            periods,
+            on_board,
+            self.band,
+            self.settings.per_second,
+            period,
+        )
         if self._compiled is None:
             self._compiled = self._compile(arguments)
         if self.num_threads == 1:
@@ -283,9 +322,9 @@ class Lanes:
         """The compiled loop for these arguments' types.
 
         Numba would find it anew in each call, by the types of some hundred arrays: an eighth of the time of a
-        step. They can only change where a vehicle is replaced.
+        step. They do not change.
         """
-        kernel = run_lanes if self.num_threads == 1 else run_lanes_in_parallel
+        kernel = run_units if self.num_threads == 1 else run_units_in_parallel
         return kernel.compile(tuple(map(type_of, arguments)))
 
     def __getstate__(self) -> dict[str, Any]:

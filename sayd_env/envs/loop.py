@@ -1,7 +1,8 @@
-"""One compiled control period of one vehicle: physics, true signals, cost, sensors, in this order.
+"""One compiled control period: physics, true signals, cost, sensors, in this order.
 
-Time steps are shorter than samples (1 ms), samples shorter than control periods. At each sample the true
-signals are taken; the cost counts them through the on-line filter, the sensors make their readings of them.
+Time steps are shorter than samples (1 ms), samples shorter than control periods. The physics of several vehicles
+runs side by side and writes down each sample's true signals (`sayd_env.envs.trace`); then they are looked at for
+one vehicle after another. The cost counts them through the on-line filter, the sensors make their readings of them.
 What an observer gets is the mean of the readings over the period: integrating sampling, which keeps the
 multiples of the control rate out, and by which accelerations add up to exact changes of velocity.
 """
@@ -17,22 +18,20 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.physics import sayd
-from sayd_env.physics.contact.geometry import WIDTH
+from sayd_env.envs import trace
+from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS, command_valves, trace_period
+from sayd_env.physics.formation import References, Units, interleave, plant_of, put_back, state_of, work_of
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import LANES, Plant, State, Work
-from sayd_env.physics.stack import vehicle_of
-from sayd_env.physics.step import FORCE_Y, FORCE_Z, largest_shift, record, step
+from sayd_env.physics.ragged import Matrix, vehicle_from
+from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
 from sayd_env.stability.online import Band, BandState, push, replay, retune
 from sayd_env.stability.sliding import slide
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-POINTS = 4
-"""Measuring points of the lateral acceleration, two on each bogie."""
 BOGIES = 2
-DAMPERS = 8
 
 # Places of the signals.
 LATERAL = 0
@@ -77,8 +76,7 @@ LOG_FORCE = LOG_TRACK_SHIFT + POINTS  # of each damper on the bogie, N
 LOG_HYDRAULIC = LOG_FORCE + DAMPERS  # A (p_A - p_B), N
 LOG_CURRENT = LOG_HYDRAULIC + DAMPERS  # acting current
 LOG_FILTERED = LOG_CURRENT + DAMPERS  # acceleration behind the on-line filter, m/s2
-LOG_BODY = LOG_FILTERED + POINTS  # carbody accelerations of `Loop.body`, m/s2
-BODY_ROWS = 9
+LOG_BODY = LOG_FILTERED + POINTS  # carbody accelerations of `trace.BODY`, m/s2
 LOG = LOG_BODY + BODY_ROWS
 
 # How a period ended.
@@ -88,10 +86,6 @@ RUNNING, CLIMBED, OVERLOADED, NOT_FINITE = range(4)
 class Loop(NamedTuple):
     """Constants of one vehicle's sensors, cost and limits."""
 
-    longitudinal: Array
-    """(4, n) rows that give the longitudinal motion of the bogie frames at the damper mounts."""
-    body: Array
-    """(BODY_ROWS, n) rows that give the carbody's motion: x, y, z above the front bogie, mid, rear bogie."""
     area: float
     """A, m2; 0 with passive dampers, whose force counts as it is."""
     tank: float
@@ -141,7 +135,7 @@ class LoopState(NamedTuple):
     """(SIGNALS,)."""
     frozen: Array
     """(SIGNALS,) 1 for a sensor that repeats its last reading, else 0."""
-    squares: Array
+    squares: Matrix
     """(periods in a second, POINTS + DAMPERS) sums of squares of each period, for the features."""
     rail: Array
     """(RAIL_FORCES,) this sample's Y/Q and track shift forces."""
@@ -149,14 +143,12 @@ class LoopState(NamedTuple):
     """(RAIL_FORCES,) their means over the averaging distance."""
     rail_sum: Array
     """(RAIL_FORCES,) sums over the whole samples of this distance."""
-    rail_ring: Array
+    rail_ring: Matrix
     """(whole samples of this distance + 1, RAIL_FORCES) their last values."""
     rail_place: Index
     """(1,) row of the oldest ones."""
     true: Array
     """(SIGNALS,) scratch: true values."""
-    row: Array
-    """(2 POINTS + DAMPERS,) scratch: acceleration, track shift force, damper force."""
     passed: Array
     """(POINTS,) scratch: filtered acceleration."""
     felt: Array
@@ -164,42 +156,37 @@ class LoopState(NamedTuple):
 
 
 @kernel(allocates=False)
-def measure(plant: Plant, state: State, work: Work, loop: Loop, memory: LoopState) -> None:
-    """Take the true signals of this instant."""
-    record(plant, state, work, memory.row)
+def measure(row: Array, loop: Loop, memory: LoopState) -> None:
+    """Take the true signals from a row of the trace."""
     true = memory.true
     for k in range(POINTS):
-        true[LATERAL + k] = memory.row[k]
-    for k in range(4):
-        total, g = 0.0, loop.longitudinal[k]
-        for i in range(g.shape[0]):
-            total += g[i] * state.a[i]
-        true[LONGITUDINAL + k] = total
-    semi_active = state.sayd.shape[0] > 0
+        true[LATERAL + k] = row[trace.ACCELERATION + k]
+        true[LONGITUDINAL + k] = row[trace.LONGITUDINAL + k]
+    passive = loop.area == 0.0
     for k in range(DAMPERS):
-        true[PRESSURE_A + k] = state.sayd[sayd.PRESSURE_A * LANES + k] if semi_active else loop.tank
-        true[PRESSURE_B + k] = state.sayd[sayd.PRESSURE_B * LANES + k] if semi_active else loop.tank
-        true[STROKE + k] = state.sayd[sayd.STROKE * LANES + k] if semi_active else state.elongation[k]
-        true[CURRENT + k] = state.sayd[sayd.COIL * LANES + k] if semi_active else 0.0
-    true[SPEED] = plant.speed
+        true[PRESSURE_A + k] = loop.tank if passive else row[trace.PRESSURE_A + k]
+        true[PRESSURE_B + k] = loop.tank if passive else row[trace.PRESSURE_B + k]
+        true[STROKE + k] = row[trace.STROKE + k]
+        true[CURRENT + k] = 0.0 if passive else row[trace.COIL_CURRENT + k]
+    true[SPEED] = row[trace.SPEED]
 
 
 @kernel(allocates=False)
-def hydraulic_force(loop: Loop, memory: LoopState, k: int) -> float:
+def hydraulic_force(row: Array, loop: Loop, k: int) -> float:
     """A (p_A - p_B) of a damper, eq. (28), or the force of a passive one."""
     if loop.area == 0.0:
-        return float(memory.row[2 * POINTS + k])
-    return float(loop.area * (memory.true[PRESSURE_A + k] - memory.true[PRESSURE_B + k]))
+        return float(row[trace.FORCE + k])
+    return float(loop.area * (row[trace.PRESSURE_A + k] - row[trace.PRESSURE_B + k]))
 
 
 @kernel(allocates=False)
-def count_cost(loop: Loop, memory: LoopState, per_second: float, terms: Array) -> None:
+def count_cost(row: Array, loop: Loop, memory: LoopState, per_second: float, terms: Array) -> None:
     """Add this sample's share of the cost of a second, eq. (27), unweighted."""
     for k in range(POINTS):
         scaled = memory.passed[k] * loop.per_acceleration
         terms[COST_ACCELERATION + k * BOGIES // POINTS] += scaled * scaled * (per_second * BOGIES / POINTS)
     for k in range(DAMPERS):
-        force = hydraulic_force(loop, memory, k)
+        force = hydraulic_force(row, loop, k)
         scaled = force * loop.per_force
         terms[COST_FORCE + k * BOGIES // DAMPERS] += scaled * scaled * (per_second * BOGIES / DAMPERS)
         terms[PEAK_FORCE] = max(terms[PEAK_FORCE], abs(force))
@@ -257,16 +244,16 @@ def write_features(
 
 
 @kernel(allocates=False)
-def average_rail_forces(work: Work, loop: Loop, memory: LoopState, terms: Array) -> None:
+def average_rail_forces(row: Array, loop: Loop, memory: LoopState, terms: Array) -> None:
     """Take this sample's Y/Q and track shift forces into their sliding means, and find the largest means."""
     for i in range(2 * POINTS):
-        vertical = work.lane_out[FORCE_Z * LANES + i]
+        vertical = row[trace.WHEEL_VERTICAL + i]
         # Towards the flange: the left wheel presses its rail to the left.
         side = 1.0 - 2.0 * (i % 2)
-        lateral = -side * work.lane_out[FORCE_Y * LANES + i]
+        lateral = side * row[trace.WHEEL_LATERAL + i]
         memory.rail[QUOTIENT + i] = lateral / vertical if vertical > 0.0 else 0.0
     for k in range(POINTS):
-        memory.rail[TRACK_SHIFT + k] = memory.row[POINTS + k]
+        memory.rail[TRACK_SHIFT + k] = row[trace.TRACK_SHIFT + k]
     slide(memory.rail, loop.averaging, memory.rail_place, memory.rail_ring, memory.rail_sum, memory.rail_mean)
     for i in range(2 * POINTS):
         terms[PEAK_QUOTIENT] = max(terms[PEAK_QUOTIENT], memory.rail_mean[QUOTIENT + i])
@@ -275,14 +262,14 @@ def average_rail_forces(work: Work, loop: Loop, memory: LoopState, terms: Array)
 
 
 @kernel(allocates=False)
-def judge(plant: Plant, state: State, work: Work, loop: Loop, memory: LoopState, terms: Array) -> int:
+def judge(row: Array, loop: Loop, memory: LoopState, terms: Array) -> int:
     """Say whether the vehicle runs on: finite, no wheel over the rail, no mean Y/Q beyond its limit."""
-    if not math.isfinite(memory.row[0] + state.v[0] + memory.true[PRESSURE_A] + memory.passed[0]):
+    felt = row[trace.ACCELERATION] + row[trace.PULSE] + row[trace.PRESSURE_A] + memory.passed[0]
+    if not math.isfinite(felt):
         return NOT_FINITE
-    widest = plant.table_start + plant.table_step * (plant.table.shape[0] // WIDTH - 1)
-    if largest_shift(plant, work) >= widest:
+    if row[trace.CLIMB] >= 1.0:
         return CLIMBED
-    average_rail_forces(work, loop, memory, terms)
+    average_rail_forces(row, loop, memory, terms)
     # The peak over the period so far: at the first sample beyond the limit the run ends.
     return OVERLOADED if terms[PEAK_QUOTIENT] > loop.quotient_limit else RUNNING
 
@@ -304,34 +291,27 @@ def begin_second(
 
 
 @kernel(allocates=False)
-def write_log(state: State, loop: Loop, memory: LoopState, row: Array) -> None:
+def write_log(row: Array, loop: Loop, memory: LoopState, log: Array) -> None:
     """Write this sample's true values."""
     for k in range(2 * POINTS + DAMPERS):
-        row[LOG_ACCELERATION + k] = memory.row[k]
+        log[LOG_ACCELERATION + k] = row[trace.ACCELERATION + k]
     for k in range(DAMPERS):
-        row[LOG_HYDRAULIC + k] = hydraulic_force(loop, memory, k)
-        row[LOG_CURRENT + k] = state.sayd[sayd.CURRENT * LANES + k] if state.sayd.shape[0] > 0 else 0.0
+        log[LOG_HYDRAULIC + k] = hydraulic_force(row, loop, k)
+        log[LOG_CURRENT + k] = row[trace.VALVE_CURRENT + k]
     for k in range(POINTS):
-        row[LOG_FILTERED + k] = memory.passed[k]
+        log[LOG_FILTERED + k] = memory.passed[k]
     for k in range(BODY_ROWS):
-        total, g = 0.0, loop.body[k]
-        for i in range(g.shape[0]):
-            total += g[i] * state.a[i]
-        row[LOG_BODY + k] = total
+        log[LOG_BODY + k] = row[trace.BODY + k]
 
 
 @kernel(allocates=False)
-def control_period(
-    plant: Plant,
-    state: State,
-    work: Work,
+def observe_period(
+    rows: Array,
     loop: Loop,
     memory: LoopState,
     passed: BandState,
     felt: BandState,
     band: Band,
-    substeps: int,
-    samples: int,
     per_second: int,
     command: Array,
     noise: Array,
@@ -340,20 +320,20 @@ def control_period(
     terms: Array,
     log: Array,
 ) -> int:
-    """Run one vehicle over one control period.
+    """Look at one vehicle's control period: cost, sensors, limits.
 
     Parameters
     ----------
-    plant, state, work : Plant, State, Work
-        The vehicle.
+    rows : ndarray, shape (samples, TRACE)
+        The period's true values.
     loop, memory : Loop, LoopState
-        Its sensors and cost.
+        The vehicle's sensors and cost.
     passed, felt : BandState
         On-line filters of the true accelerations and of the accelerometers' readings.
     band : Band
         Their constants.
-    substeps, samples, per_second : int
-        Steps in a sample, samples in the period, samples in a second.
+    per_second : int
+        Samples in a second.
     command : ndarray, shape (DAMPERS,)
         Valve commands.
     noise : ndarray, shape (samples or 0, SIGNALS)
@@ -373,24 +353,21 @@ def control_period(
     for k in range(SIGNALS):
         memory.total[k] = 0.0
     memory.squares[memory.counter[1] % memory.squares.shape[0], :] = 0.0
-    if state.sayd.shape[0] > 0:
-        for k in range(DAMPERS):
-            state.sayd[sayd.COMMAND * LANES + k] = command[k]
+    samples = rows.shape[0]
     status, taken = RUNNING, 0
     for t in range(samples):
-        for _ in range(substeps):
-            step(plant, state, work)
-        measure(plant, state, work, loop, memory)
-        push(band, passed, memory.row[:POINTS], memory.passed)
-        count_cost(loop, memory, 1.0 / per_second, terms)
+        row = rows[t]
+        measure(row, loop, memory)
+        push(band, passed, row[trace.ACCELERATION : trace.ACCELERATION + POINTS], memory.passed)
+        count_cost(row, loop, memory, 1.0 / per_second, terms)
         sense(loop, memory, noise, t)
         if loop.features > 0.0:
             count_features(band, felt, loop, memory)
         if log.shape[0] > 0:
-            write_log(state, loop, memory, log[t])
+            write_log(row, loop, memory, log[t])
         memory.counter[0] += 1
         taken += 1
-        status = judge(plant, state, work, loop, memory, terms)
+        status = judge(row, loop, memory, terms)
         if status != RUNNING:
             break
         if memory.counter[0] >= 0 and memory.counter[0] % per_second == 0:
@@ -413,83 +390,169 @@ def reward(loop: Loop, terms: Array) -> float:
     return -total / BOGIES
 
 
-def _run_lanes(
+class Period(NamedTuple):
+    """What goes into a call and comes out of it, for v vehicles."""
+
+    command: Array
+    """(v, DAMPERS) valve commands, for all periods of the call."""
+    noise: Array
+    """(v, samples or 0, SIGNALS) standard normal numbers, for every period of the call."""
+    trace: Array
+    """(v, samples, TRACE) receives the last period's true values."""
+    signals: Array
+    """(v, SIGNALS), (v, FEATURES), (v, TERMS): those of the last period stay, as in `observe_period`."""
+    features: Array
+    terms: Array
+    rewards: Array
+    """(v,) receives the reward of the last period."""
+    log: Array
+    """(v, samples of all periods or 0, LOG)."""
+    status: Index
+    """(v,) receives how the last period ended."""
+
+
+loop_of: Any = vehicle_from(Loop)
+memory_of: Any = vehicle_from(LoopState)
+filters_of: Any = vehicle_from(BandState)
+
+
+class OnBoard(NamedTuple):
+    """What looks at the vehicles of a batch: each one's tuples by `RaggedBatch`."""
+
+    loops: References
+    memories: References
+    passed: References
+    felt: References
+
+
+@kernel(allocates=False)
+def _observe(i: int, p: int, on_board: OnBoard, band: Band, per_second: int, period: Period) -> None:
+    """Look at period p of vehicle i."""
+    loop = loop_of(on_board.loops, i)
+    samples = period.trace.shape[1] if period.log.shape[1] > 0 else 0
+    period.status[i] = observe_period(
+        period.trace[i],
+        loop,
+        memory_of(on_board.memories, i),
+        filters_of(on_board.passed, i),
+        filters_of(on_board.felt, i),
+        band,
+        per_second,
+        period.command[i],
+        period.noise[i],
+        period.signals[i],
+        period.features[i],
+        period.terms[i],
+        period.log[i, p * samples : (p + 1) * samples],
+    )
+    period.rewards[i] = reward(loop, period.terms[i])
+
+
+@kernel(allocates=False)
+def _run(
+    lanes: Lanes,
     plant: Plant,
-    plant_spans: Index,
-    state: State,
-    state_spans: Index,
+    states: References,
+    together: State,
     work: Work,
-    work_spans: Index,
-    loop: Loop,
-    loop_spans: Index,
-    memory: LoopState,
-    memory_spans: Index,
-    passed: BandState,
-    passed_spans: Index,
-    felt: BandState,
-    felt_spans: Index,
-    band: Band,
-    clock: Index,
+    members: Index,
+    substeps: int,
     periods: Index,
-    command: Array,
-    noise: Array,
-    signals: Array,
-    features: Array,
-    terms: Array,
-    rewards: Array,
-    log: Array,
-    status: Index,
+    on_board: OnBoard,
+    band: Band,
+    per_second: int,
+    period: Period,
 ) -> None:
-    """Run v lanes over a number of control periods each, all periods of a call with the same command.
+    """Run vehicles side by side over each one's number of control periods, or to the end of its run.
+
+    `members` loses those that have arrived.
+    """
+    longest = np.int64(0)
+    for k in range(len(lanes)):
+        if members[k] >= 0:
+            longest = max(longest, periods[members[k]])
+            command_valves(lanes, k, together, period.command[members[k]])
+    for p in range(longest):
+        trace_period(lanes, plant, together, work, members, substeps, period.trace)
+        for k in range(len(lanes)):
+            i = members[k]
+            if i >= 0:
+                _observe(i, p, on_board, band, per_second, period)
+                if p + 1 == periods[i] or period.status[i] != RUNNING:
+                    put_back(lanes, k, states, i, together)
+                    members[k] = -1
+
+
+def _run_units(
+    units: Units,
+    plants: References,
+    states: References,
+    works: References,
+    group_plants: References,
+    group_states: References,
+    group_works: References,
+    substeps: Index,
+    periods: Index,
+    on_board: OnBoard,
+    band: Band,
+    per_second: int,
+    period: Period,
+) -> None:
+    """Run vehicles over a number of control periods each, all periods of a call with the same command.
 
     Parameters
     ----------
-    plant, plant_spans, ..., felt, felt_spans
-        The vehicles' tuples, by `Stack`. (A parallel loop takes no nested tuples.)
+    units : Units
+        Who runs.
+    plants, states, works, group_plants, group_states, group_works
+        From `Formation.arguments`.
+    substeps : ndarray, shape (v,)
+        Each vehicle's steps in a sample.
+    periods : ndarray, shape (v,)
+        Control periods for each vehicle that runs, at least 1.
+    on_board : OnBoard
     band : Band
         Constants of the on-line filters.
-    clock : ndarray, shape (2 + v,)
-        Samples in a period, samples in a second, then each lane's steps in a sample.
-    periods : ndarray, shape (v,)
-        Control periods for each lane; 0 leaves it alone.
-    command, signals, features, terms : ndarray, shapes (v, ...)
-        As in `control_period`; those of the last period stay.
-    noise : ndarray, shape (v, samples or 0, SIGNALS)
-        Serves every period of the call.
-    rewards, status : ndarray, shape (v,)
-        Receive the reward of the last period and how it ended.
-    log : ndarray, shape (v, samples of all periods or 0, LOG)
+    per_second : int
+        Samples in a second.
+    period : Period
     """
-    for i in numba.prange(periods.shape[0]):
-        one_plant, one_state = vehicle_of(plant, plant_spans, i), vehicle_of(state, state_spans, i)
-        one_work, one_loop = vehicle_of(work, work_spans, i), vehicle_of(loop, loop_spans, i)
-        one_memory = vehicle_of(memory, memory_spans, i)
-        one_passed, one_felt = vehicle_of(passed, passed_spans, i), vehicle_of(felt, felt_spans, i)
-        samples = clock[0] if log.shape[1] > 0 else 0
-        running = periods[i]
-        for p in range(periods[i]):
-            if p < running:
-                status[i] = control_period(
-                    one_plant,
-                    one_state,
-                    one_work,
-                    one_loop,
-                    one_memory,
-                    one_passed,
-                    one_felt,
-                    band,
-                    clock[2 + i],
-                    clock[0],
-                    clock[1],
-                    command[i],
-                    noise[i],
-                    signals[i],
-                    features[i],
-                    terms[i],
-                    log[i, p * samples : (p + 1) * samples],
-                )
-                rewards[i] = reward(one_loop, terms[i])
-                running = p + 1 if status[i] != RUNNING else running
+    groups = units.groups.shape[0]
+    for u in numba.prange(groups + units.alone.shape[0]):
+        if u < groups:
+            g, members = units.groups[u], units.members[u].copy()
+            together = state_of(group_states, g)
+            interleave(ABREAST, members, states, together)
+            _run(
+                ABREAST,
+                plant_of(group_plants, g),
+                states,
+                together,
+                work_of(group_works, g),
+                members,
+                substeps[np.max(members)],
+                periods,
+                on_board,
+                band,
+                per_second,
+                period,
+            )
+        else:
+            i = units.alone[u - groups]
+            _run(
+                SINGLE,
+                plant_of(plants, i),
+                states,
+                state_of(states, i),
+                work_of(works, i),
+                units.alone[u - groups : u - groups + 1].copy(),
+                substeps[i],
+                periods,
+                on_board,
+                band,
+                per_second,
+                period,
+            )
 
 
 def _named(function: Callable[..., None], name: str) -> Callable[..., None]:
@@ -499,9 +562,9 @@ def _named(function: Callable[..., None], name: str) -> Callable[..., None]:
     return copy
 
 
-run_lanes: Any = kernel(announce="the control loop (first use, about 20 s)")(_named(_run_lanes, "run_lanes"))
-"""`_run_lanes`, one lane after another."""
-run_lanes_in_parallel: Any = kernel(
+run_units: Any = kernel(announce="the control loop (first use, about 20 s)")(_named(_run_units, "run_units"))
+"""`_run_units`, one unit after another."""
+run_units_in_parallel: Any = kernel(
     parallel=True, announce="the control loop of many vehicles (first use, about 20 s)"
-)(_named(_run_lanes, "run_lanes_in_parallel"))
-"""`_run_lanes` on all threads: the results are the same bits."""
+)(_named(_run_units, "run_units_in_parallel"))
+"""`_run_units` on all threads: the results are the same bits."""

@@ -5,7 +5,6 @@ The environment fills a recorder, the recorder makes a `Frame`, whoever draws ne
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,14 +16,14 @@ from sayd_env.config.fault import DamperLost, Fault, PowerLost, ValveStuck
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS as DAMPER_NAMES
 from sayd_env.config.track import NoIrregularityConfig, SpectrumConfig
+from sayd_env.envs import trace
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.fleet import Fleet
-from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, DAMPERS, NOT_FINITE, POINTS, RUNNING
+from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, DAMPERS, NOT_FINITE, RUNNING
 from sayd_env.physics import sayd
 from sayd_env.physics.multibody import Instance, Multibody
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.physics.track.realisation import TrackRealisation
 
 Array = npt.NDArray[np.float64]
 
@@ -155,7 +154,7 @@ class Recorder:
     def _damper_force(self) -> Array:
         """Forces that act: a damper that has come off has none, though its hydraulics go on."""
         lanes, i = self.fleet.lanes, self.vehicle
-        force = lanes.memory.view(i).row[2 * POINTS :].copy()
+        force = lanes.trace[i, -1, trace.FORCE : trace.FORCE + DAMPERS].copy()
         states = lanes.state.view(i).sayd
         return force if states.size == 0 else force * states.reshape(-1, LANES)[sayd.ATTACHED, :DAMPERS]
 
@@ -174,13 +173,10 @@ class Recorder:
         fleet, i, lanes = self.fleet, self.vehicle, self.fleet.lanes
         episode, scenario = fleet.episodes[i], fleet.scenario
         assert episode is not None  # the fleet has lanes, so it has been reset
-        state, plant = lanes.state.view(i), lanes.plant.view(i)
+        state = lanes.state.view(i)
         position = float(state.clock[1])
         rail_x = np.arange(-BEHIND, AHEAD + 0.5 * SPACING, SPACING)
-        track = TrackRealisation(
-            plant.irregularity_start, plant.irregularity_step, math.nan, plant.irregularity
-        )
-        rails, _ = track.evaluate(position + rail_x)
+        rails, _ = lanes.lane(i).track.evaluate(position + rail_x)
         time = self.time
         happened = [fault for fault in episode.faults if fault.start_s <= time + 1e-9]
         rows, cost, ended = self._history(), scenario.cost, int(lanes.status[i]) != RUNNING

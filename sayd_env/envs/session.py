@@ -148,8 +148,7 @@ class Session:
 
     def _choice(self) -> npt.NDArray[np.int64]:
         """Indices of f_0 of each vehicle's bogies, a new array of shape (count, BOGIES)."""
-        choice: npt.NDArray[np.int64] = self.fleet.lanes.passed.values.choice
-        return choice.reshape(self.fleet.count, -1).copy()
+        return self.fleet.lanes.choice()
 
     def _run_in(self, i: int, rows: Array) -> None:
         fleet, episode = self.fleet, self.fleet.episodes[i]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.envs import trace
 from sayd_env.envs.fleet import Fleet
 from sayd_env.envs.loop import (
     BOGIES,
@@ -23,7 +24,6 @@ from sayd_env.envs.loop import (
 from sayd_env.envs.running import RunningValues
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES
-from sayd_env.physics.step import FORCE_Y, FORCE_Z
 
 Array = npt.NDArray[np.float64]
 
@@ -77,15 +77,13 @@ def of_the_episode(fleet: Fleet, i: int) -> dict[str, Any]:
 def of_the_vehicle(fleet: Fleet, i: int, running: RunningValues) -> dict[str, Any]:
     """Forces, valves, flow, power and running values of a vehicle at the end of the last period."""
     lanes, limits = fleet.lanes, fleet.limits[i]
-    state, memory, out = lanes.state.view(i), lanes.memory.view(i), lanes.work.view(i).lane_out
-    row, mean = memory.row, memory.rail_mean
+    state, row, mean = lanes.state.view(i), lanes.trace[i, -1], lanes.memory.view(i).rail_mean
     acceleration, shift = running.rms()
     told = {
-        "damper_force": row[2 * POINTS :],
-        "track_shift_force": row[POINTS : 2 * POINTS],
-        # The kernel has the force on the wheel; Y is that on the rail.
-        "wheel_lateral_force": -out[FORCE_Y * LANES : (FORCE_Y + 1) * LANES],
-        "wheel_vertical_force": out[FORCE_Z * LANES : (FORCE_Z + 1) * LANES],
+        "damper_force": row[trace.FORCE : trace.FORCE + DAMPERS],
+        "track_shift_force": row[trace.TRACK_SHIFT : trace.TRACK_SHIFT + POINTS],
+        "wheel_lateral_force": row[trace.WHEEL_LATERAL : trace.WHEEL_LATERAL + LANES],
+        "wheel_vertical_force": row[trace.WHEEL_VERTICAL : trace.WHEEL_VERTICAL + LANES],
         "valve_command": lanes.command[i],
         **_hydraulics(fleet, i, state),
         "running_acceleration": acceleration,

@@ -14,7 +14,8 @@ from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.sensors import SIGNALS as SENSED
 from sayd_env.config.sensors import SensorConfig, SensorsConfig
 from sayd_env.envs import loop as places
-from sayd_env.envs.loop import BODY_ROWS, DAMPERS, POINTS, RAIL_FORCES, SIGNALS, Loop, LoopState
+from sayd_env.envs.loop import RAIL_FORCES, SIGNALS, Loop, LoopState
+from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.simulator import VehicleModel
@@ -85,6 +86,7 @@ class SensorErrors:
 class Lane:
     """One vehicle, ready to run."""
 
+    track: TrackRealisation
     plant: Plant
     state: State
     work: Work
@@ -165,10 +167,12 @@ def make_lane(
             band_constants, settings.sample_rate, assessment, speed, channels=POINTS, groups=places.BOGIES
         )
 
+    points = np.vstack([longitudinal_rows(model), body_rows(model)])
     return Lane(
-        plant=model.plant(speed, track),
+        track=track,
+        plant=model.plant(speed, track, points=points),
         state=state,
-        work=model.work(),
+        work=model.work(len(points)),
         loop=loop_constants(model, sensors, settings, averaging)._replace(noise=spread),
         memory=loop_state(settings, run_in, bias, averaging),
         passed=filters(),
@@ -213,8 +217,6 @@ def loop_constants(
     dt = 1.0 / settings.sample_rate
     each = sensors_by_signal(sensors)
     return Loop(
-        longitudinal=longitudinal_rows(model),
-        body=body_rows(model),
         area=damper.cylinder.area if isinstance(damper, SaydDamperConfig) else 0.0,
         tank=damper.oil.tank_pressure if isinstance(damper, SaydDamperConfig) else settings.tank_pressure,
         per_acceleration=1.0 / model_limits(model).acceleration,
@@ -285,7 +287,6 @@ def loop_state(settings: LoopSettings, run_in: int, bias: Array, averaging: floa
         rail_ring=np.zeros((int(averaging) + 1, RAIL_FORCES)),
         rail_place=np.zeros(1, dtype=np.int64),
         true=np.zeros(SIGNALS),
-        row=np.zeros(2 * POINTS + DAMPERS),
         passed=np.zeros(POINTS),
         felt=np.zeros(POINTS),
     )

@@ -17,12 +17,20 @@ import numpy.typing as npt
 from numba.core import config
 
 from sayd_env.config import ConfigError, StudyError
+from sayd_env.physics.formation import (
+    Formation,
+    References,
+    Units,
+    interleave,
+    plant_of,
+    put_back,
+    state_of,
+    work_of,
+)
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.formation import Formation, Units, interleave, put_back
-from sayd_env.physics.plant import LANES, Ground, Plant, State, Work
+from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.rows import ABREAST
 from sayd_env.physics.simulator import Simulator
-from sayd_env.physics.stack import vehicle_of
 from sayd_env.physics.step import advance, largest_shift, measure, record, steps
 
 Array = npt.NDArray[np.float64]
@@ -33,7 +41,6 @@ numba_config: Any = config  # its settings are made at run time
 @kernel(allocates=False)
 def _advance_group(
     plant: Plant,
-    ground: Ground,
     state: State,
     work: Work,
     members: Index,
@@ -43,7 +50,7 @@ def _advance_group(
 ) -> None:
     """`sayd_env.physics.step.advance` for vehicles side by side, into the rows of the batch's arrays."""
     for t in range(signals.shape[1]):
-        steps(ABREAST, plant, ground, state, work, substeps)
+        steps(ABREAST, plant, state, work, substeps)
         measure(ABREAST, plant, state, work)
         for k in range(len(ABREAST)):
             i = members[k]
@@ -57,20 +64,12 @@ def _advance_group(
 @kernel(parallel=True, announce="the simulator of many vehicles (first use, about 15 s)")
 def advance_batch(
     units: Units,
-    plant: Plant,
-    plant_spans: Index,
-    state: State,
-    state_spans: Index,
-    work: Work,
-    work_spans: Index,
-    group_plant: Plant,
-    group_plant_spans: Index,
-    group_state: State,
-    group_state_spans: Index,
-    group_work: Work,
-    group_work_spans: Index,
-    ground: Ground,
-    track_spans: Index,
+    plants: References,
+    states: References,
+    works: References,
+    group_plants: References,
+    group_states: References,
+    group_works: References,
     substeps: Index,
     signals: Array,
     done: Index,
@@ -81,12 +80,8 @@ def advance_batch(
     ----------
     units : Units
         Which of them run side by side and which alone.
-    plant, plant_spans, ..., group_work, group_work_spans
-        The vehicles and the groups, by `Stack`. (A parallel loop takes no nested tuples.)
-    ground : Ground
-        The tracks of all vehicles behind one another.
-    track_spans : ndarray, shape (1, v, 2)
-        Where each begins and ends.
+    plants, states, works, group_plants, group_states, group_works
+        From `Formation.arguments`.
     substeps : ndarray, shape (v,)
         Steps between two samples of each vehicle.
     signals : ndarray, shape (v, samples, 2 w + d)
@@ -98,28 +93,28 @@ def advance_batch(
     for u in numba.prange(groups + units.alone.shape[0]):
         if u < groups:
             g, members = units.groups[u], units.members[u]
-            together = vehicle_of(group_state, group_state_spans, g)
-            interleave(ABREAST, members, state, state_spans, together)
+            together = state_of(group_states, g)
+            interleave(ABREAST, members, states, together)
+            steps_each = substeps[np.max(members)]
             _advance_group(
-                vehicle_of(group_plant, group_plant_spans, g),
-                ground,
+                plant_of(group_plants, g),
                 together,
-                vehicle_of(group_work, group_work_spans, g),
+                work_of(group_works, g),
                 members,
-                substeps[np.max(members)],
+                steps_each,
                 signals,
                 done,
             )
-            put_back(ABREAST, members, state, state_spans, together)
+            for k in range(len(ABREAST)):
+                if members[k] >= 0:
+                    put_back(ABREAST, k, states, members[k], together)
         else:
             i = units.alone[u - groups]
             none = np.empty((0, LANES))
-            rows = ground.irregularity[track_spans[0, i, 0] : track_spans[0, i, 1]]
             done[i] = advance(
-                vehicle_of(plant, plant_spans, i),
-                Ground(rows, ground.creep),
-                vehicle_of(state, state_spans, i),
-                vehicle_of(work, work_spans, i),
+                plant_of(plants, i),
+                state_of(states, i),
+                work_of(works, i),
                 substeps[i],
                 signals[i],
                 none,
@@ -172,13 +167,9 @@ class BatchSimulator:
         self._substeps = np.array([s.model.step(s.speed)[1] for s in self.simulators])
         self._formation = Formation(
             [s.plant for s in self.simulators],
-            [s.ground.irregularity for s in self.simulators],
             [s.state for s in self.simulators],
             [s.work for s in self.simulators],
         )
-        self._creep = self.simulators[0].ground.creep
-        for i, simulator in enumerate(self.simulators):
-            simulator.state, simulator.work = self._formation.state.view(i), self._formation.work.view(i)
 
     def advance(self, samples: int) -> Array:
         """Run all vehicles on for a number of samples.
@@ -210,7 +201,6 @@ class BatchSimulator:
                 advance_batch(
                     self._formation.units(),
                     *self._formation.arguments(),
-                    *self._formation.ground(self._creep),
                     self._substeps,
                     signals,
                     done,

@@ -25,16 +25,17 @@ from sayd_env.physics.plant import (
     TABLE_BASE,
     WHEEL_ROWS,
     Array,
-    Ground,
     Index,
     Plant,
     State,
     Work,
 )
+from sayd_env.physics.ragged import RaggedBatch, vehicle_from
 from sayd_env.physics.rows import ABREAST, Lanes
-from sayd_env.physics.stack import Stack, vehicle_of
 
 Flags = npt.NDArray[np.bool_]
+References = npt.NDArray[np.int64]
+"""`RaggedBatch.table`."""
 
 WIDTH = len(ABREAST)
 """Vehicles in a group."""
@@ -43,13 +44,7 @@ FEWEST = 5
 
 SHARED = ("start", "column")
 """Ends of the names of fields that are the same for all vehicles of a group."""
-
-
-class Track(NamedTuple):
-    """Where one vehicle runs."""
-
-    irregularity: Array
-    """(nodes, 4), as in `Ground`."""
+_OF_ANY_LENGTH = ("table", "sayd_table", "irregularity")
 
 
 def interleaved(vehicles: Sequence[Array]) -> Array:
@@ -57,20 +52,16 @@ def interleaved(vehicles: Sequence[Array]) -> Array:
     return np.ascontiguousarray(np.stack(vehicles, axis=-1).reshape(*vehicles[0].shape[:-1], -1))
 
 
-def side_by_side(plants: Sequence[Plant], first_coefficients: Sequence[int]) -> Plant:
-    """Constants of vehicles of one kind side by side.
+def side_by_side(plants: Sequence[Plant]) -> Plant:
+    """Constants of vehicles of one kind side by side, made of those of one vehicle each.
 
-    Parameters
-    ----------
-    plants : sequence of Plant
-        One vehicle each.
-    first_coefficients : sequence of int
-        Where each one's track begins in the common array of irregularities.
+    Tracks are too long to be copied: the group reads all of them from the first one's address on, and so the
+    vehicles have to keep them alive.
     """
     fields: dict[str, Any] = {}
     for name in Plant._fields:
         values = [getattr(plant, name) for plant in plants]
-        if name.endswith(SHARED):
+        if name.endswith(SHARED) or name in ("irregularity", "creep"):
             fields[name] = values[0]
         elif name.endswith("_value") and all(np.array_equal(values[0], other) for other in values[1:]):
             fields[name] = values[0]
@@ -80,7 +71,10 @@ def side_by_side(plants: Sequence[Plant], first_coefficients: Sequence[int]) -> 
         else:
             fields[name] = interleaved(values)
     width = len(plants)
-    fields["number"].reshape(NUMBERS, width)[RAIL_BASE] = first_coefficients
+    fields["number"].reshape(NUMBERS, width)[RAIL_BASE] = [
+        (plant.irregularity.ctypes.data - plants[0].irregularity.ctypes.data) // plant.irregularity.itemsize
+        for plant in plants
+    ]
     fields["wheel"].reshape(WHEEL_ROWS, LANES, width)[TABLE_BASE] = fields.pop("table offsets")
     offsets = fields.pop("sayd_table offsets")
     if fields["sayd_constant"].size and hasattr(sayd, "TABLE_START"):
@@ -98,21 +92,30 @@ def _joined(tables: Sequence[Array]) -> tuple[Array, list[int]]:
 
 def kind(plant: Plant) -> tuple[Any, ...]:
     """What vehicles side by side must have in common."""
-    structure = (value.tobytes() for name, value in zip(Plant._fields, plant, strict=True) if name.endswith(SHARED))
-    lengths = (value.shape for name, value in zip(Plant._fields, plant, strict=True) if "table" not in name)
-    return float(plant.number[STEP]), int(plant.number[SUBSTEPS]), *lengths, *structure
+    structure = (
+        value.tobytes() for name, value in zip(Plant._fields, plant, strict=True) if name.endswith(SHARED)
+    )
+    lengths = (
+        value.shape for name, value in zip(Plant._fields, plant, strict=True) if name not in _OF_ANY_LENGTH
+    )
+    return float(plant.number[STEP]), int(plant.number[SUBSTEPS]), id(plant.creep), *lengths, *structure
 
 
-@kernel
-def interleave(lanes: Lanes, members: Index, values: State, spans: Index, group: State) -> None:
+plant_of: Any = vehicle_from(Plant)
+state_of: Any = vehicle_from(State)
+work_of: Any = vehicle_from(Work)
+
+
+@kernel(allocates=False)
+def interleave(lanes: Lanes, members: Index, states: References, group: State) -> None:
     """Copy the members' states into their group's; lanes without a member get another one's.
 
     Parameters
     ----------
     members : ndarray, shape (W,)
         The vehicles; negative: no vehicle.
-    values, spans
-        States of all vehicles, by `Stack`.
+    states
+        Of all vehicles, by `RaggedBatch`.
     group : State
         Filled.
     """
@@ -121,24 +124,23 @@ def interleave(lanes: Lanes, members: Index, values: State, spans: Index, group:
     for k in range(w):
         any_member = max(any_member, members[k])
     for k in range(w):
-        one = vehicle_of(values, spans, members[k] if members[k] >= 0 else any_member)
+        one = state_of(states, members[k] if members[k] >= 0 else any_member)
         for field in range(len(one)):
             source, target = one[field], group[field]
             for r in range(source.shape[0]):
                 target[r * w + k] = source[r]
 
 
-@kernel
-def put_back(lanes: Lanes, members: Index, values: State, spans: Index, group: State) -> None:
-    """Copy a group's state back to its members: the reverse of `interleave`."""
+@kernel(allocates=False)
+def put_back(lanes: Lanes, k: int, states: References, vehicle: int, group: State) -> None:
+    """Copy the state of a group's lane k back to its vehicle; alone, a vehicle works on its own state."""
     w = len(lanes)
-    for k in range(w):
-        if members[k] >= 0:
-            one = vehicle_of(values, spans, members[k])
-            for field in range(len(one)):
-                source, target = group[field], one[field]
-                for r in range(target.shape[0]):
-                    target[r] = source[r * w + k]
+    if w > 1:
+        one = state_of(states, vehicle)
+        for field in range(len(one)):
+            source, target = group[field], one[field]
+            for r in range(target.shape[0]):
+                target[r] = source[r * w + k]
 
 
 class Units(NamedTuple):
@@ -157,53 +159,45 @@ class Formation:
 
     Parameters
     ----------
-    plants, tracks, states, works : sequences of Plant, Array, State, Work
-        The vehicles, one each: constants, irregularities, states, scratch memory. The formation takes over the
-        states: `state.view(i)` is a vehicle's from now on.
+    plants, states, works : sequences of Plant, State, Work
+        The vehicles, one each: constants, states, scratch memory, by reference.
 
     Attributes
     ----------
-    plant, track, state, work : Stack
+    plant, state, work : RaggedBatch
         All vehicles.
-    group_plant, group_state, group_work : Stack
-        All groups; of one that is never run if there is none.
     """
 
-    def __init__(
-        self,
-        plants: Sequence[Plant],
-        tracks: Sequence[Array],
-        states: Sequence[State],
-        works: Sequence[Work],
-    ) -> None:
-        self._plants = list(plants)
+    def __init__(self, plants: Sequence[Plant], states: Sequence[State], works: Sequence[Work]) -> None:
+        self.plant = RaggedBatch(Plant, plants)
+        self.state = RaggedBatch(State, states)
+        self.work = RaggedBatch(Work, works)
         self._kinds = [kind(plant) for plant in plants]
-        self.plant: Stack[Plant] = Stack(self._plants)
-        self.track: Stack[Track] = Stack([Track(track) for track in tracks])
-        self.state: Stack[State] = Stack(states)
-        self.work: Stack[Work] = Stack(works)
+        self._arrange()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("plant", "state", "work")}
+
+    def __setstate__(self, batches: dict[str, Any]) -> None:
+        """The arrays of a copy are elsewhere: its groups are formed anew."""
+        self.__dict__.update(batches)
+        self._kinds = [kind(plant) for plant in self.plant]
         self._arrange()
 
     def __len__(self) -> int:
-        return len(self._plants)
+        return len(self.plant)
 
-    def put(self, i: int, plant: Plant, track: Array, state: State, work: Work) -> None:
+    def put(self, i: int, plant: Plant, state: State, work: Work) -> None:
         """Replace a vehicle."""
         self.state.put(i, state)
         self.work.put(i, work)
-        self.track.put(i, Track(track))
         self.change(i, plant)
 
     def change(self, i: int, plant: Plant) -> None:
         """Replace a vehicle's constants."""
-        self._plants[i] = plant
         self.plant.put(i, plant)
         self._kinds[i] = kind(plant)
         self._stale = True
-
-    def constants(self, i: int) -> Plant:
-        """A vehicle's constants."""
-        return self._plants[i]
 
     def units(self, active: Flags | None = None) -> Units:
         """Who runs in a call for these vehicles (by default all)."""
@@ -213,10 +207,8 @@ class Formation:
             return self._all
         groups, members, alone = [], [], list(self._all.alone[active[self._all.alone]])
         for g, of_group in zip(self._all.groups, self._all.members, strict=True):
-            present = of_group >= 0
-            run = np.where(present & active[of_group], of_group, -1)
-            count = np.count_nonzero(run >= 0)
-            if count >= FEWEST:
+            run = np.where((of_group >= 0) & active[of_group], of_group, -1)
+            if np.count_nonzero(run >= 0) >= FEWEST:
                 groups.append(g)
                 members.append(run)
             else:
@@ -224,13 +216,9 @@ class Formation:
         return _units(groups, members, alone)
 
     def arguments(self) -> tuple[Any, ...]:
-        """Vehicles and groups as a compiled call takes them; valid until a vehicle is replaced."""
-        own = (self.plant, self.state, self.work, self.group_plant, self.group_state, self.group_work)
-        return tuple(part for stack in own for part in (stack.values, stack.spans))
-
-    def ground(self, creep: Array) -> tuple[Ground, Index]:
-        """What all vehicles read, and where each one's track stands in it."""
-        return Ground(self.track.values.irregularity, creep), self.track.spans
+        """Vehicles and groups as a compiled call takes them, after `units`."""
+        own = (self.plant, self.state, self.work, self._group_plant, self._group_state, self._group_work)
+        return tuple(batch.table for batch in own)
 
     def _arrange(self) -> None:
         """Form groups of vehicles of one kind, in the order of the batch."""
@@ -245,16 +233,13 @@ class Formation:
                     teams.append(team)
                 else:
                     alone += team
+        self._all = _units(range(len(teams)), [team + [-1] * (WIDTH - len(team)) for team in teams], alone)
         full = [team + [team[0]] * (WIDTH - len(team)) for team in teams]
-        members = [team + [-1] * (WIDTH - len(team)) for team in teams]
-        self._all = _units(range(len(teams)), members, alone)
-        built = full or [[0] * WIDTH]  # compiled code wants an array of the right type
-        starts = self.track.spans[0, :, 0]
-        self.group_plant: Stack[Plant] = Stack(
-            [side_by_side([self._plants[i] for i in team], starts[team]) for team in built]
+        self._group_plant = RaggedBatch(
+            Plant, [side_by_side([self.plant.view(i) for i in team]) for team in full]
         )
-        self.group_state: Stack[State] = Stack([_room(self.state, team) for team in built])
-        self.group_work: Stack[Work] = Stack([_room(self.work, team) for team in built])
+        self._group_state = RaggedBatch(State, [_room(self.state, team) for team in full])
+        self._group_work = RaggedBatch(Work, [_room(self.work, team) for team in full])
         self._stale = False
 
 
@@ -266,7 +251,7 @@ def _units(groups: Sequence[int] | range, members: Sequence[Any], alone: Sequenc
     )
 
 
-def _room(stack: Stack[Any], team: Sequence[int]) -> Any:
+def _room(batch: RaggedBatch[Any], team: Sequence[int]) -> Any:
     """Memory for a group: each field as long as the longest member's, for all lanes."""
-    views = [stack.view(i) for i in team]
+    views = [batch.view(i) for i in team]
     return type(views[0])(*(np.zeros(max(map(len, column)) * WIDTH) for column in zip(*views, strict=True)))

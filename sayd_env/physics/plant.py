@@ -12,13 +12,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from sayd_env.physics.ragged import Array, Index, Matrix
 from sayd_env.physics.rows import Column
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int64]
+__all__ = ["Array", "Index"]
+
 
 LANES = 8
 """Wheels and yaw dampers of a vehicle, and the width of the loops over them."""
@@ -33,7 +31,7 @@ WHEELSETS = 4
     RAIL_START,  # position of the first knot of the irregularities, m
     RAIL_STEP,  # distance of knots, m
     RAIL_COUNT,  # number of their coefficients
-    RAIL_BASE,  # first row of the vehicle's coefficients in the common array
+    RAIL_BASE,  # place of the vehicle's first coefficient, counted from `Plant.irregularity`
     WIDEST,  # lateral shift at the end of the contact table, m
     NUMBERS,
 ) = range(9)
@@ -87,24 +85,28 @@ class Plant(NamedTuple):
     """`Rows` that give the measuring points' accelerations from those of the unknowns."""
     measure_column: Column
     measure_value: Array
-    damper_velocity: Array
+    damper_velocity: Matrix
     """(p, m * W) abscissae of the Maxwell dampers' force-velocity curves, m/s."""
-    damper_force: Array
+    damper_force: Matrix
     """(p, m * W) ordinates, N."""
-    damper_knot: Array
+    damper_knot: Matrix
     """(p, m * W) F + k h / 2 v at these points, N."""
-    damper_slope: Array
+    damper_slope: Matrix
     """(p, m * W) dv / d(F + k h / 2 v) behind each point, m/(N s)."""
     damper_stiffness: Array
     """(m * W,) series stiffness, N/m."""
-    stop_shift: Array
+    stop_shift: Matrix
     """(p, s * W) abscissae of the stops' curves, m."""
-    stop_force: Array
+    stop_force: Matrix
     """(p, s * W) ordinates, N."""
     sayd_constant: Array
     """Constants of the semi-active dampers, as in `sayd_env.physics.sayd`; empty without them."""
     sayd_table: Array
     """Their flow through throttle and rectifier, flat; empty without them."""
+    irregularity: Array
+    """(nodes * 4,) spline coefficients of alignment, vertical, cross-level angle, gauge, node by node."""
+    creep: Array
+    """What the creep law reads as its table."""
 
     @property
     def step(self) -> float:
@@ -115,16 +117,6 @@ class Plant(NamedTuple):
     def speed(self) -> float:
         """Speed V of the first vehicle (m/s)."""
         return float(self.number[SPEED * len(self.number) // NUMBERS])
-
-
-class Ground(NamedTuple):
-    """What vehicles share and only read: too large for a copy each."""
-
-    irregularity: Array
-    """(nodes, 4) spline coefficients of alignment, vertical, cross-level angle, gauge; one track or several
-    behind one another."""
-    creep: Array
-    """Table of the creep-force law."""
 
 
 class State(NamedTuple):

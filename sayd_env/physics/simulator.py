@@ -63,7 +63,6 @@ from sayd_env.physics.plant import (
     WHEEL_SPEED,
     WHEELSETS,
     WIDEST,
-    Ground,
     Plant,
     State,
     Work,
@@ -266,11 +265,9 @@ class VehicleModel:
             stop_force=stop,
             sayd_constant=np.zeros(0) if sayds is None else sayds.constant,
             sayd_table=np.zeros(0) if sayds is None else sayds.table,
+            irregularity=track.coefficients.ravel(),
+            creep=np.zeros(0),
         )
-
-    def ground(self, track: TrackRealisation) -> Ground:
-        """What the vehicle's step reads and others may share."""
-        return Ground(irregularity=track.coefficients, creep=np.zeros(0))
 
     def _numbers(self, speed: float, track: TrackRealisation, table: ContactTable, substeps: int) -> Array:
         number = np.zeros(NUMBERS)
@@ -335,7 +332,9 @@ class VehicleModel:
         for j, (wheelset, section) in enumerate(zip(b.wheelset_dofs, b.section_dofs, strict=True)):
             for dof, row in zip(wheelset, range(FORCE_X, MOMENT_YAW + 1), strict=True):
                 contact[dof, row, :, j] = 1.0
-            for dof, row, sign in zip(section, (FORCE_Y, FORCE_Z, MOMENT_TRACK), (-1.0, -1.0, 1.0), strict=True):
+            for dof, row, sign in zip(
+                section, (FORCE_Y, FORCE_Z, MOMENT_TRACK), (-1.0, -1.0, 1.0), strict=True
+            ):
                 contact[dof, row, :, j] = sign
         parts = [-b.stiffness, -damping, np.zeros((n, n)), contact.reshape(n, -1)]
         parts.append(-np.reshape([e.connection for e in self.dampers], (-1, n)).T)
@@ -436,7 +435,6 @@ class Simulator:
         self.speed = speed
         self.track = model.realisation(seed) if track is None else track
         self.plant = model.plant(speed, self.track, table)
-        self.ground = model.ground(self.track)
         self.state = model.state(speed)
         self.work = model.work()
 
@@ -521,7 +519,7 @@ class Simulator:
         forces = np.empty((samples if wheels else 0, 2 * LANES))
         motions = np.empty((samples if motion else 0, self.model.multibody.n))
         dampers = np.empty((samples if sayds else 0, self.state.sayd.size))
-        done = advance(self.plant, self.ground, self.state, self.work, substeps, signals, forces, motions, dampers)
+        done = advance(self.plant, self.state, self.work, substeps, signals, forces, motions, dampers)
         if done < samples:
             raise StudyError(self.divergence())
         return Telemetry(

@@ -45,11 +45,6 @@ from sayd_env.physics.plant import (
     LIFT,
     LIFT_RATE,
     LOAD_FACTOR,
-    MOMENT_PITCH,
-    MOMENT_ROLL,
-    MOMENT_TRACK,
-    MOMENT_YAW,
-    MOTIONS,
     M_BOTTOM,
     M_HEIGHT,
     M_OFFSET,
@@ -62,6 +57,11 @@ from sayd_env.physics.plant import (
     M_SPIN_RATE,
     M_YAW,
     M_YAW_RATE,
+    MOMENT_PITCH,
+    MOMENT_ROLL,
+    MOMENT_TRACK,
+    MOMENT_YAW,
+    MOTIONS,
     NORMAL,
     OFFSET,
     PATCH_ROWS,
@@ -79,8 +79,8 @@ from sayd_env.physics.plant import (
     RAIL_COUNT,
     RAIL_START,
     RAIL_STEP,
-    ROLLING,
     ROLL_RATE,
+    ROLLING,
     ROWS_IN,
     ROWS_OUT,
     SEMI_A,
@@ -106,15 +106,14 @@ from sayd_env.physics.plant import (
     TANGENT,
     TILT,
     TILT_RATE,
-    WHEELSETS,
     WHEEL_SPEED,
+    WHEELSETS,
     WIDEST,
     XI_X,
     XI_Y,
     YAW,
     YAW_RATE,
     Array,
-    Ground,
     Plant,
     State,
     Work,
@@ -173,11 +172,12 @@ def read_track(
             i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(
                 int(number[RAIL_COUNT * w + k]), number[RAIL_START * w + k], number[RAIL_STEP * w + k], x
             )
-            i += int(number[RAIL_BASE * w + k])
+            first = int(number[RAIL_BASE * w + k]) + SLOPE * i
             place = j * w + k
             for m in range(SLOPE):
-                c0, c1 = irregularity[i, m], irregularity[i + 1, m]
-                c2, c3 = irregularity[i + 2, m], irregularity[i + 3, m]
+                p = first + m
+                c0, c1 = irregularity[p], irregularity[p + SLOPE]
+                c2, c3 = irregularity[p + 2 * SLOPE], irregularity[p + 3 * SLOPE]
                 rail[m * block + place] = w0 * c0 + w1 * c1 + w2 * c2 + w3 * c3
                 rail[(SLOPE + m) * block + place] = d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3
 
@@ -448,7 +448,11 @@ def _follow_lost_ends(n: int, state: Array, inputs: Array) -> None:
     for k in range(n):
         attached = state[sayd.ATTACHED * n + k] != 0.0
         stroke = state[sayd.STROKE * n + k]
-        end, rate, old = inputs[sayd.END_1 * n + k], inputs[sayd.RATE_1 * n + k], inputs[sayd.OLD_RATE_1 * n + k]
+        end, rate, old = (
+            inputs[sayd.END_1 * n + k],
+            inputs[sayd.RATE_1 * n + k],
+            inputs[sayd.OLD_RATE_1 * n + k],
+        )
         housing, its_rate = inputs[sayd.END_2 * n + k], inputs[sayd.RATE_2 * n + k]
         its_old = inputs[sayd.OLD_RATE_2 * n + k]
         inputs[sayd.END_1 * n + k] = end if attached else housing + stroke
@@ -466,12 +470,12 @@ def _sayd_forces(n: int, state: Array, forces: Array) -> None:
 
 
 @kernel(allocates=False)
-def contact(lanes: Lanes, plant: Plant, ground: Ground, clock: Array, work: Work) -> None:
+def contact(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
     """Track and contact: from the motion in `Work.x` and the kinematics in `Work.y` to the wheels' forces."""
     w = len(lanes)
     first = 3 * work.f.shape[0]
     out = work.x[first : first + ROWS_OUT * LANES * w]
-    read_track(lanes, plant.number, plant.wheelset_x, ground.irregularity, clock, work.rail)
+    read_track(lanes, plant.number, plant.wheelset_x, plant.irregularity, clock, work.rail)
     wheel_kinematics(lanes, plant.wheel, work.y, work.rail, work.lane_in)
     _touch(lanes, plant.wheel, work.lane_in, plant.table, work.patch, out)
     _polach(lanes, plant.wheel, work.patch)
@@ -479,7 +483,7 @@ def contact(lanes: Lanes, plant: Plant, ground: Ground, clock: Array, work: Work
 
 
 @kernel(allocates=False)
-def steps(lanes: Lanes, plant: Plant, ground: Ground, state: State, work: Work, count: int) -> None:
+def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int) -> None:
     """Advance vehicles by a number of the plant's time steps."""
     w = len(lanes)
     h = plant.number[STEP * w]
@@ -510,7 +514,7 @@ def steps(lanes: Lanes, plant: Plant, ground: Ground, state: State, work: Work, 
             state.clock[k] += h
             state.clock[w + k] += h * plant.number[SPEED * w + k]
         multiply(lanes, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
-        contact(lanes, plant, ground, state.clock, work)
+        contact(lanes, plant, state.clock, work)
         step_dampers(
             h,
             shift,
@@ -535,9 +539,7 @@ def steps(lanes: Lanes, plant: Plant, ground: Ground, state: State, work: Work, 
 
 
 @kernel(allocates=False)
-def rates(
-    plant: Plant, ground: Ground, position: float, q: Array, v: Array, force: Array, work: Work, out: Array
-) -> None:
+def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work: Work, out: Array) -> None:
     """Time derivative of (q, v, F) of one vehicle for a general integrator: the same forces as `steps`.
 
     Semi-active dampers have states of their own and are left out.
@@ -545,7 +547,6 @@ def rates(
     Parameters
     ----------
     plant : Plant
-    ground : Ground
     position : float
         Position of the vehicle's centre along the track, m.
     q, v, force : ndarray
@@ -577,8 +578,14 @@ def rates(
     multiply(SINGLE, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
     clock = work.measured  # scratch
     clock[0], clock[1] = 0.0, position
-    contact(SINGLE, plant, ground, clock, work)
-    step_stops(1, work.y[y_dampers + m : y_dampers + m + s], plant.stop_shift, plant.stop_force, work.x[x_dampers + m :])
+    contact(SINGLE, plant, clock, work)
+    step_stops(
+        1,
+        work.y[y_dampers + m : y_dampers + m + s],
+        plant.stop_shift,
+        plant.stop_force,
+        work.x[x_dampers + m :],
+    )
     add_product(SINGLE, plant.force_start, plant.force_column, plant.force_value, work.x, work.f)
     for i in range(n):
         out[i] = v[i]
@@ -646,7 +653,6 @@ def largest_shift(lanes: Lanes, k: int, plant: Plant, work: Work) -> float:
 @kernel(allocates=False, announce="the simulator (first start, about 10 s)")
 def advance(
     plant: Plant,
-    ground: Ground,
     state: State,
     work: Work,
     substeps: int,
@@ -659,7 +665,7 @@ def advance(
 
     Parameters
     ----------
-    plant, ground, state, work
+    plant, state, work
         One vehicle.
     substeps : int
         Steps between two samples.
@@ -679,7 +685,7 @@ def advance(
         the contact table.
     """
     for t in range(signals.shape[0]):
-        steps(SINGLE, plant, ground, state, work, substeps)
+        steps(SINGLE, plant, state, work, substeps)
         measure(SINGLE, plant, state, work)
         record(SINGLE, 0, plant, state, work, signals[t])
         if wheels.shape[0] > 0:

@@ -21,7 +21,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.control import OnlineConfig
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import Array, Index
+from sayd_env.physics.ragged import Array, Cube, Index, IndexMatrix, Matrix
 
 CHUNK = 16
 """Block means that the spectrum takes at once, their phases from a table; a multiple of four."""
@@ -56,25 +56,25 @@ class BandState(NamedTuple):
     Channel j belongs to group j // (c // g).
     """
 
-    filters: Array
+    filters: Cube
     """(c, s, 2) states of the biquads, transposed direct form II."""
-    recent: Array
+    recent: Matrix
     """(settling, c) ring of samples."""
     block: Array
     """(c,) sum over the block under way."""
-    history: Array
+    history: Matrix
     """(capacity, c) ring of block means."""
-    window: Array
+    window: Matrix
     """(capacity, g) Hann window of the spectrum, scaled so that a harmonic gives its RMS."""
     length: Index
     """(g,) block means that make 500 m, at most `capacity`."""
     choice: Index
     """(g,) index of f_0."""
-    place: Index
+    place: IndexMatrix
     """(g, 5) next row of `recent`, of `history`; samples in the block; samples kept, block means kept."""
     weighted: Array
     """(capacity rounded up to whole chunks,) scratch: windowed means of a channel."""
-    spectrum: Array
+    spectrum: Matrix
     """(3, f + 2) scratch: power of a group, real and imaginary part of a channel."""
 
 

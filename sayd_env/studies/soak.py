@@ -383,12 +383,9 @@ class _Watch:
         if outside.any():
             self.defects["observations_out_of_range"] += _lanes_of(outside)
         self.defects["rewards"] += int(np.count_nonzero(~np.isfinite(rewards)))
-        state = self.env.fleet.lanes.state
-        if not all(np.isfinite(values).all() for values in state.values):
-            self.defects["states"] += sum(
-                not all(np.isfinite(values).all() for values in state.view(i))
-                for i in range(self.env.num_envs)
-            )
+        self.defects["states"] += sum(
+            not all(np.isfinite(values).all() for values in state) for state in self.env.fleet.lanes.state
+        )
 
     def take(
         self, observations: npt.NDArray[np.float32], rewards: Array, terminated: Flags, truncated: Flags
