@@ -55,14 +55,16 @@ def interleaved(vehicles: Sequence[Array]) -> Array:
 def side_by_side(plants: Sequence[Plant]) -> Plant:
     """Constants of vehicles of one kind side by side, made of those of one vehicle each.
 
-    Tracks are too long to be copied: the group reads all of them from the first one's address on, and so the
-    vehicles have to keep them alive.
+    Tracks are too long to be copied: the group reads all of them from the address of the first one in memory
+    on, and so the vehicles have to keep them alive.
     """
     fields: dict[str, Any] = {}
     for name in Plant._fields:
         values = [getattr(plant, name) for plant in plants]
-        if name.endswith(SHARED) or name in ("irregularity", "creep"):
+        if name.endswith(SHARED) or name == "creep":
             fields[name] = values[0]
+        elif name == "irregularity":
+            fields[name] = min(values, key=lambda track: track.ctypes.data)
         elif name.endswith("_value") and all(np.array_equal(values[0], other) for other in values[1:]):
             fields[name] = values[0]
         elif name in ("table", "sayd_table"):
@@ -72,7 +74,7 @@ def side_by_side(plants: Sequence[Plant]) -> Plant:
             fields[name] = interleaved(values)
     width = len(plants)
     fields["number"].reshape(NUMBERS, width)[RAIL_BASE] = [
-        (plant.irregularity.ctypes.data - plants[0].irregularity.ctypes.data) // plant.irregularity.itemsize
+        (plant.irregularity.ctypes.data - fields["irregularity"].ctypes.data) // plant.irregularity.itemsize
         for plant in plants
     ]
     fields["wheel"].reshape(WHEEL_ROWS, LANES, width)[TABLE_BASE] = fields.pop("table offsets")

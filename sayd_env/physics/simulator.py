@@ -77,6 +77,8 @@ Array = npt.NDArray[np.float64]
 FASTEST = 50.0
 """No part of a vehicle moves faster against the running train (m/s, rad/s): beyond it, numbers do."""
 
+_NO_TABLE = np.zeros(0)
+
 RUN_OUT = 150.0
 """Track behind the assessed length (m): room for half a second of signal that settles the filter."""
 
@@ -266,7 +268,7 @@ class VehicleModel:
             sayd_constant=np.zeros(0) if sayds is None else sayds.constant,
             sayd_table=np.zeros(0) if sayds is None else sayds.table,
             irregularity=track.coefficients.ravel(),
-            creep=np.zeros(0),
+            creep=_NO_TABLE,
         )
 
     def _numbers(self, speed: float, track: TrackRealisation, table: ContactTable, substeps: int) -> Array:
