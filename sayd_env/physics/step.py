@@ -25,6 +25,7 @@ from sayd_env.physics.track.spline import spline_weights
 
 # Rows of `Work.rail`: values and slopes of the irregularities.
 ALIGNMENT, VERTICAL, CROSS_LEVEL, GAUGE = 0, 1, 2, 3
+_ONE_VEHICLE = (0,)
 SLOPE = 4
 
 # Rows of `Work.lane_in`: the kinematics of a wheel against its rail.
@@ -359,9 +360,15 @@ def step_sayds(plant: Plant, state: State, work: Work) -> None:
             inputs[sayd.END_1 * LANES + k] = inputs[sayd.END_2 * LANES + k] + stroke
             inputs[sayd.RATE_1 * LANES + k] = inputs[sayd.RATE_2 * LANES + k]
             inputs[sayd.OLD_RATE_1 * LANES + k] = inputs[sayd.OLD_RATE_2 * LANES + k]
-    sayd.move_valves(plant.sayd_constant, state.sayd_line, inputs, state.sayd)
+    sayd.move_valves(_ONE_VEHICLE, plant.sayd_constant, state.sayd_line, inputs, state.sayd)
     sayd.integrate(
-        plant.step, int(plant.sayd_substeps), plant.sayd_constant, plant.sayd_table, inputs, state.sayd
+        _ONE_VEHICLE,
+        plant.step,
+        int(plant.sayd_substeps),
+        plant.sayd_constant,
+        plant.sayd_table,
+        inputs,
+        state.sayd,
     )
 
 
