@@ -11,7 +11,15 @@ from baselines.policy import Array
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.sayd import fed_pressure, steady_force, to_tank
-from sayd_env.physics.throttle import CURRENTS, DROP_ROOT, DROP_SCALE, ROOT_STEP, ROOTS, series_table
+from sayd_env.physics.throttle import (
+    CURRENTS,
+    DROP_ROOT,
+    DROP_SCALE,
+    ROOT_STEP,
+    ROOTS,
+    series_table,
+    table_currents,
+)
 
 FASTEST = 2.0
 """Stroke rate (m/s) at which the table of the closed damper ends; its force then stays."""
@@ -34,6 +42,8 @@ class _Tables(NamedTuple):
     """(DROPS,) flow from it to the tank, through bleed and relief valve, m3/s."""
     through: Array
     """(CURRENTS * ROOTS,) flow of rectifier and throttle, as the compiled damper reads it, m3/s."""
+    current: Array
+    """(CURRENTS,) currents of its rows."""
     constant: Array
     """Area (m2), sliding friction (N), opening drop of the rectifier (Pa), and the currents `closed` and `open`."""
 
@@ -67,6 +77,7 @@ class Characteristic:
             drop=drop,
             tank=tank,
             through=series_table(damper.throttle, damper.rectifier).ravel(),
+            current=table_currents(damper.throttle),
             constant=np.array(
                 [
                     damper.cylinder.area,
@@ -144,7 +155,7 @@ def _through(table: Array, row: int, node: int, right: float) -> float:
 
 
 @kernel(inline=True, allocates=False)
-def _passing(table: Array, drop: float, flow: float) -> float:
+def _passing(table: Array, current: Array, drop: float, flow: float) -> float:
     """Current at which a flow passes rectifier and throttle; `drop` is what opens them further."""
     place = (math.sqrt(drop + DROP_SCALE) - DROP_ROOT) / ROOT_STEP
     node = int(min(place, LAST_ROOT))
@@ -160,7 +171,7 @@ def _passing(table: Array, drop: float, flow: float) -> float:
             high = middle
     less, more = _through(table, low, node, right), _through(table, high, node, right)
     # Below the closed valve's leakage no current will do: a negative one comes out, to be cut to the range.
-    return float((low + (flow - less) / (more - less)) / (CURRENTS - 1))
+    return float(current[low] + (flow - less) / (more - less) * (current[high] - current[low]))
 
 
 @kernel(allocates=False)
@@ -178,4 +189,4 @@ def _currents(tables: _Tables, rate: Array, share: Array, out: Array) -> None:
             out[k] = open_
             continue
         flow = area * speed - _at(tables.drop, tables.tank, drop)
-        out[k] = min(max(_passing(tables.through, drop - checked, flow), closed), open_)
+        out[k] = min(max(_passing(tables.through, tables.current, drop - checked, flow), closed), open_)

@@ -43,6 +43,7 @@ from sayd_env.physics.throttle import (
     series_table,
     spring_valve_drop,
     spring_valve_flow,
+    table_start,
 )
 
 Array = npt.NDArray[np.float64]
@@ -63,6 +64,8 @@ Array = npt.NDArray[np.float64]
     CAPACITY_SLOPE,  # A / E, m2/Pa
     BLEED,  # conductance from each chamber to the tank, m3/(s Pa)
     CHECKED,  # pressure drop at which both check valves in the throttle's way begin to open, Pa
+    CURRENT_START,  # current of the throttle table's first row
+    PER_CURRENT,  # 1 / (1 - CURRENT_START)
     TABLE_START,  # where the damper's own throttle table begins in the array of tables
     TANK,  # tank pressure, Pa
     VAPOUR,  # vapour pressure, Pa
@@ -88,7 +91,7 @@ Array = npt.NDArray[np.float64]
     DELAY,  # row of the delay line that holds the command of so many steps ago
     DELAY_SHARE,  # share of that command; the rest is of the one after it
     CONSTANTS,
-) = range(39)
+) = range(41)
 
 # Rows of the state: the paper's six, the forces, and the valve.
 (
@@ -183,11 +186,11 @@ def _drained(
 
 
 @kernel(inline=True, allocates=False)
-def _place(current: float) -> tuple[int, float]:
-    """Table index below a current and how far the current is above it."""
-    place = current * (CURRENTS - 1.0)
+def _place(current: float, start: float, per_current: float) -> tuple[int, float]:
+    """Index of a throttle table's row below a current and how far the current is above it."""
     # Comparisons with a number that is none are false: it closes the valve and reaches nothing.
-    place = place if place > 0.0 else 0.0
+    travel = (current - start) * per_current
+    place = math.sqrt(travel if travel > 0.0 else 0.0) * (CURRENTS - 1.0)
     whole = place if place < _LAST_CURRENT else _LAST_CURRENT
     row = np.uint32(whole)
     share = place - row
@@ -337,7 +340,7 @@ def _stage(
     swept = constant[CAPACITY_SLOPE * n + i] * (stroke + g * before)
     cap_a, cap_b = constant[CAPACITY_A * n + i] + swept, constant[CAPACITY_B * n + i] - swept
     known = free, cap_a, cap_b, cap_a * p_a, cap_b * p_b
-    row, share = _place(current)
+    row, share = _place(current, constant[CURRENT_START * n + i], constant[PER_CURRENT * n + i])
     valve = np.uint32(constant[TABLE_START * n + i]) + row, share
     rate, p_a, p_b = _newton(known, guess, before, valve, g, table, constant, i, n)
     rate, p_a, p_b = _newton(known, (p_a, p_b), before, valve, g, table, constant, i, n)
@@ -540,6 +543,8 @@ def sayd_arrays(config: SaydDamperConfig, step: float) -> SaydArrays:
     column[CAPACITY_B] = (half + cylinder.dead_length_b * dead) / oil.bulk_modulus
     column[CAPACITY_SLOPE] = cylinder.area / oil.bulk_modulus
     column[BLEED] = config.bleed
+    column[CURRENT_START] = table_start(config.throttle)
+    column[PER_CURRENT] = 1.0 / (1.0 - column[CURRENT_START])
     column[CHECKED] = 2.0 * config.rectifier.opening
     column[TANK], column[VAPOUR] = oil.tank_pressure, oil.vapour_pressure
     column[RELIEF_OPENING : RELIEF_ROOT + 1] = _valve_column(config.relief)
@@ -661,14 +666,17 @@ def rectified_flow(
     """Flow (m3/s) through throttle and rectifier as the compiled damper computes it."""
     dp, i = np.broadcast_arrays(np.asarray(drop, dtype=float), np.asarray(current, dtype=float))
     out = np.empty(dp.size)
-    _rectified_loop(table, 2.0 * config.rectifier.opening, np.ravel(dp), np.ravel(i), out)
+    start, checked = table_start(config.throttle), 2.0 * config.rectifier.opening
+    _rectified_loop(table, start, checked, np.ravel(dp), np.ravel(i), out)
     return out.reshape(dp.shape)
 
 
 @kernel(allocates=False)
-def _rectified_loop(table: Array, checked: float, drop: Array, current: Array, out: Array) -> None:
+def _rectified_loop(
+    table: Array, start: float, checked: float, drop: Array, current: Array, out: Array
+) -> None:
     for k in range(out.shape[0]):
-        first, share = _place(current[k])
+        first, share = _place(current[k], start, 1.0 / (1.0 - start))
         over = abs(drop[k]) - checked
         root = math.sqrt(max(over, 0.0) + DROP_SCALE)
         out[k] = math.copysign(_rectified(over, root, 1.0 / root, first, share, table)[0], drop[k])

@@ -25,7 +25,6 @@ from sayd_env.physics.track.spline import spline_weights
 
 # Rows of `Work.rail`: values and slopes of the irregularities.
 ALIGNMENT, VERTICAL, CROSS_LEVEL, GAUGE = 0, 1, 2, 3
-_ONE_VEHICLE = (0,)
 SLOPE = 4
 
 # Rows of `Work.lane_in`: the kinematics of a wheel against its rail.
@@ -360,9 +359,9 @@ def step_sayds(plant: Plant, state: State, work: Work) -> None:
             inputs[sayd.END_1 * LANES + k] = inputs[sayd.END_2 * LANES + k] + stroke
             inputs[sayd.RATE_1 * LANES + k] = inputs[sayd.RATE_2 * LANES + k]
             inputs[sayd.OLD_RATE_1 * LANES + k] = inputs[sayd.OLD_RATE_2 * LANES + k]
-    sayd.move_valves(_ONE_VEHICLE, plant.sayd_constant, state.sayd_line, inputs, state.sayd)
+    sayd.move_valves((0,), plant.sayd_constant, state.sayd_line, inputs, state.sayd)
     sayd.integrate(
-        _ONE_VEHICLE,
+        (0,),
         plant.step,
         int(plant.sayd_substeps),
         plant.sayd_constant,

@@ -30,7 +30,7 @@ from sayd_env.physics.kernel import kernel
 Array = npt.NDArray[np.float64]
 
 CURRENTS = 129
-"""Nodes over the current of the compiled table, from 0 to 1."""
+"""Nodes over the current of the compiled table: see `table_currents`."""
 ROOTS = 129
 """Nodes over the warped pressure drop of the compiled table."""
 DROP_ROOT = 20.0
@@ -104,7 +104,10 @@ def throttle_field(throttle: Throttle) -> ThrottleField:
     """
     if isinstance(throttle, TableThrottle):
         return read_throttle_table(Path(throttle.file))
-    current = np.linspace(0.0, 1.0, CURRENTS)
+    return _orifice_field(throttle, np.linspace(0.0, 1.0, CURRENTS))
+
+
+def _orifice_field(throttle: OrificeThrottle | EqualPercentageThrottle, current: Array) -> ThrottleField:
     drop = np.array([0.0, LARGEST_DROP])  # linear over the root of the drop: two points are exact
     area = opening_area(throttle, current)
     flow = throttle.discharge * area[:, None] * np.sqrt(2.0 * drop / throttle.density)
@@ -138,14 +141,36 @@ def overlap(throttle: Throttle) -> float:
     return float(field.current[np.all(field.flow == field.flow[0], axis=1)][-1])
 
 
+def table_start(throttle: Throttle) -> float:
+    """Current of the compiled table's first row: the throttle's `overlap`, below which nothing changes.
+
+    Raises
+    ------
+    DataError
+        A table file that cannot be used.
+    """
+    end = overlap(throttle)
+    return end if end < 1.0 else 0.0
+
+
+def table_currents(throttle: Throttle) -> Array:
+    """Currents (CURRENTS,) of the compiled table's rows, from `table_start` to 1.
+
+    Close at its beginning, where an area that rises with a small power of the current is bent most: the root of
+    the distance from there is even.
+    """
+    start = table_start(throttle)
+    return np.asarray(start + (1.0 - start) * np.linspace(0.0, 1.0, CURRENTS) ** 2)
+
+
 def series_table(throttle: Throttle, check: SpringValve) -> Array:
     """Flow of throttle and two check valves in series, as the compiled damper reads it.
 
     Returns
     -------
     ndarray, shape (CURRENTS, ROOTS)
-        Flow (m3/s) at currents that divide 0 to 1 evenly, over pressure drops above the check valves' opening
-        whose `warped` values are ROOT_STEP apart.
+        Flow (m3/s) at `table_currents`, over pressure drops above the check valves' opening whose `warped`
+        values are ROOT_STEP apart.
 
     Raises
     ------
@@ -153,19 +178,19 @@ def series_table(throttle: Throttle, check: SpringValve) -> Array:
         A table file that cannot be used.
     """
     if isinstance(throttle, TableThrottle):  # its file may change
-        return _series_table(throttle_field(throttle), check)
+        return _series_table(throttle_field(throttle), table_currents(throttle), check)
     return _orifice_series_table(throttle, check)
 
 
 @lru_cache(maxsize=64)
 def _orifice_series_table(throttle: OrificeThrottle | EqualPercentageThrottle, check: SpringValve) -> Array:
-    table = _series_table(throttle_field(throttle), check)
+    current = table_currents(throttle)
+    table = _series_table(_orifice_field(throttle, current), current, check)
     table.setflags(write=False)  # shared by all who ask
     return table
 
 
-def _series_table(field: ThrottleField, check: SpringValve) -> Array:
-    wanted = np.linspace(0.0, 1.0, CURRENTS)
+def _series_table(field: ThrottleField, wanted: Array, check: SpringValve) -> Array:
     below = np.clip(np.searchsorted(field.current, wanted, side="right") - 1, 0, len(field.current) - 2)
     share = (wanted - field.current[below]) / (field.current[below + 1] - field.current[below])
     flow = field.flow[below] + share[:, None] * (field.flow[below + 1] - field.flow[below])
@@ -180,7 +205,14 @@ def _series_table(field: ThrottleField, check: SpringValve) -> Array:
 
 @kernel(allocates=False)
 def _solve_series(
-    root: Array, flow: Array, wide: float, linear: float, square: float, opening: float, over: Array, out: Array
+    root: Array,
+    flow: Array,
+    wide: float,
+    linear: float,
+    square: float,
+    opening: float,
+    over: Array,
+    out: Array,
 ) -> None:
     """Flow at which throttle and check valves share a pressure drop, solved in closed form.
 

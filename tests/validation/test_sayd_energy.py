@@ -54,8 +54,8 @@ def simulate(config: SaydDamperConfig, seed: int, step: float, duration: float, 
         rows[sayd.COMMAND] = targets[int((times[n] - 0.5 * step) / 0.02)]
         ends[sayd.END_1], ends[sayd.RATE_1], ends[sayd.OLD_RATE_1] = x1[n], v1[n], v1[n - 1]
         ends[sayd.END_2], ends[sayd.RATE_2], ends[sayd.OLD_RATE_2] = x2[n], v2[n], v2[n - 1]
-        sayd.move_valves(arrays.constant, line, inputs, state)
-        sayd.integrate(step, arrays.substeps, arrays.constant, arrays.table, inputs, state)
+        sayd.move_valves((0,), arrays.constant, line, inputs, state)
+        sayd.integrate((0,), step, arrays.substeps, arrays.constant, arrays.table, inputs, state)
         history.append(rows.copy())
     return [np.stack([x1, v1, x2, v2], axis=1), np.array(history)]
 
@@ -81,17 +81,14 @@ def account(config: SaydDamperConfig, ends: Array, states: Array, step: float) -
     through = sayd.rectified_flow(config, table, p_a - p_b, current)
 
     def drained(p: Array) -> Array:
-        return spring_valve_flow(config.relief, p - tank) - spring_valve_flow(config.suction, tank - p)
+        valves = spring_valve_flow(config.relief, p - tank) - spring_valve_flow(config.suction, tank - p)
+        return np.asarray(valves + config.bleed * (p - tank))
 
     to_tank = drained(p_a) + drained(p_b)
-    friction = config.friction
-    level = friction.sliding + (friction.stiction - friction.sliding) / (
-        1.0 + (vs / (10.0 * friction.width)) ** 2
-    )
     heats = [
         m_1.damping * (vr - v1) ** 2,
         m_2.damping * (vr - vs - v2) ** 2,
-        level * vs**2 / np.hypot(vs, friction.width),
+        config.friction.sliding * np.abs(vs),
         through * (carried(p_a) - carried(p_b)),
         drained(p_a) * (carried(p_a) - carried(tank)),
         drained(p_b) * (carried(p_b) - carried(tank)),
