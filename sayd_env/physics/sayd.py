@@ -88,7 +88,7 @@ Array = npt.NDArray[np.float64]
     RATE_LIMIT,  # largest rate of the spool, 1/s
     REACH,  # largest change of the acting current in a vehicle step
     FAILSAFE,  # current of the unpowered valve
-    DELAY,  # row of the delay line that holds the command of so many steps ago
+    DELAY,  # the command of so many steps ago is the oldest that counts
     DELAY_SHARE,  # share of that command; the rest is of the one after it
     CONSTANTS,
 ) = range(41)
@@ -475,8 +475,8 @@ def move_valves(lanes: tuple[int, ...], constant: Array, line: Array, inputs: Ar
         As for `integrate`.
     constant : ndarray, shape (CONSTANTS * n,)
     line : ndarray, shape (rows * n,)
-        The commands of the last steps, the newest first; advanced in place. It has at least as many rows as
-        the longest delay needs (`line_length`); a damper with a shorter delay does not read the last ones.
+        The commands of the last steps, the newest last; advanced in place. It has at least as many rows as
+        the longest delay needs (`line_length`); a damper with a shorter delay does not read the first ones.
     inputs : ndarray, shape (INPUTS * n,)
         Receives the acting current at the start of the step.
     state : ndarray, shape (STATES * n,)
@@ -484,19 +484,18 @@ def move_valves(lanes: tuple[int, ...], constant: Array, line: Array, inputs: Ar
     """
     n = LANES * len(lanes)
     count = constant.shape[0] // CONSTANTS
-    for row in range(line.shape[0] // n - 1, 0, -1):
-        for i in range(count):
-            line[row * n + i] = line[row * n - n + i]
+    newest = line.shape[0] - n
+    for j in range(newest):
+        line[j] = line[j + n]
     for i in range(count):
         # The border refuses such commands; should one come through: no number closes the valve.
         command = state[COMMAND * n + i]
         command = command if command > 0.0 else 0.0
-        line[i] = command if command < 1.0 else 1.0
+        line[newest + i] = command if command < 1.0 else 1.0
     for i in range(count):
-        last = int(constant[DELAY * n + i])
-        before = last - 1 if last > 0 else 0
-        share = constant[DELAY_SHARE * n + i]
-        asked = share * line[last * n + i] + (1.0 - share) * line[before * n + i]
+        age, share = constant[DELAY * n + i], constant[DELAY_SHARE * n + i]
+        last, after = np.uint32(age), np.uint32(age - 1.0 if age > 1.0 else 0.0)
+        asked = share * line[newest + i - last * n] + (1.0 - share) * line[newest + i - after * n]
         powered, stuck = state[POWERED * n + i], state[STUCK * n + i]
         fallback = constant[FAILSAFE * n + i]
         free = asked if powered > 0.5 else fallback
