@@ -56,12 +56,8 @@ Array = npt.NDArray[np.float64]
     DAMPING_1,  # d_b1, N s/m
     STIFFNESS_2,  # c_b2, N/m
     DAMPING_2,  # d_b2, N s/m
-    SLIDING,  # F_S, N
-    STICTION,  # F_C, N
     AREA,  # A, m2
-    CAPACITY_A,  # V_A0 / E, m3/Pa
-    CAPACITY_B,  # V_B0 / E, m3/Pa
-    CAPACITY_SLOPE,  # A / E, m2/Pa
+    PER_AREA,
     BLEED,  # conductance from each chamber to the tank, m3/(s Pa)
     CHECKED,  # pressure drop at which both check valves in the throttle's way begin to open, Pa
     CURRENT_START,  # current of the throttle table's first row
@@ -77,10 +73,17 @@ Array = npt.NDArray[np.float64]
     SUCTION_FULL,
     SUCTION_GAIN,
     SUCTION_ROOT,
-    PER_MASS_1,  # reciprocals of masses with what a stage's mounts add to them, 1/kg
+    # What depends on the length g of an implicit stage:
+    CAPACITY_A,  # V_A0 / (E g), m3/(s Pa)
+    CAPACITY_B,  # V_B0 / (E g), m3/(s Pa)
+    CAPACITY_SLOPE,  # A / (E g), m2/(s Pa)
+    PER_MASS_1,  # reciprocals of masses with what their mounts add to them, 1/kg
     PER_MASS_2,
-    MOBILITY,  # sum of both, 1/kg
-    PER_MOBILITY,  # its reciprocal, kg
+    ROD_SHARE,  # the first's share of their sum
+    YIELDING,  # flow that the piston displaces in the stage for each Pa, were it not held, m3/(s Pa)
+    SLIDING,  # flow that the sliding friction F_S takes from it, m3/s
+    STICTION,  # the same of F_C, m3/s
+    # and on the vehicle's step:
     SPOOL_HOLD,  # exact solution of the spool's equation over a vehicle step: change of place over deviation
     SPOOL_DRIFT,  # change of place over rate, s
     SPOOL_PULL,  # new rate over deviation, 1/s
@@ -91,7 +94,7 @@ Array = npt.NDArray[np.float64]
     DELAY,  # the command of so many steps ago is the oldest that counts
     DELAY_SHARE,  # share of that command; the rest is of the one after it
     CONSTANTS,
-) = range(41)
+) = range(42)
 
 # Rows of the state: the paper's six, the forces, and the valve.
 (
@@ -215,14 +218,14 @@ def _end(
 
 
 @kernel(inline=True, allocates=False)
-def _slip(drive: float, unit: float, before: float, constant: Array, i: int, n: int) -> float:
-    """Solve ``velocity = drive - unit * friction(velocity)`` exactly for eq. (11).
+def _slip(drive: float, stiff: float, before: float, constant: Array, i: int, n: int) -> float:
+    """Solve ``flow = drive - stiff * friction(flow)`` exactly for eq. (11).
 
     `before` is the velocity that the piston comes from: in its direction it goes on against the sliding
     friction, from standstill and in the other direction it must overcome stiction.
     """
-    sliding = unit * constant[SLIDING * n + i]
-    stiction = unit * constant[STICTION * n + i]
+    sliding = stiff * constant[SLIDING * n + i]
+    stiction = stiff * constant[STICTION * n + i]
     size = abs(drive)
     threshold = sliding if drive * before > 0.0 else stiction
     return math.copysign(size - sliding, drive) if size > threshold else 0.0
@@ -234,69 +237,65 @@ def _newton(
     guess: tuple[float, float],
     before: float,
     valve: tuple[int, float],
-    g: float,
     table: Array,
     constant: Array,
     i: int,
     n: int,
 ) -> tuple[float, float, float]:
-    """One Newton step of a stage.
+    """One Newton step of a stage of length g.
 
     Parameters
     ----------
     known : tuple
-        Stroke velocity without pressures and friction (m/s); the chambers' capacities (m3/Pa) and their
-        capacities times the pressures that they would have without flow (m3).
+        Flow that the piston would displace without pressures and friction (m3/s); the chambers' capacities
+        over g (m3/(s Pa)), and these times the pressures that they would have without flow (m3/s).
     guess : tuple
         Pressures so far, Pa.
     before : float
         Stroke velocity that the stage comes from, m/s.
     valve : tuple
         Table index of the current and the share beyond it.
-    g : float
-        Length of an implicit stage, s.
 
     Returns
     -------
-    stroke_rate, p_a, p_b : float
+    flow, p_a, p_b : float
+        Flow that the piston displaces, m3/s, and pressures, Pa.
     """
     free, cap_a, cap_b, held_a, held_b = known
     p_a, p_b = guess
-    area, vapour = constant[AREA * n + i], constant[VAPOUR * n + i]
-    tank = constant[TANK * n + i]
-    lever = g * constant[MOBILITY * n + i]
+    vapour, tank, yielding = constant[VAPOUR * n + i], constant[TANK * n + i], constant[YIELDING * n + i]
     drop = p_a - p_b
     over = abs(drop) - constant[CHECKED * n + i]
     root = math.sqrt((over if over > 0.0 else 0.0) + DROP_SCALE)
     over_a, over_b = p_a - tank, p_b - tank
     wide_a, wide_b = math.sqrt(abs(over_a) + _SMALL), math.sqrt(abs(over_b) + _SMALL)
-    per_all = 1.0 / (root * wide_a * wide_b)  # one division for three
+    wide = wide_a * wide_b
+    per_all = 1.0 / (root * wide)  # one division for three
     half = 0.5 * per_all * root
-    through, throttle = _rectified(over, root, per_all * wide_a * wide_b, valve[0], valve[1], table)
-    through = math.copysign(through, drop)
+    through, throttle = _rectified(over, root, per_all * wide, valve[0], valve[1], table)
+    fixed = math.copysign(through, drop) - throttle * drop
     out_a, drain_a = _drained(over_a, wide_a, half * wide_b, constant, i, n)
     out_b, drain_b = _drained(over_b, wide_b, half * wide_a, constant, i, n)
     # At vapour pressure the oil tears: nothing keeps the pressure up.
     torn_a = _TEARING * cap_a if p_a <= vapour else 0.0
     torn_b = _TEARING * cap_b if p_b <= vapour else 0.0
-    diagonal_a = cap_a + g * drain_a + torn_a
-    diagonal_b = cap_b + g * drain_b + torn_b
-    fixed = through - throttle * drop
-    right_a = held_a - g * (fixed + out_a - drain_a * p_a) + torn_a * vapour
-    right_b = held_b + g * (fixed - out_b + drain_b * p_b) + torn_b * vapour
+    diagonal_a, diagonal_b = cap_a + drain_a + torn_a, cap_b + drain_b + torn_b
+    right_a = held_a - fixed - out_a + drain_a * p_a + torn_a * vapour
+    right_b = held_b + fixed - out_b + drain_b * p_b + torn_b * vapour
 
-    # Stroke velocity first, with friction, then p_A - p_B, then p_A; one division serves all three.
+    # The piston's flow first, with friction, then p_A - p_B, then p_A; one division serves all three.
     both = diagonal_a + diagonal_b
     lean = right_a * diagonal_b - right_b * diagonal_a
-    stiff = diagonal_a * diagonal_b + g * throttle * both
-    mass = stiff + lever * area * g * area * both
-    drive = stiff * free + lever * area * lean
-    moved = _slip(drive, lever * stiff, before, constant, i, n)
-    per_all = 1.0 / (mass * stiff * both)
-    rate = moved * (per_all * stiff * both)
-    drop = (lean - g * area * both * rate) * (per_all * mass * both)
-    p_a = (right_a + right_b + diagonal_b * drop) * (per_all * mass * stiff)
-    return rate, p_a, p_a - drop
+    stiff = diagonal_a * diagonal_b + throttle * both
+    mass = stiff + yielding * both
+    moved = _slip(stiff * free + yielding * lean, stiff, before, constant, i, n)
+    product = mass * stiff
+    per_all = 1.0 / (product * both)
+    per_product = per_all * both
+    flow = moved * (per_product * stiff)
+    drop = (lean - both * flow) * (per_product * mass)
+    p_a = (right_a + right_b + diagonal_b * drop) * (per_all * product)
+    return flow, p_a, p_a - drop
 
 
 @kernel(inline=True, allocates=False)
@@ -339,15 +338,16 @@ def _stage(
     # The chambers' volumes change little within a stage.
     swept = constant[CAPACITY_SLOPE * n + i] * (stroke + g * before)
     cap_a, cap_b = constant[CAPACITY_A * n + i] + swept, constant[CAPACITY_B * n + i] - swept
-    known = free, cap_a, cap_b, cap_a * p_a, cap_b * p_b
+    known = constant[AREA * n + i] * free, cap_a, cap_b, cap_a * p_a, cap_b * p_b
     row, share = _place(current, constant[CURRENT_START * n + i], constant[PER_CURRENT * n + i])
     valve = np.uint32(constant[TABLE_START * n + i]) + row, share
-    rate, p_a, p_b = _newton(known, guess, before, valve, g, table, constant, i, n)
-    rate, p_a, p_b = _newton(known, (p_a, p_b), before, valve, g, table, constant, i, n)
+    _, p_a, p_b = _newton(known, guess, before, valve, table, constant, i, n)
+    flow, p_a, p_b = _newton(known, (p_a, p_b), before, valve, table, constant, i, n)
+    rate = flow * constant[PER_AREA * n + i]
     vapour = constant[VAPOUR * n + i]
     p_a = p_a if p_a > vapour else vapour
     p_b = p_b if p_b > vapour else vapour
-    return rate, free_1 + per_1 * constant[PER_MOBILITY * n + i] * (rate - free), p_a, p_b
+    return rate, free_1 + constant[ROD_SHARE * n + i] * (rate - free), p_a, p_b
 
 
 @kernel(distinct=True, allocates=False)
@@ -530,17 +530,10 @@ def sayd_arrays(config: SaydDamperConfig, step: float) -> SaydArrays:
     """
     column = np.zeros(CONSTANTS)
     cylinder, oil = config.cylinder, config.oil
-    dead = 0.25 * math.pi * cylinder.bore**2
     column[ROD_MASS], column[HOUSING_MASS] = config.rod_mass, config.housing_mass
     column[STIFFNESS_1], column[DAMPING_1] = config.bogie_mount.stiffness, config.bogie_mount.damping
     column[STIFFNESS_2], column[DAMPING_2] = config.carbody_mount.stiffness, config.carbody_mount.damping
-    column[SLIDING], column[STICTION] = config.friction.sliding, config.friction.stiction
-    column[AREA] = cylinder.area
-    # Eq. (20) and (21).
-    half = 0.5 * cylinder.stroke * cylinder.area
-    column[CAPACITY_A] = (half + cylinder.dead_length_a * dead) / oil.bulk_modulus
-    column[CAPACITY_B] = (half + cylinder.dead_length_b * dead) / oil.bulk_modulus
-    column[CAPACITY_SLOPE] = cylinder.area / oil.bulk_modulus
+    column[AREA], column[PER_AREA] = cylinder.area, 1.0 / cylinder.area
     column[BLEED] = config.bleed
     column[CURRENT_START] = table_start(config.throttle)
     column[PER_CURRENT] = 1.0 / (1.0 - column[CURRENT_START])
@@ -550,13 +543,24 @@ def sayd_arrays(config: SaydDamperConfig, step: float) -> SaydArrays:
     column[SUCTION_OPENING : SUCTION_ROOT + 1] = _valve_column(config.suction)
     substeps = math.ceil(step / config.step - 1e-9)
     g = _GAMMA * step / substeps
+    # Eq. (20) and (21).
+    half, dead = 0.5 * cylinder.stroke * cylinder.area, 0.25 * math.pi * cylinder.bore**2
+    column[CAPACITY_A] = (half + cylinder.dead_length_a * dead) / (oil.bulk_modulus * g)
+    column[CAPACITY_B] = (half + cylinder.dead_length_b * dead) / (oil.bulk_modulus * g)
+    column[CAPACITY_SLOPE] = cylinder.area / (oil.bulk_modulus * g)
     for row, mass, mount in (
         (PER_MASS_1, config.rod_mass, config.bogie_mount),
         (PER_MASS_2, config.housing_mass, config.carbody_mount),
     ):
         column[row] = 1.0 / (mass + g * (mount.damping + g * mount.stiffness))
-    column[MOBILITY] = column[PER_MASS_1] + column[PER_MASS_2]
-    column[PER_MOBILITY] = 1.0 / column[MOBILITY]
+    mobility = column[PER_MASS_1] + column[PER_MASS_2]
+    column[ROD_SHARE] = column[PER_MASS_1] / mobility
+    per_force = g * mobility * cylinder.area
+    column[YIELDING] = per_force * cylinder.area
+    column[SLIDING], column[STICTION] = (
+        per_force * config.friction.sliding,
+        per_force * config.friction.stiction,
+    )
     column[SPOOL_HOLD : SPOOL_KEEP + 1] = _spool_column(config.valve, step)
     column[RATE_LIMIT], column[REACH] = config.valve.rate, config.valve.rate * step
     column[FAILSAFE] = config.failsafe_current
