@@ -18,7 +18,7 @@ from sayd_env.physics.throttle import (
     ROOT_STEP,
     ROOTS,
     series_table,
-    table_currents,
+    table_start,
 )
 
 FASTEST = 2.0
@@ -42,18 +42,17 @@ class _Tables(NamedTuple):
     """(DROPS,) flow from it to the tank, through bleed and relief valve, m3/s."""
     through: Array
     """(CURRENTS * ROOTS,) flow of rectifier and throttle, as the compiled damper reads it, m3/s."""
-    current: Array
-    """(CURRENTS,) currents of its rows."""
     constant: Array
-    """Area (m2), sliding friction (N), opening drop of the rectifier (Pa), and the currents `closed` and `open`."""
+    """Area (m2), sliding friction (N), opening drop of the rectifier (Pa), the currents `closed` and `open`, and
+    that of the table's first row."""
 
 
 class Characteristic:
     """Quasi-static characteristic of a semi-active damper, solved for the current.
 
-    At a constant stroke rate v the flows balance: A v = Q(p_A - p_B, i) + Q_tank(p_A). A wanted force gives
-    the pressure drop (F - F_friction) / A, this the flow to the tank, the rest must pass the throttle, and its characteristic field gives the current. `sayd_env.physics.sayd.steady_force` is the
-    inverse.
+    At a constant stroke rate v the flows balance: A v = Q(p_A - p_B, i) + Q_tank(p_A). A wanted force gives the
+    pressure drop (F - F_friction) / A, this the flow to the tank, the rest must pass the throttle, and its
+    characteristic field gives the current. `sayd_env.physics.sayd.steady_force` is the inverse.
 
     Parameters
     ----------
@@ -77,7 +76,6 @@ class Characteristic:
             drop=drop,
             tank=tank,
             through=series_table(damper.throttle, damper.rectifier).ravel(),
-            current=table_currents(damper.throttle),
             constant=np.array(
                 [
                     damper.cylinder.area,
@@ -85,6 +83,7 @@ class Characteristic:
                     2.0 * damper.rectifier.opening,
                     closed,
                     open_,
+                    table_start(damper.throttle),
                 ]
             ),
         )
@@ -155,7 +154,7 @@ def _through(table: Array, row: int, node: int, right: float) -> float:
 
 
 @kernel(inline=True, allocates=False)
-def _passing(table: Array, current: Array, drop: float, flow: float) -> float:
+def _passing(table: Array, start: float, drop: float, flow: float) -> float:
     """Current at which a flow passes rectifier and throttle; `drop` is what opens them further."""
     place = (math.sqrt(drop + DROP_SCALE) - DROP_ROOT) / ROOT_STEP
     node = int(min(place, LAST_ROOT))
@@ -171,7 +170,8 @@ def _passing(table: Array, current: Array, drop: float, flow: float) -> float:
             high = middle
     less, more = _through(table, low, node, right), _through(table, high, node, right)
     # Below the closed valve's leakage no current will do: a negative one comes out, to be cut to the range.
-    return float(current[low] + (flow - less) / (more - less) * (current[high] - current[low]))
+    place = (low + (flow - less) / (more - less)) / (CURRENTS - 1)
+    return float(start + (1.0 - start) * place * abs(place))  # rows over the root, see `table_currents`
 
 
 @kernel(allocates=False)
@@ -189,4 +189,4 @@ def _currents(tables: _Tables, rate: Array, share: Array, out: Array) -> None:
             out[k] = open_
             continue
         flow = area * speed - _at(tables.drop, tables.tank, drop)
-        out[k] = min(max(_passing(tables.through, tables.current, drop - checked, flow), closed), open_)
+        out[k] = min(max(_passing(tables.through, tables.constant[5], drop - checked, flow), closed), open_)

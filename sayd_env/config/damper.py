@@ -56,7 +56,9 @@ class CylinderConfig(Model):
 class OilConfig(Model):
     """The oil, its pressures absolute."""
 
-    bulk_modulus: float = quantity("Pa", "E, effective bulk modulus, entrained air included", gt=1e7)
+    bulk_modulus: float = quantity(
+        "Pa", "E, effective bulk modulus, entrained air included; no liquid's is above 4 GPa", gt=1e7, le=4e9
+    )
     tank_pressure: float = quantity("Pa", "Pressure in the tank", gt=0.0)
     vapour_pressure: float = quantity("Pa", "Pressure below which no chamber falls", ge=0.0)
 

@@ -10,12 +10,11 @@ Signs as corrected in the paper's equations: with ends at x'_1 (bogie) and x'_2 
     p_B' = E / (V_B0 - A x_St) ( A v_St + Q_B)
 
 Integration: the diagonally implicit Runge-Kutta method SDIRK2 with gamma = 1 - 1/sqrt(2), of second order,
-L-stable and stiffly accurate (Alexander, SIAM J. Numer. Anal. 14 (1977) 1006), in equal sub-steps of a vehicle
-step. Each stage is solved by a fixed number of Newton steps on the pressures; within each of them everything
-but the dry friction is linear in the stroke velocity, and the friction law, eq. (11), is solved exactly: a
-piston that cannot overcome stiction stands still, one that moves meets the sliding friction. No velocity
-stands for standstill. Displacements, rod velocity and pressures are eliminated by hand: no matrix is
-factorised.
+L-stable and stiffly accurate (Alexander, SIAM J. Numer. Anal. 14 (1977) 1006), in equal sub-steps of a
+vehicle step. Each stage is solved by two Newton steps on the pressures; within each of them everything but the
+dry friction is linear in the stroke velocity, and the friction law, eq. (11), is solved exactly: a piston that
+cannot overcome stiction stands still, one that moves meets the sliding friction. No velocity stands for
+standstill. Displacements, rod velocity and pressures are eliminated by hand: no matrix is factorised.
 
 The flat arrays hold ``n = LANES * W`` dampers of W vehicles: element ``row * n + i`` belongs to damper
 ``i = k * W + w``, the k-th of vehicle w. Nothing is computed across dampers, so that W changes no bits.
@@ -24,7 +23,7 @@ The flat arrays hold ``n = LANES * W`` dampers of W vehicles: element ``row * n 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -165,7 +164,7 @@ def _rectified(
 def _drained(
     over: float, wide: float, per_wide: float, constant: Array, i: int, n: int
 ) -> tuple[float, float]:
-    """Flow from a chamber to the tank and its slope over the pressure: both valves, eq. (22) to (24), and bleed.
+    """Flow from a chamber to the tank and its slope over the pressure: valves, eq. (22) to (24), and bleed.
 
     `over` is the chamber's pressure over the tank's, `wide` the root of its size and `per_wide` half the
     reciprocal of that. No choice is made between two loaded numbers: it would become a gather.
@@ -189,7 +188,7 @@ def _drained(
 
 
 @kernel(inline=True, allocates=False)
-def _place(current: float, start: float, per_current: float) -> tuple[int, float]:
+def _place(current: float, start: float, per_current: float) -> tuple[Any, float]:
     """Index of a throttle table's row below a current and how far the current is above it."""
     # Comparisons with a number that is none are false: it closes the valve and reaches nothing.
     travel = (current - start) * per_current
@@ -586,7 +585,7 @@ def _valve_column(valve: SpringValve) -> tuple[float, float, float, float]:
 
 
 def _spool_column(valve: ValveDynamics, step: float) -> tuple[float, float, float, float]:
-    """Exact solution of y'' + 2 zeta omega y' + omega^2 (y - target) = 0 over a step with a constant target."""
+    """Exact solution of y'' + 2 zeta omega y' + omega^2 (y - target) = 0 over a step, the target constant."""
     omega = 2.0 * math.pi * valve.natural_frequency
     solution = expm(np.array([[0.0, 1.0], [-(omega**2), -2.0 * valve.damping_ratio * omega]]) * step)
     return solution[0, 0] - 1.0, solution[0, 1], solution[1, 0], solution[1, 1]
@@ -641,7 +640,7 @@ def steady_force(config: SaydDamperConfig, velocity: npt.ArrayLike, current: npt
 
 
 def to_tank(config: SaydDamperConfig, pressure: npt.ArrayLike) -> Array:
-    """Flow (m3/s) from a chamber at a pressure (Pa) to the tank: bleed, relief valve, suction valve negative."""
+    """Flow (m3/s) from a chamber at a pressure (Pa) to the tank: bleed, relief, suction (negative)."""
     over = np.asarray(pressure, dtype=float) - config.oil.tank_pressure
     relief, suction = spring_valve_flow(config.relief, over), spring_valve_flow(config.suction, -over)
     return np.asarray(config.bleed * over + relief - suction)

@@ -156,8 +156,8 @@ def table_start(throttle: Throttle) -> float:
 def table_currents(throttle: Throttle) -> Array:
     """Currents (CURRENTS,) of the compiled table's rows, from `table_start` to 1.
 
-    Close at its beginning, where an area that rises with a small power of the current is bent most: the root of
-    the distance from there is even.
+    Close at its beginning, where an area that rises with a small power of the current is bent most: the root
+    of the distance from there is even.
     """
     start = table_start(throttle)
     return np.asarray(start + (1.0 - start) * np.linspace(0.0, 1.0, CURRENTS) ** 2)
@@ -195,7 +195,7 @@ def _series_table(field: ThrottleField, wanted: Array, check: SpringValve) -> Ar
     share = (wanted - field.current[below]) / (field.current[below + 1] - field.current[below])
     flow = field.flow[below] + share[:, None] * (field.flow[below + 1] - field.flow[below])
     over = (DROP_ROOT + ROOT_STEP * np.arange(ROOTS)) ** 2 - DROP_SCALE
-    table = np.empty((CURRENTS, ROOTS))
+    table = np.empty((len(wanted), ROOTS))
     wide = check.nominal_flow * math.sqrt(check.full / check.nominal_drop)
     linear = 2.0 * (check.full - check.opening) / wide
     square = 2.0 * check.nominal_drop / check.nominal_flow**2

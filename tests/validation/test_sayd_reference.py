@@ -1,10 +1,10 @@
 """The semi-active damper's time steps against an event-true reference integration of the paper's equations.
 
 Nothing of the reference is shared with the simulator but the configuration: eq. (1) to (24) are written out
-anew, the flow through rectifier and throttle, a series of two check valves and an orifice, is solved in closed
-form, and dry friction is eq. (11) as printed: the piston sticks or slides, and the integration stops at the
-instants at which it changes over. The classical Runge-Kutta method of order 4 takes steps so short that nothing
-in these equations is stiff, and SciPy's stiff integrator with stick and slip as its events agrees with it.
+anew, the flow through rectifier and throttle, a series of two check valves and an orifice, is solved in
+closed form, and dry friction is eq. (11) as printed: the piston sticks or slides, and the integration stops
+where it changes over. The classical Runge-Kutta method of order 4 takes steps so short that nothing in these
+equations is stiff, and SciPy's stiff integrator with stick and slip as its events agrees with it.
 
 Asked: energy and peak force of loops to 0.5 % at all currents, 1 to 4 mm and 1 to 10 Hz, for the packaged
 damper and for half and twice each of its friction, masses, areas and mounts; and under random motion 0.5 % of
@@ -14,6 +14,7 @@ the force's RMS, of the difference of the two histories, which is more than of t
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numba
@@ -108,7 +109,7 @@ def ends(now: Array, then: Array, share: float) -> tuple[float, float, float, fl
 def rates(
     p: Array, square: float, y: State, at: tuple[float, float, float, float], sliding: float
 ) -> tuple[State, float]:
-    """Derivatives while the piston slides in a direction or, 0, sticks; and the friction that would hold it."""
+    """Derivatives while the piston slides in a direction or sticks (0), and the friction that would hold it."""
     stroke, stroke_rate, rod, rod_rate, p_a, p_b = y
     m_1, m_2, area, modulus, tank = p[0], p[1], p[6], p[9], p[10]
     f_1 = -(p[2] * (rod - at[0]) + p[3] * (rod_rate - at[1]))
@@ -221,7 +222,7 @@ def end_forces(damper: SaydDamperConfig, motion: Array, states: Array) -> Array:
 
 
 def simulated(damper: SaydDamperConfig, motion: Array, current: Array) -> Array:
-    """States of eight compiled dampers at each vehicle step, (t, sayd.STATES, LANES); `current` (t, LANES)."""
+    """States of eight compiled dampers at each step, (t, sayd.STATES, LANES); `current` (t, LANES)."""
     arrays = sayd.sayd_arrays(damper, STEP)
     state, inputs = sayd.rest(damper), np.zeros(sayd.INPUTS * LANES)
     rows, given = state.reshape(-1, LANES), inputs.reshape(-1, LANES)
@@ -352,13 +353,13 @@ def commands(kind: str | float, samples: int) -> Array:
 
 
 def acting(damper: SaydDamperConfig, command: Array) -> Array:
-    """Acting currents, (t,): the spool's equation with its rate limit, for commands held from each sample on."""
+    """Acting currents, (t,): the spool's equation with its rate limit, commands held from sample to sample."""
     v, omega = damper.valve, 2.0 * math.pi * damper.valve.natural_frequency
     out = np.full(len(command), command[0])
     times = STEP * np.arange(len(command))
     edges = np.r_[0.0, times[np.flatnonzero(np.diff(command)) + 1] + v.delay, times[-1]]
     edges, y = edges[edges <= times[-1]], np.array([command[0], 0.0])
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in pairwise(edges):
         target = command[max(np.searchsorted(times, a - v.delay + 1e-9, side="right") - 1, 0)]
 
         def rates(_: float, y: Array, target: float = target) -> tuple[float, float]:
