@@ -43,16 +43,16 @@ class _Tables(NamedTuple):
     through: Array
     """(CURRENTS * ROOTS,) flow of rectifier and throttle, as the compiled damper reads it, m3/s."""
     constant: Array
-    """Area (m2), sliding friction (N), opening drop of the rectifier (Pa), the currents `closed` and `open`, and
-    that of the table's first row."""
+    """Area (m2), sliding friction (N), opening drop of the rectifier (Pa), the currents `closed` and `open`,
+    and that of the table's first row."""
 
 
 class Characteristic:
     """Quasi-static characteristic of a semi-active damper, solved for the current.
 
-    At a constant stroke rate v the flows balance: A v = Q(p_A - p_B, i) + Q_tank(p_A). A wanted force gives the
-    pressure drop (F - F_friction) / A, this the flow to the tank, the rest must pass the throttle, and its
-    characteristic field gives the current. `sayd_env.physics.sayd.steady_force` is the inverse.
+    At a constant stroke rate v the flows balance: A v = Q(p_A - p_B, i) + Q_tank(p_A). A wanted force gives
+    the pressure drop (F - F_friction) / A, this the flow to the tank, the rest must pass the throttle, and
+    its characteristic field gives the current. `sayd_env.physics.sayd.steady_force` is the inverse.
 
     Parameters
     ----------

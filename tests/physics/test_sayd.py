@@ -161,14 +161,16 @@ def test_a_stretched_damper_pulls_its_ends_together(sign: float) -> None:
 
 
 def test_a_piston_that_cannot_overcome_stiction_stands_still() -> None:
-    """Below F_C the stroke is exactly 0 and the damper a spring of both mounts; above it slides against F_S."""
+    """Below F_C the stroke is exactly 0 and the mounts are two springs; above it slides against F_S."""
     config = changed(friction={"stiction": 400.0, "sliding": 300.0})
     spring = 1.0 / (1.0 / config.bogie_mount.stiffness + 1.0 / config.carbody_mount.stiffness)
     omega, hold = 2.0 * np.pi, 390.0 / spring
-    motion = (lambda x: lambda t: (x * (1.0 - np.cos(omega * t)) / 2.0, x * omega * np.sin(omega * t) / 2.0))(
-        hold
+    still = run(
+        config,
+        lambda t: (hold * (1.0 - np.cos(omega * t)) / 2.0, hold * omega * np.sin(omega * t) / 2.0),
+        1.0,
+        current=0.5,
     )
-    still = run(config, motion, 1.0, current=0.5)
     assert np.all(still[:, [sayd.STROKE, sayd.STROKE_RATE]] == 0.0)
     assert np.max(still[:, sayd.FORCE_1]) == pytest.approx(390.0, rel=1e-3)
     gone = run(config, ramp(1e-3), 0.5, current=1.0)
@@ -213,8 +215,8 @@ def acting(history: Array) -> Array:
 
 @pytest.mark.parametrize("damping_ratio", [0.5, 1.0, 1.5])
 def test_a_spool_is_a_second_order_system_behind_a_delay(damping_ratio: float) -> None:
-    """Closed form of its step response; the delay is no whole number of steps, so the command arrives within a
-    step as its share of the step says."""
+    """Closed form of its step response; the delay is no whole number of steps, so the command arrives within
+    a step as its share of the step says."""
     dynamics = {"delay": 3.3e-3, "natural_frequency": 20.0, "damping_ratio": damping_ratio, "rate": 1e6}
     history = run(changed(valve=dynamics), ramp(0.0), 0.1, current=0.0, command=lambda t: 0.6)
     times = STEP * np.arange(1, len(history) + 1)
@@ -236,7 +238,7 @@ def test_the_packaged_valve_is_as_fast_as_a_delay_and_a_lag() -> None:
 
 
 def test_the_rate_limit_acts() -> None:
-    """A fast spool closes at its largest rate; the packaged one does so in a whole step, not in half of one."""
+    """A fast spool closes at its largest rate; the packaged one reaches it in a whole step, not in half."""
     fast = {"delay": 0.0, "natural_frequency": 500.0, "damping_ratio": 1.0, "rate": 25.0}
     history = run(changed(valve=fast), ramp(0.0), 0.06, current=1.0, command=lambda t: 0.0)
     times = STEP * np.arange(1, len(history) + 1)
@@ -249,7 +251,7 @@ def test_the_rate_limit_acts() -> None:
 
 
 def test_a_limited_spool_converges() -> None:
-    """Rate limit and a stop at 1, against a step of 1/64: what is left, of order 1, comes from hitting the stop."""
+    """Rate limit and a stop at 1, against a step of 1/64: what is left, of order 1, is from the stop."""
     dynamics = {"delay": 4e-3, "natural_frequency": 20.0, "damping_ratio": 0.3, "rate": 60.0}
 
     def positions(divided: int) -> Array:
@@ -317,7 +319,7 @@ def test_vehicles_side_by_side_do_not_see_one_another() -> None:
 
 
 def test_the_hydraulics_are_vector_instructions() -> None:
-    """Only table reads gather, four in each of two Newton steps of two stages; roots and divisions are packed."""
+    """Only table reads gather, four in each Newton step of two stages; roots and divisions are packed."""
     features = binding.get_host_cpu_features()
     if not features.get("avx2", False):
         pytest.skip("the instructions looked for need AVX2")

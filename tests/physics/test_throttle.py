@@ -74,7 +74,7 @@ def test_the_overlap_ends_where_the_flow_begins_to_rise(tmp_path: Path) -> None:
 
 
 def test_an_equal_percentage_throttle_opens_by_equal_shares() -> None:
-    """Equal steps of the current multiply the flow by the same factor, the last of them 50 times the first."""
+    """Equal steps of the current multiply the flow by the same factor, to 50 times the first."""
     throttle = EqualPercentageThrottle(
         type="equal_percentage", discharge=0.65, density=860.0, closed_area=1e-7, ratio=50.0
     )
@@ -86,7 +86,7 @@ def test_an_equal_percentage_throttle_opens_by_equal_shares() -> None:
 
 
 def test_the_series_table_solves_the_series() -> None:
-    """At each node the drops over throttle and check valves add up to the node's, for a formula and a table."""
+    """At each node the drops over throttle and check valves add up, for a formula and a table."""
     check = load_sayd("sayd").rectifier
     bent = ThrottleField(
         np.array([0.0, 0.4, 1.0]),

@@ -109,7 +109,7 @@ def ends(now: Array, then: Array, share: float) -> tuple[float, float, float, fl
 def rates(
     p: Array, square: float, y: State, at: tuple[float, float, float, float], sliding: float
 ) -> tuple[State, float]:
-    """Derivatives while the piston slides in a direction or sticks (0), and the friction that would hold it."""
+    """Derivatives while the piston slides in a direction or sticks (0); the friction that would hold it."""
     stroke, stroke_rate, rod, rod_rate, p_a, p_b = y
     m_1, m_2, area, modulus, tank = p[0], p[1], p[6], p[9], p[10]
     f_1 = -(p[2] * (rod - at[0]) + p[3] * (rod_rate - at[1]))
@@ -237,9 +237,9 @@ def simulated(damper: SaydDamperConfig, motion: Array, current: Array) -> Array:
     return np.array(history)
 
 
-def scaled(keys: list[str], factor: float) -> SaydDamperConfig:
-    """The packaged damper with some of its numbers scaled."""
-    damper = load_sayd("sayd")
+def scaled(keys: list[str], factor: float, damper: SaydDamperConfig | None = None) -> SaydDamperConfig:
+    """A damper, the packaged one by default, with some of its numbers scaled."""
+    damper = load_sayd("sayd") if damper is None else damper
     for key in keys:
         section, _, name = key.rpartition(".")
         if not section:
@@ -315,6 +315,26 @@ def test_loops_over_the_whole_grid(name: str, factor: float) -> None:
             assert np.max(np.abs(loop_errors(damper, amplitude, frequency, CURRENTS))) < 5e-3
 
 
+SCALED = [
+    *("rod_mass", "housing_mass", "cylinder.area", "cylinder.stroke", "oil.bulk_modulus", "bleed"),
+    *(f"{end}_mount.{key}" for end in ("bogie", "carbody") for key in ("stiffness", "damping")),
+    *(f"{name}.nominal_flow" for name in ("rectifier", "relief", "suction")),
+    *("throttle.closed_area", "throttle.open_area"),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_loops_of_random_dampers_are_those_of_the_reference(seed: int) -> None:
+    """All of their numbers at once between half and twice the packaged damper's."""
+    rng = np.random.default_rng(seed)
+    damper = scaled(KEYS["friction"], 2.0 ** rng.uniform(-1.0, 1.0))
+    for key in SCALED:
+        damper = scaled([key], 2.0 ** rng.uniform(-1.0, 1.0), damper)
+    amplitude, frequency = 1e-3 * 4.0 ** rng.uniform(), float(rng.choice([1.0, 2.0, 4.0, 5.0, 8.0, 10.0]))
+    assert np.max(np.abs(loop_errors(damper, amplitude, frequency, CURRENTS))) < 5e-3
+
+
 def other_throttles() -> list[SaydDamperConfig]:
     damper = load_sayd("sayd")
     throttle = EqualPercentageThrottle(
@@ -353,7 +373,7 @@ def commands(kind: str | float, samples: int) -> Array:
 
 
 def acting(damper: SaydDamperConfig, command: Array) -> Array:
-    """Acting currents, (t,): the spool's equation with its rate limit, commands held from sample to sample."""
+    """Acting currents, (t,): the spool's equation with its rate limit, commands held between samples."""
     v, omega = damper.valve, 2.0 * math.pi * damper.valve.natural_frequency
     out = np.full(len(command), command[0])
     times = STEP * np.arange(len(command))
