@@ -238,7 +238,7 @@ def test_the_packaged_valve_is_as_fast_as_a_delay_and_a_lag() -> None:
 
 
 def test_the_rate_limit_acts() -> None:
-    """A fast spool closes at its largest rate; the packaged one reaches it in a whole step, not in half."""
+    """A fast spool closes at its largest rate; the packaged one in a whole step, not in half."""
     fast = {"delay": 0.0, "natural_frequency": 500.0, "damping_ratio": 1.0, "rate": 25.0}
     history = run(changed(valve=fast), ramp(0.0), 0.06, current=1.0, command=lambda t: 0.0)
     times = STEP * np.arange(1, len(history) + 1)
