@@ -1,9 +1,9 @@
 """First law for the semi-active damper, over random motions and currents, and in the running vehicle.
 
 Work at the ends = change of kinetic energy, of the energy in mounts and oil, + heat in mounts, friction,
-throttle with rectifier, bleed, relief and suction valves. With the paper's pressure build-up p' = E/V (-V' + Q) this
-is an identity if the oil stores u(p) = E (exp(p/E) - 1 - p/E) in each m3 and a flow Q carries (p + u) Q: the
-law of an oil of constant bulk modulus, of which p^2 / 2E is the first term.
+throttle with rectifier, bleed, relief and suction valves. With the paper's pressure build-up
+p' = E/V (-V' + Q) this is an identity if the oil stores u(p) = E (exp(p/E) - 1 - p/E) in each m3 and a flow Q
+carries (p + u) Q: the law of an oil of constant bulk modulus, of which p^2 / 2E is the first term.
 """
 
 from __future__ import annotations
