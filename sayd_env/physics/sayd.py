@@ -11,10 +11,11 @@ Signs as corrected in the paper's equations: with ends at x'_1 (bogie) and x'_2 
 
 Integration: the diagonally implicit Runge-Kutta method SDIRK2 with gamma = 1 - 1/sqrt(2), of second order,
 L-stable and stiffly accurate (Alexander, SIAM J. Numer. Anal. 14 (1977) 1006), in equal sub-steps of a
-vehicle step. Each stage is solved by two Newton steps on the pressures; within each of them everything but
-the dry friction is linear in the stroke velocity, and the friction law, eq. (11), is solved exactly: a piston
-that cannot overcome stiction stands still, one that moves meets the sliding friction. No velocity stands for
-standstill. Displacements, rod velocity and pressures are eliminated by hand: no matrix is factorised.
+vehicle step. The first stage is solved by one Newton step on the pressures, the second by two; within each of
+them everything but the dry friction is linear in the stroke velocity, and the friction law, eq. (11), is
+solved exactly: a piston that cannot overcome stiction stands still, one that moves meets the sliding friction.
+No velocity stands for standstill. Displacements, rod velocity and pressures are eliminated by hand: no matrix
+is factorised.
 
 The flat arrays hold ``n = LANES * W`` dampers of W vehicles: element ``row * n + i`` belongs to damper
 ``i = k * W + w``, the k-th of vehicle w. Nothing is computed across dampers, so that W changes no bits.
@@ -305,6 +306,7 @@ def _stage(
     ends: tuple[float, float, float, float],
     current: float,
     g: float,
+    last: bool,
     table: Array,
     constant: Array,
     i: int,
@@ -326,6 +328,8 @@ def _stage(
         Acting current then.
     g : float
         Length of an implicit stage, s.
+    last : bool
+        The stage ends the sub-step and takes a second Newton step; the first only leads to it.
     """
     stroke, stroke_rate, rod, rod_rate, p_a, p_b = held
     push_1 = constant[DAMPING_1 * n + i] * ends[1] - constant[STIFFNESS_1 * n + i] * (rod - ends[0])
@@ -340,8 +344,9 @@ def _stage(
     known = constant[AREA * n + i] * free, cap_a, cap_b, cap_a * p_a, cap_b * p_b
     row, share = _place(current, constant[CURRENT_START * n + i], constant[PER_CURRENT * n + i])
     valve = np.uint32(constant[TABLE_START * n + i]) + row, share
-    _, p_a, p_b = _newton(known, guess, before, valve, table, constant, i, n)
-    flow, p_a, p_b = _newton(known, (p_a, p_b), before, valve, table, constant, i, n)
+    flow, p_a, p_b = _newton(known, guess, before, valve, table, constant, i, n)
+    if last:
+        flow, p_a, p_b = _newton(known, (p_a, p_b), before, valve, table, constant, i, n)
     rate = flow * constant[PER_AREA * n + i]
     vapour = constant[VAPOUR * n + i]
     p_a = p_a if p_a > vapour else vapour
@@ -398,6 +403,7 @@ def integrate(
                 (*ends_1, *ends_2),
                 new - left_1 * (new - old),
                 g,
+                False,
                 table,
                 constant,
                 i,
@@ -426,6 +432,7 @@ def integrate(
                 (*ends_1, *ends_2),
                 new - left_2 * (new - old),
                 g,
+                True,
                 table,
                 constant,
                 i,

@@ -319,7 +319,7 @@ def test_vehicles_side_by_side_do_not_see_one_another() -> None:
 
 
 def test_the_hydraulics_are_vector_instructions() -> None:
-    """Only table reads gather, four in each Newton step of two stages; roots and divisions are packed."""
+    """Only table reads gather, four in each of three Newton steps; roots and divisions are packed."""
     features = binding.get_host_cpu_features()
     if not features.get("avx2", False):
         pytest.skip("the instructions looked for need AVX2")
@@ -330,9 +330,9 @@ def test_the_hydraulics_are_vector_instructions() -> None:
     array, lanes = types.Array(types.float64, 1, "C"), types.UniTuple(types.int64, 1)
     loop.compile((lanes, types.float64, types.int64, array, array, array, array))
     (text,) = loop.inspect_asm().values()
-    assert text.count("vdivpd") >= 8
-    assert text.count("vsqrtpd") >= 14
-    assert text.count("vgather") <= 16
+    assert text.count("vdivpd") >= 6
+    assert text.count("vsqrtpd") >= 11
+    assert text.count("vgather") <= 12
 
 
 def test_a_command_that_is_no_number_closes_the_valve() -> None:
