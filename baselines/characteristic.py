@@ -10,15 +10,15 @@ import numpy as np
 from baselines.policy import Array
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.sayd import steady_force
+from sayd_env.physics.sayd import fed_pressure, steady_force, to_tank
 from sayd_env.physics.throttle import (
     CURRENTS,
+    DROP_ROOT,
     DROP_SCALE,
     ROOT_STEP,
     ROOTS,
     series_table,
-    spring_valve_drop,
-    spring_valve_flow,
+    table_start,
 )
 
 FASTEST = 2.0
@@ -38,22 +38,21 @@ class _Tables(NamedTuple):
     """(RATES,) force of the damper at its `closed` current, N."""
     drop: Array
     """(DROPS,) pressure drops p_A - p_B of a chamber A under pressure, rising from 0, Pa."""
-    relief: Array
-    """(DROPS,) flow through its relief valve, m3/s."""
+    tank: Array
+    """(DROPS,) flow from it to the tank, through bleed and relief valve, m3/s."""
     through: Array
     """(CURRENTS * ROOTS,) flow of rectifier and throttle, as the compiled damper reads it, m3/s."""
     constant: Array
-    """Area (m2), sliding friction (N), width of standstill (m/s), opening drop of the rectifier (Pa), and the
-    currents `closed` and `open`."""
+    """Area (m2), sliding friction (N), opening drop of the rectifier (Pa), the currents `closed` and `open`,
+    and that of the table's first row."""
 
 
 class Characteristic:
     """Quasi-static characteristic of a semi-active damper, solved for the current.
 
-    At a constant stroke rate v the flows balance: A v = Q(p_A - p_B, i) + Q_relief(p_A). A wanted force gives
-    the pressure drop (F - F_friction) / A, this the flow through the relief valve, the rest must pass the
-    throttle, and its characteristic field gives the current. `sayd_env.physics.sayd.steady_force` is the
-    inverse.
+    At a constant stroke rate v the flows balance: A v = Q(p_A - p_B, i) + Q_tank(p_A). A wanted force gives
+    the pressure drop (F - F_friction) / A, this the flow to the tank, the rest must pass the throttle, and
+    its characteristic field gives the current. `sayd_env.physics.sayd.steady_force` is the inverse.
 
     Parameters
     ----------
@@ -70,21 +69,21 @@ class Characteristic:
 
     def __init__(self, damper: SaydDamperConfig, closed: float, open_: float) -> None:
         rate = np.concatenate([[0.0], np.geomspace(SLOWEST, FASTEST, RATES - 1)])
-        drop, relief = _relief_over_drop(damper)
+        drop, tank = _tank_over_drop(damper)
         self._tables = _Tables(
             rate=rate,
             force=steady_force(damper, rate, closed),
             drop=drop,
-            relief=relief,
+            tank=tank,
             through=series_table(damper.throttle, damper.rectifier).ravel(),
             constant=np.array(
                 [
                     damper.cylinder.area,
                     damper.friction.sliding,
-                    damper.friction.width,
                     2.0 * damper.rectifier.opening,
                     closed,
                     open_,
+                    table_start(damper.throttle),
                 ]
             ),
         )
@@ -109,23 +108,22 @@ class Characteristic:
         return out
 
 
-def _relief_over_drop(damper: SaydDamperConfig) -> tuple[Array, Array]:
-    """Flow through the relief valve over the pressure drop between the chambers.
+def _tank_over_drop(damper: SaydDamperConfig) -> tuple[Array, Array]:
+    """Flow from the chamber under pressure to the tank over the pressure drop between the chambers.
 
-    What leaves to the tank comes back through the other suction valve, whose own drop adds to p_A - p_B.
+    What leaves to the tank comes back into the other chamber, whose own drop adds to p_A - p_B.
     """
-    relief, oil = damper.relief, damper.oil
+    relief, tank = damper.relief, damper.oil.tank_pressure
     over = np.concatenate(
         [
-            # The suction valve needs its opening pressure for the least flow: there the drop jumps.
-            [0.0, relief.opening, relief.opening * (1.0 + 1e-9)],
-            np.linspace(relief.opening, relief.full, DROPS // 2, endpoint=False)[2:],
-            np.geomspace(relief.full, 10.0 * relief.full, DROPS - DROPS // 2 - 1),
+            np.linspace(0.0, relief.opening, DROPS // 4),
+            # Without a bleed the suction valve needs its opening pressure for the least flow: the drop jumps.
+            [relief.opening * (1.0 + 1e-9)],
+            np.linspace(relief.opening, relief.full, DROPS // 4, endpoint=False)[1:],
+            np.geomspace(relief.full, 10.0 * relief.full, DROPS // 2),
         ]
     )
-    flow = spring_valve_flow(relief, over)
-    suction = np.minimum(spring_valve_drop(damper.suction, flow), oil.tank_pressure - oil.vapour_pressure)
-    return over + np.where(flow > 0.0, suction, 0.0), flow
+    return over + tank - fed_pressure(damper, tank + over), to_tank(damper, tank + over)
 
 
 @kernel(inline=True, allocates=False)
@@ -156,9 +154,9 @@ def _through(table: Array, row: int, node: int, right: float) -> float:
 
 
 @kernel(inline=True, allocates=False)
-def _passing(table: Array, drop: float, flow: float) -> float:
+def _passing(table: Array, start: float, drop: float, flow: float) -> float:
     """Current at which a flow passes rectifier and throttle; `drop` is what opens them further."""
-    place = drop / math.sqrt(drop + DROP_SCALE) / ROOT_STEP
+    place = (math.sqrt(drop + DROP_SCALE) - DROP_ROOT) / ROOT_STEP
     node = int(min(place, LAST_ROOT))
     right = place - node
     low, high = 0, CURRENTS - 1
@@ -172,28 +170,23 @@ def _passing(table: Array, drop: float, flow: float) -> float:
             high = middle
     less, more = _through(table, low, node, right), _through(table, high, node, right)
     # Below the closed valve's leakage no current will do: a negative one comes out, to be cut to the range.
-    return float((low + (flow - less) / (more - less)) / (CURRENTS - 1))
+    place = (low + (flow - less) / (more - less)) / (CURRENTS - 1)
+    return float(start + (1.0 - start) * place * abs(place))  # rows over the root, see `table_currents`
 
 
 @kernel(allocates=False)
 def _currents(tables: _Tables, rate: Array, share: Array, out: Array) -> None:
-    area, sliding, width, checked, closed, open_ = (
-        tables.constant[0],
-        tables.constant[1],
-        tables.constant[2],
-        tables.constant[3],
-        tables.constant[4],
-        tables.constant[5],
-    )
+    area, sliding, checked = tables.constant[0], tables.constant[1], tables.constant[2]
+    closed, open_ = tables.constant[3], tables.constant[4]
     for k in range(out.shape[0]):
         if share[k] >= 1.0:
             out[k] = closed
             continue
         speed = min(abs(rate[k]), FASTEST)
         wanted = max(share[k], 0.0) * _at(tables.rate, tables.force, speed)
-        drop = (wanted - sliding * speed / math.sqrt(speed * speed + width * width)) / area
+        drop = (wanted - sliding) / area
         if not drop > checked:  # nothing passes below; not even the open valve resists so little
             out[k] = open_
             continue
-        flow = area * speed - _at(tables.drop, tables.relief, drop)
-        out[k] = min(max(_passing(tables.through, drop - checked, flow), closed), open_)
+        flow = area * speed - _at(tables.drop, tables.tank, drop)
+        out[k] = min(max(_passing(tables.through, tables.constant[5], drop - checked, flow), closed), open_)

@@ -29,13 +29,10 @@ class MountConfig(Model):
 
 
 class FrictionConfig(Model):
-    """Coulomb friction between piston and housing, eq. (11), regularised around standstill."""
+    """Coulomb friction between piston and housing, eq. (11)."""
 
     stiction: float = quantity("N", "F_C, friction at standstill", ge=0.0)
     sliding: float = quantity("N", "F_S, friction while sliding", ge=0.0)
-    width: float = quantity(
-        "m/s", "Stroke velocity that stands for standstill; small against the strokes of interest", gt=0.0
-    )
 
     @model_validator(mode="after")
     def _stiction_is_larger(self) -> Self:
@@ -59,7 +56,9 @@ class CylinderConfig(Model):
 class OilConfig(Model):
     """The oil, its pressures absolute."""
 
-    bulk_modulus: float = quantity("Pa", "E, effective bulk modulus, entrained air included", gt=1e7)
+    bulk_modulus: float = quantity(
+        "Pa", "E, effective bulk modulus, entrained air included; no liquid's is above 4 GPa", gt=1e7, le=4e9
+    )
     tank_pressure: float = quantity("Pa", "Pressure in the tank", gt=0.0)
     vapour_pressure: float = quantity("Pa", "Pressure below which no chamber falls", ge=0.0)
 
@@ -109,7 +108,20 @@ class TableThrottle(Model):
     )
 
 
-Throttle = Annotated[OrificeThrottle | TableThrottle, Field(discriminator="type")]
+class EqualPercentageThrottle(Model):
+    """Throttle as a turbulent orifice whose area rises by equal shares: Q = C_d a(i) sqrt(2 dp / rho).
+
+    a(i) = a_0 R^i: the equal-percentage characteristic of IEC 60534-2-4, R the ratio of open to closed area.
+    """
+
+    type: Literal["equal_percentage"]
+    discharge: float = quantity("-", "C_d, discharge coefficient", gt=0.0, le=1.0)
+    density: float = quantity("kg/m3", "rho, density of the oil", gt=0.0)
+    closed_area: float = quantity("m2", "a_0, area at current 0", gt=0.0)
+    ratio: float = quantity("-", "R, area at current 1 over that at current 0", ge=1.0, le=1e4)
+
+
+Throttle = Annotated[OrificeThrottle | EqualPercentageThrottle | TableThrottle, Field(discriminator="type")]
 
 
 class SpringValve(Model):
@@ -128,10 +140,14 @@ class SpringValve(Model):
 
 
 class ValveDynamics(Model):
-    """From the commanded to the acting current of the throttle: driver delay, first-order lag, rate limit."""
+    """From the commanded to the acting current of the throttle: driver delay, then the spool.
+
+    The spool follows y'' = omega^2 (u - y) - 2 zeta omega y' with |y'| at most `rate`, between its stops.
+    """
 
     delay: float = quantity("s", "Delay of the driver", ge=0.0, le=0.2)
-    lag: float = quantity("s", "Time constant", ge=0.0, le=1.0)
+    natural_frequency: float = quantity("Hz", "omega / 2 pi, undamped", gt=0.0, le=1e4)
+    damping_ratio: float = quantity("-", "zeta", gt=0.0, le=10.0)
     rate: float = quantity("1/s", "Largest rate of the acting current", gt=0.0)
 
 
@@ -156,6 +172,9 @@ class SaydDamperConfig(Model):
     rectifier: SpringValve = Field(description="Each of the rectifier's four check valves")
     relief: SpringValve = Field(description="Relief valves from chamber A and B to the tank")
     suction: SpringValve = Field(description="Check valves from the tank to chamber A and B")
+    bleed: float = quantity(
+        "m3/(s Pa)", "Conductance of the bleed from each chamber to the tank, laminar", ge=0.0
+    )
     valve: ValveDynamics
     step: float = quantity("s", "Longest step of the hydraulics' integration", gt=0.0, le=1e-3)
 

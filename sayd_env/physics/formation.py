@@ -79,7 +79,7 @@ def side_by_side(plants: Sequence[Plant]) -> Plant:
     ]
     fields["wheel"].reshape(WHEEL_ROWS, LANES, width)[TABLE_BASE] = fields.pop("table offsets")
     offsets = fields.pop("sayd_table offsets")
-    if fields["sayd_constant"].size and hasattr(sayd, "TABLE_START"):
+    if fields["sayd_constant"].size:
         fields["sayd_constant"].reshape(sayd.CONSTANTS, LANES, width)[sayd.TABLE_START] = offsets
     return Plant(**fields)
 
@@ -129,8 +129,10 @@ def interleave(lanes: Lanes, members: Index, states: References, group: State) -
         one = state_of(states, members[k] if members[k] >= 0 else any_member)
         for field in range(len(one)):
             source, target = one[field], group[field]
+            # Delay lines may differ in length: their last rows, the newest, stand side by side.
+            first = target.shape[0] // w - source.shape[0]
             for r in range(source.shape[0]):
-                target[r * w + k] = source[r]
+                target[(first + r) * w + k] = source[r]
 
 
 @kernel(allocates=False)
@@ -141,8 +143,9 @@ def put_back(lanes: Lanes, k: int, states: References, vehicle: int, group: Stat
         one = state_of(states, vehicle)
         for field in range(len(one)):
             source, target = group[field], one[field]
+            first = source.shape[0] // w - target.shape[0]
             for r in range(target.shape[0]):
-                target[r] = source[r * w + k]
+                target[r] = source[(first + r) * w + k]
 
 
 class Units(NamedTuple):

@@ -82,7 +82,7 @@ def repeat_sayds(part: int, count: int, plant: Plant, state: State, work: Work, 
     """
     if part == 0:
         for _ in range(count):
-            sayd.move_valves(plant.sayd_constant, state.sayd_line, work.sayd_inputs, state.sayd)
+            sayd.move_valves((0,), plant.sayd_constant, state.sayd_line, work.sayd_inputs, state.sayd)
     else:
         for i in range(count):
             for j in range(q.shape[1]):

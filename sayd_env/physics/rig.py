@@ -117,7 +117,7 @@ def _drive_sayds(
             inputs[sayd.OLD_RATE_1 * LANES + i] = inputs[sayd.RATE_1 * LANES + i]
             inputs[sayd.END_1 * LANES + i] = motion[t, 0]
             inputs[sayd.RATE_1 * LANES + i] = motion[t, 1]
-        sayd.integrate(step, substeps, constant, table, inputs, state)
+        sayd.integrate((0,), step, substeps, constant, table, inputs, state)
         for i in range(LANES):
             force[t, i] = state[sayd.FORCE_1 * LANES + i]
 

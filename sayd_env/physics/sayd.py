@@ -1,7 +1,6 @@
 """The semi-active yaw damper of the paper's section 2.2: hydraulics, mounts, friction and valve dynamics.
 
-Up to eight dampers side by side, structure of arrays: element ``row * LANES + i`` of a flat array belongs to
-damper i. Signs as corrected in the paper's equations: with ends at x'_1 (bogie) and x'_2 (carbody),
+Signs as corrected in the paper's equations: with ends at x'_1 (bogie) and x'_2 (carbody),
 
     F_1 = -(c_b1 (x_1 - x'_1) + d_b1 (v_1 - v'_1))        on the rod,      -F_1 on the bogie
     F_2 = -(c_b2 (x_2 - x'_2) + d_b2 (v_2 - v'_2))        on the housing,  -F_2 on the carbody
@@ -10,34 +9,41 @@ damper i. Signs as corrected in the paper's equations: with ends at x'_1 (bogie)
     p_A' = E / (V_A0 + A x_St) (-A v_St + Q_A)
     p_B' = E / (V_B0 - A x_St) ( A v_St + Q_B)
 
-Integration: the Rosenbrock method ROS2 with gamma = 1 - 1/sqrt(2), L-stable, of second order for any
-approximation of the Jacobian (Verwer, Spee, Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999) 1456). The
-Jacobian used here leaves out how the chamber volumes change within a step, takes one slope for all of an open
-valve's root law, and the friction's secant for its tangent, which keeps a piston from shooting through
-standstill. Displacements and one of each pair of
-coupled unknowns are eliminated by hand: no matrix is factorised.
+Integration: the diagonally implicit Runge-Kutta method SDIRK2 with gamma = 1 - 1/sqrt(2), of second order,
+L-stable and stiffly accurate (Alexander, SIAM J. Numer. Anal. 14 (1977) 1006), in equal sub-steps of a
+vehicle step. The first stage is solved by one Newton step on the pressures, the second by two; within each of
+them everything but the dry friction is linear in the stroke velocity, and the friction law, eq. (11), is
+solved exactly: a piston that cannot overcome stiction stands still, one that moves meets the sliding friction.
+No velocity stands for standstill. Displacements, rod velocity and pressures are eliminated by hand: no matrix
+is factorised.
+
+The flat arrays hold ``n = LANES * W`` dampers of W vehicles: element ``row * n + i`` belongs to damper
+``i = k * W + w``, the k-th of vehicle w. Nothing is computed across dampers, so that W changes no bits.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import expm
 from scipy.optimize import elementwise
 
-from sayd_env.config.damper import SaydDamperConfig, SpringValve
+from sayd_env.config.damper import SaydDamperConfig, SpringValve, ValveDynamics
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.throttle import (
     CURRENTS,
+    DROP_ROOT,
     DROP_SCALE,
     ROOT_STEP,
     ROOTS,
     series_table,
     spring_valve_drop,
     spring_valve_flow,
+    table_start,
 )
 
 Array = npt.NDArray[np.float64]
@@ -50,40 +56,50 @@ Array = npt.NDArray[np.float64]
     DAMPING_1,  # d_b1, N s/m
     STIFFNESS_2,  # c_b2, N/m
     DAMPING_2,  # d_b2, N s/m
-    SLIDING,  # F_S, N
-    STICTION_EXCESS,  # F_C - F_S, N
-    WIDTH,  # of standstill, m/s
-    PER_STRIBECK,  # 1 / velocity at which half of the excess is left, s/m
     AREA,  # A, m2
-    CAPACITY_A,  # V_A0 / E, m3/Pa
-    CAPACITY_B,  # V_B0 / E, m3/Pa
-    CAPACITY_SLOPE,  # A / E, m2/Pa
+    PER_AREA,
+    BLEED,  # conductance from each chamber to the tank, m3/(s Pa)
     CHECKED,  # pressure drop at which both check valves in the throttle's way begin to open, Pa
+    CURRENT_START,  # current of the throttle table's first row
+    PER_CURRENT,  # 1 / (1 - CURRENT_START)
+    TABLE_START,  # where the damper's own throttle table begins in the array of tables
     TANK,  # tank pressure, Pa
     VAPOUR,  # vapour pressure, Pa
     RELIEF_OPENING,  # p_o, Pa
     RELIEF_FULL,  # p_s, Pa
     RELIEF_GAIN,  # Q_N sqrt(p_s / dp_N) / (p_s - p_o), m3/(s Pa)
     RELIEF_ROOT,  # Q_N / sqrt(dp_N), m3/(s Pa^0.5)
-    RELIEF_SLOPE,  # slope of eq. (22) at p_s, m3/(s Pa)
     SUCTION_OPENING,
     SUCTION_FULL,
     SUCTION_GAIN,
     SUCTION_ROOT,
-    SUCTION_SLOPE,
-    PER_MASS_1,  # reciprocals of what mounts and masses put on the diagonal of a sub-step's matrix, 1/kg
+    # What depends on the length g of an implicit stage:
+    CAPACITY_A,  # V_A0 / (E g), m3/(s Pa)
+    CAPACITY_B,  # V_B0 / (E g), m3/(s Pa)
+    CAPACITY_SLOPE,  # A / (E g), m2/(s Pa)
+    PER_MASS_1,  # reciprocals of masses with what their mounts add to them, 1/kg
     PER_MASS_2,
-    LAG,  # share of the way to the target that the acting current goes in a vehicle step
+    ROD_SHARE,  # the first's share of their sum
+    YIELDING,  # flow that the piston displaces in the stage for each Pa, were it not held, m3/(s Pa)
+    SLIDING,  # flow that the sliding friction F_S takes from it, m3/s
+    STICTION,  # the same of F_C, m3/s
+    # and on the vehicle's step:
+    SPOOL_HOLD,  # exact solution of the spool's equation over a vehicle step: change of place over deviation
+    SPOOL_DRIFT,  # change of place over rate, s
+    SPOOL_PULL,  # new rate over deviation, 1/s
+    SPOOL_KEEP,  # new rate over rate
+    RATE_LIMIT,  # largest rate of the spool, 1/s
     REACH,  # largest change of the acting current in a vehicle step
     FAILSAFE,  # current of the unpowered valve
-    DELAY_SHARE,  # share of the delay's last step that counts
+    DELAY,  # the command of so many steps ago is the oldest that counts
+    DELAY_SHARE,  # share of that command; the rest is of the one after it
     CONSTANTS,
-) = range(34)
+) = range(42)
 
 # Rows of the state: the paper's six, the forces, and the valve.
 (
     STROKE,  # x_St, m
-    STROKE_RATE,  # v_St, m/s
+    STROKE_RATE,  # v_St, m/s; 0 while the piston sticks
     ROD,  # x_1, m
     ROD_RATE,  # v_1, m/s
     PRESSURE_A,  # p_A, Pa
@@ -96,8 +112,10 @@ Array = npt.NDArray[np.float64]
     STUCK,  # current at which the valve is stuck; negative: it moves
     ATTACHED,  # 1; 0 for a damper that has come off and moves along without force
     COIL,  # current in the coil (-): where the spool would stand, were it free; 0 without power
+    CURRENT_RATE,  # rate of the acting current, 1/s
+    COIL_RATE,  # rate of the coil's current, 1/s
     STATES,
-) = range(15)
+) = range(17)
 
 # Rows of the inputs of one vehicle step: ends at its end and at its start, and the acting current.
 (
@@ -112,331 +130,389 @@ Array = npt.NDArray[np.float64]
 ) = range(8)
 
 _GAMMA = 1.0 - math.sqrt(0.5)
-_STRIBECK_WIDTHS = 10.0  # the stiction has half gone at so many widths of standstill
+_PER_GAMMA = 1.0 / _GAMMA
+_SMALL = 1e-6  # Pa, keeps a reciprocal finite: no valve is wide open near it
+_TEARING = 1e6  # stiffness of oil that tears at vapour pressure, over that of the chamber
 _PER_ROOT_STEP = 1.0 / ROOT_STEP
+_NEXT, _BELOW = np.uint32(1), np.uint32(ROOTS)  # unsigned: indices that need no check for being negative
 _LAST_CURRENT = float(CURRENTS - 2)
 _LAST_ROOT = float(ROOTS - 2)
 
 
 @kernel(inline=True, allocates=False)
-def _friction(velocity: float, constant: Array, i: int) -> tuple[float, float]:
-    """Friction force over velocity, eq. (11) with standstill widened: secant slope and force."""
-    width = constant[WIDTH * LANES + i]
-    decay = velocity * constant[PER_STRIBECK * LANES + i]
-    spread = 1.0 + decay * decay
-    level = constant[SLIDING * LANES + i] * spread + constant[STICTION_EXCESS * LANES + i]
-    secant = level / (spread * math.sqrt(velocity * velocity + width * width))
-    return secant, secant * velocity
+def _rectified(
+    over: float, root: float, per_root: float, first: int, share: float, table: Array
+) -> tuple[float, float]:
+    """Flow through rectifier and throttle and its slope over the pressure drop.
 
-
-@kernel(inline=True, allocates=False)
-def _rectified(drop: float, checked: float, first: int, share: float, table: Array) -> tuple[float, float]:
-    """Flow from A to B through rectifier and throttle and its slope over the pressure drop p_A - p_B.
-
-    Nothing passes below the drop `checked`; `first` is the index of the table's row below the current, and
+    `over` is what the drop has above the check valves' opening, `root` that of `over` (0 if negative) and
+    DROP_SCALE, `per_root` its reciprocal; `first` is the index of the table's row below the current, and
     `share` how far the current is above it.
     """
-    over = abs(drop) - checked
-    size = over if over > 0.0 else 0.0
-    per_root = 1.0 / math.sqrt(size + DROP_SCALE)
-    place = size * per_root * _PER_ROOT_STEP
+    place = (root - DROP_ROOT) * _PER_ROOT_STEP
     below = place if place < _LAST_ROOT else _LAST_ROOT
-    node = int(below)
+    node = np.uint32(below)
     right = place - node
     p = first + node
-    low = table[p] + share * (table[p + ROOTS] - table[p])
-    high = table[p + 1] + share * (table[p + ROOTS + 1] - table[p + 1])
-    flow = low + right * (high - low)
-    warp_slope = (0.5 * size + DROP_SCALE) * per_root * per_root * per_root
-    return (flow if drop > 0.0 else -flow), (high - low) * _PER_ROOT_STEP * warp_slope
+    low = table[p] + share * (table[p + _BELOW] - table[p])
+    high = table[p + _NEXT] + share * (table[p + _BELOW + _NEXT] - table[p + _NEXT])
+    rise = high - low
+    slope = rise * (0.5 * _PER_ROOT_STEP) * per_root
+    return low + right * rise, (slope if over > 0.0 else 0.0)
 
 
 @kernel(inline=True, allocates=False)
-def _drained(over: float, constant: Array, i: int) -> tuple[float, float]:
-    """Flow from a chamber to the tank (suction negative) and about its slope over p - p_tank, eq. (24)."""
-    relief = over > 0.0
-    size = abs(over)
-    # Loaded before the choice: a conditional load would be a branch.
-    opening_out, opening_in = constant[RELIEF_OPENING * LANES + i], constant[SUCTION_OPENING * LANES + i]
-    full_out, full_in = constant[RELIEF_FULL * LANES + i], constant[SUCTION_FULL * LANES + i]
-    gain_out, gain_in = constant[RELIEF_GAIN * LANES + i], constant[SUCTION_GAIN * LANES + i]
-    root_out, root_in = constant[RELIEF_ROOT * LANES + i], constant[SUCTION_ROOT * LANES + i]
-    slope_out, slope_in = constant[RELIEF_SLOPE * LANES + i], constant[SUCTION_SLOPE * LANES + i]
-    full = full_out if relief else full_in
-    gain = gain_out if relief else gain_in
-    beyond = size - (opening_out if relief else opening_in)
-    beyond = beyond if beyond > 0.0 else 0.0
-    free = (root_out if relief else root_in) * math.sqrt(size)
-    free_slope = slope_out if relief else slope_in
-    partial = gain * beyond
-    partial_slope = gain if beyond > 0.0 else 0.0
-    flow = free if size > full else partial
-    slope = free_slope if size > full else partial_slope
-    return (flow if relief else -flow), slope
+def _drained(
+    over: float, wide: float, per_wide: float, constant: Array, i: int, n: int
+) -> tuple[float, float]:
+    """Flow from a chamber to the tank and its slope over the pressure: valves, eq. (22) to (24), and bleed.
 
-
-@kernel(inline=True, allocates=False)
-def _residuals(
-    state: tuple[float, float, float, float, float, float],
-    ends: tuple[float, float, float, float],
-    valve: tuple[int, float],
-    table: Array,
-    constant: Array,
-    i: int,
-) -> tuple[float, float, float, float, float, float, float, float, float, float]:
-    """Forces and flows at a state: what masses and capacities times the derivatives equal.
-
-    Returns
-    -------
-    force_1, force_2, flow_a, flow_b : float
-        Net forces on rod and housing (N) and net flows into the chambers (m3/s).
-    capacity_a, capacity_b : float
-        Chamber volume over bulk modulus, m3/Pa.
-    friction, throttle, drain_a, drain_b : float
-        Slopes: friction over stroke velocity (N s/m), flows over pressures (m3/(s Pa)).
+    `over` is the chamber's pressure over the tank's, `wide` the root of its size and `per_wide` half the
+    reciprocal of that. No choice is made between two loaded numbers: it would become a gather.
     """
-    stroke, stroke_rate, rod, rod_rate, p_a, p_b = state
-    area, tank = constant[AREA * LANES + i], constant[TANK * LANES + i]
-    secant, friction = _friction(stroke_rate, constant, i)
-    through, throttle = _rectified(p_a - p_b, constant[CHECKED * LANES + i], valve[0], valve[1], table)
-    out_a, drain_a = _drained(p_a - tank, constant, i)
-    out_b, drain_b = _drained(p_b - tank, constant, i)
-    mount_1 = constant[STIFFNESS_1 * LANES + i] * (rod - ends[0])
-    mount_1 += constant[DAMPING_1 * LANES + i] * (rod_rate - ends[1])
-    mount_2 = constant[STIFFNESS_2 * LANES + i] * (rod - stroke - ends[2])
-    mount_2 += constant[DAMPING_2 * LANES + i] * (rod_rate - stroke_rate - ends[3])
-    inner = area * (p_a - p_b) - friction
-    flow_a = -area * stroke_rate - through - out_a
-    flow_b = area * stroke_rate + through - out_b
-    # At vapour pressure the oil tears: the chamber grows without a further fall of pressure.
-    vapour = constant[VAPOUR * LANES + i]
-    flow_a = 0.0 if (p_a <= vapour) & (flow_a < 0.0) else flow_a
-    flow_b = 0.0 if (p_b <= vapour) & (flow_b < 0.0) else flow_b
-    return (
-        inner - mount_1,
-        -inner - mount_2,
-        flow_a,
-        flow_b,
-        constant[CAPACITY_A * LANES + i] + constant[CAPACITY_SLOPE * LANES + i] * stroke,
-        constant[CAPACITY_B * LANES + i] - constant[CAPACITY_SLOPE * LANES + i] * stroke,
-        secant,
-        throttle,
-        drain_a,
-        drain_b,
-    )
+    beyond = over - constant[RELIEF_OPENING * n + i]
+    gain = constant[RELIEF_GAIN * n + i] if beyond > 0.0 else 0.0
+    root = constant[RELIEF_ROOT * n + i]
+    full = over > constant[RELIEF_FULL * n + i]
+    relief = root * wide if full else gain * beyond
+    slope = root * per_wide if full else gain
+
+    beyond = -over - constant[SUCTION_OPENING * n + i]
+    gain = constant[SUCTION_GAIN * n + i] if beyond > 0.0 else 0.0
+    root = constant[SUCTION_ROOT * n + i]
+    full = -over > constant[SUCTION_FULL * n + i]
+    suction = root * wide if full else gain * beyond
+    slope += root * per_wide if full else gain
+
+    bleed = constant[BLEED * n + i]
+    return bleed * over + (relief - suction), bleed + slope
 
 
 @kernel(inline=True, allocates=False)
-def _place(current: float) -> tuple[int, float]:
-    """Table index below a current and how far the current is above it."""
-    place = current * (CURRENTS - 1.0)
+def _place(current: float, start: float, per_current: float) -> tuple[Any, float]:
+    """Index of a throttle table's row below a current and how far the current is above it."""
     # Comparisons with a number that is none are false: it closes the valve and reaches nothing.
-    place = place if place > 0.0 else 0.0
+    travel = (current - start) * per_current
+    place = math.sqrt(travel if travel > 0.0 else 0.0) * (CURRENTS - 1.0)
     whole = place if place < _LAST_CURRENT else _LAST_CURRENT
-    row = int(whole)
+    row = np.uint32(whole)
     share = place - row
-    return row * ROOTS, (share if share < 1.0 else 1.0)
+    return row * np.uint32(ROOTS), (share if share < 1.0 else 1.0)
 
 
 @kernel(inline=True, allocates=False)
 def _end(
-    inputs: Array, i: int, position: int, velocity: int, old_velocity: int, left: float, step: float
+    inputs: Array,
+    i: int,
+    n: int,
+    position: int,
+    velocity: int,
+    old_velocity: int,
+    left: float,
+    step: float,
 ) -> tuple[float, float]:
     """Position and velocity of an end when the share `left` of the vehicle step is still to come."""
-    new = inputs[velocity * LANES + i]
-    change = new - inputs[old_velocity * LANES + i]
-    return inputs[position * LANES + i] - step * left * (new - 0.5 * left * change), new - left * change
+    new = inputs[velocity * n + i]
+    change = new - inputs[old_velocity * n + i]
+    return inputs[position * n + i] - step * left * (new - 0.5 * left * change), new - left * change
 
 
 @kernel(inline=True, allocates=False)
-def _solve(
-    right: tuple[float, float, float, float],
-    masses: tuple[float, float],
-    capacities: tuple[float, float],
-    slopes: tuple[float, float, float],
-) -> tuple[float, float, float, float]:
-    """Solve a stage's equations for the derivatives of rod velocity, stroke velocity, p_A and p_B.
+def _slip(drive: float, stiff: float, before: float, constant: Array, i: int, n: int) -> float:
+    """Solve ``flow = drive - stiff * friction(flow)`` exactly for eq. (11).
+
+    `before` is the velocity that the piston comes from: in its direction it goes on against the sliding
+    friction, from standstill and in the other direction it must overcome stiction.
+    """
+    sliding = stiff * constant[SLIDING * n + i]
+    stiction = stiff * constant[STICTION * n + i]
+    size = abs(drive)
+    threshold = sliding if drive * before > 0.0 else stiction
+    return math.copysign(size - sliding, drive) if size > threshold else 0.0
+
+
+@kernel(inline=True, allocates=False)
+def _newton(
+    known: tuple[float, float, float, float, float],
+    guess: tuple[float, float],
+    before: float,
+    valve: tuple[int, float],
+    table: Array,
+    constant: Array,
+    i: int,
+    n: int,
+) -> tuple[float, float, float]:
+    """One Newton step of a stage of length g.
 
     Parameters
     ----------
-    right : tuple
-        Right-hand sides: forces on rod and housing (N), flows into A and B (m3/s).
-    masses, capacities : tuple
-        Reciprocals of the diagonal's masses (1/kg) and capacities (Pa/m3).
-    slopes : tuple
-        gamma h times area, friction slope and throttle slope: what couples the four.
+    known : tuple
+        Flow that the piston would displace without pressures and friction (m3/s); the chambers' capacities
+        over g (m3/(s Pa)), and these times the pressures that they would have without flow (m3/s).
+    guess : tuple
+        Pressures so far, Pa.
+    before : float
+        Stroke velocity that the stage comes from, m/s.
+    valve : tuple
+        Table index of the current and the share beyond it.
+
+    Returns
+    -------
+    flow, p_a, p_b : float
+        Flow that the piston displaces, m3/s, and pressures, Pa.
     """
-    b_1, b_2, r_a, r_b = right
-    per_1, per_2 = masses
-    per_a, per_b = capacities
-    area, friction, throttle = slopes
-    # Rate of the stroke velocity first, then that of p_A - p_B: all that couples depends on these two.
-    held = 1.0 / (1.0 + throttle * (per_a + per_b))
-    compliance = held * (per_a + per_b)
-    mobility = per_1 + per_2
-    source = held * (r_a * per_a - r_b * per_b)
-    rate = b_1 * per_1 - b_2 * per_2 + mobility * area * source
-    rate /= 1.0 + mobility * (friction + area * area * compliance)
-    rise = source - compliance * area * rate
-    return (
-        (b_1 + area * rise - friction * rate) * per_1,
-        rate,
-        (r_a - throttle * rise - area * rate) * per_a,
-        (r_b + throttle * rise + area * rate) * per_b,
-    )
+    free, cap_a, cap_b, held_a, held_b = known
+    p_a, p_b = guess
+    vapour, tank, yielding = constant[VAPOUR * n + i], constant[TANK * n + i], constant[YIELDING * n + i]
+    drop = p_a - p_b
+    over = abs(drop) - constant[CHECKED * n + i]
+    root = math.sqrt((over if over > 0.0 else 0.0) + DROP_SCALE)
+    over_a, over_b = p_a - tank, p_b - tank
+    wide_a, wide_b = math.sqrt(abs(over_a) + _SMALL), math.sqrt(abs(over_b) + _SMALL)
+    wide = wide_a * wide_b
+    per_all = 1.0 / (root * wide)  # one division for three
+    half = 0.5 * per_all * root
+    through, throttle = _rectified(over, root, per_all * wide, valve[0], valve[1], table)
+    fixed = math.copysign(through, drop) - throttle * drop
+    out_a, drain_a = _drained(over_a, wide_a, half * wide_b, constant, i, n)
+    out_b, drain_b = _drained(over_b, wide_b, half * wide_a, constant, i, n)
+    # At vapour pressure the oil tears: nothing keeps the pressure up.
+    torn_a = _TEARING * cap_a if p_a <= vapour else 0.0
+    torn_b = _TEARING * cap_b if p_b <= vapour else 0.0
+    diagonal_a, diagonal_b = cap_a + drain_a + torn_a, cap_b + drain_b + torn_b
+    right_a = held_a - fixed - out_a + drain_a * p_a + torn_a * vapour
+    right_b = held_b + fixed - out_b + drain_b * p_b + torn_b * vapour
+
+    # The piston's flow first, with friction, then p_A - p_B, then p_A; one division serves all three.
+    both = diagonal_a + diagonal_b
+    lean = right_a * diagonal_b - right_b * diagonal_a
+    stiff = diagonal_a * diagonal_b + throttle * both
+    mass = stiff + yielding * both
+    moved = _slip(stiff * free + yielding * lean, stiff, before, constant, i, n)
+    product = mass * stiff
+    per_all = 1.0 / (product * both)
+    per_product = per_all * both
+    flow = moved * (per_product * stiff)
+    drop = (lean - both * flow) * (per_product * mass)
+    p_a = (right_a + right_b + diagonal_b * drop) * (per_all * product)
+    return flow, p_a, p_a - drop
+
+
+@kernel(inline=True, allocates=False)
+def _stage(
+    held: tuple[float, float, float, float, float, float],
+    guess: tuple[float, float],
+    before: float,
+    ends: tuple[float, float, float, float],
+    current: float,
+    g: float,
+    last: bool,
+    table: Array,
+    constant: Array,
+    i: int,
+    n: int,
+) -> tuple[float, float, float, float]:
+    """Solve ``Y = held + g f(Y)`` for stroke velocity, rod velocity and pressures.
+
+    Parameters
+    ----------
+    held : tuple
+        Stroke, stroke velocity, rod position, rod velocity, p_A and p_B.
+    guess : tuple
+        Pressures from which the iteration starts, Pa.
+    before : float
+        Stroke velocity that the stage comes from, m/s.
+    ends : tuple
+        x'_1, v'_1, x'_2, v'_2 at the stage's time.
+    current : float
+        Acting current then.
+    g : float
+        Length of an implicit stage, s.
+    last : bool
+        The stage ends the sub-step and takes a second Newton step; the first only leads to it.
+    """
+    stroke, stroke_rate, rod, rod_rate, p_a, p_b = held
+    push_1 = constant[DAMPING_1 * n + i] * ends[1] - constant[STIFFNESS_1 * n + i] * (rod - ends[0])
+    push_2 = constant[DAMPING_2 * n + i] * ends[3] - constant[STIFFNESS_2 * n + i] * (rod - stroke - ends[2])
+    per_1, per_2 = constant[PER_MASS_1 * n + i], constant[PER_MASS_2 * n + i]
+    free_1 = per_1 * (constant[ROD_MASS * n + i] * rod_rate + g * push_1)
+    free_2 = per_2 * (constant[HOUSING_MASS * n + i] * (rod_rate - stroke_rate) + g * push_2)
+    free = free_1 - free_2
+    # The chambers' volumes change little within a stage.
+    swept = constant[CAPACITY_SLOPE * n + i] * (stroke + g * before)
+    cap_a, cap_b = constant[CAPACITY_A * n + i] + swept, constant[CAPACITY_B * n + i] - swept
+    known = constant[AREA * n + i] * free, cap_a, cap_b, cap_a * p_a, cap_b * p_b
+    row, share = _place(current, constant[CURRENT_START * n + i], constant[PER_CURRENT * n + i])
+    valve = np.uint32(constant[TABLE_START * n + i]) + row, share
+    flow, p_a, p_b = _newton(known, guess, before, valve, table, constant, i, n)
+    if last:
+        flow, p_a, p_b = _newton(known, (p_a, p_b), before, valve, table, constant, i, n)
+    rate = flow * constant[PER_AREA * n + i]
+    vapour = constant[VAPOUR * n + i]
+    p_a = p_a if p_a > vapour else vapour
+    p_b = p_b if p_b > vapour else vapour
+    return rate, free_1 + constant[ROD_SHARE * n + i] * (rate - free), p_a, p_b
 
 
 @kernel(distinct=True, allocates=False)
-def integrate(  # noqa: PLR0915 - the method's two stages read best side by side
-    step: float, substeps: int, constant: Array, table: Array, inputs: Array, state: Array
+def integrate(
+    lanes: tuple[int, ...],
+    step: float,
+    substeps: int,
+    constant: Array,
+    table: Array,
+    inputs: Array,
+    state: Array,
 ) -> None:
     """Advance all dampers over one vehicle step.
 
     Parameters
     ----------
+    lanes : tuple
+        Of as many entries as there are vehicles W: ``n = LANES * W`` is then known to the compiler.
     step : float
         Length of the step, s.
     substeps : int
         Number of equal sub-steps in it.
-    constant : ndarray, shape (CONSTANTS * LANES,)
-    table : ndarray, shape (CURRENTS * ROOTS,)
-        `sayd_env.physics.throttle.series_table`, flat.
-    inputs : ndarray, shape (INPUTS * LANES,)
+    constant : ndarray, shape (CONSTANTS * n,)
+    table : ndarray
+        `sayd_env.physics.throttle.series_table` of each kind of damper, flat; TABLE_START says where.
+    inputs : ndarray, shape (INPUTS * n,)
         Motion of the ends. Between start and end of the step their velocities change linearly.
-    state : ndarray, shape (STATES * LANES,)
+    state : ndarray, shape (STATES * n,)
         Advanced in place; the acting current is that at the end of the step.
     """
+    n = LANES * len(lanes)
     h = step / substeps
     g = _GAMMA * h
-    per_step = 1.0 / step
-    for n in range(substeps):
-        start, end = n / substeps, (n + 1) / substeps
+    for s in range(substeps):
+        # Shares of the vehicle step still to come at both stages.
+        left_1, left_2 = 1.0 - (s + _GAMMA) / substeps, 1.0 - (s + 1.0) / substeps
         for i in range(constant.shape[0] // CONSTANTS):
-            c_1, d_1 = constant[STIFFNESS_1 * LANES + i], constant[DAMPING_1 * LANES + i]
-            c_2, d_2 = constant[STIFFNESS_2 * LANES + i], constant[DAMPING_2 * LANES + i]
-            mass_1, mass_2 = constant[ROD_MASS * LANES + i], constant[HOUSING_MASS * LANES + i]
-            vapour = constant[VAPOUR * LANES + i]
+            old, new = inputs[OLD_CURRENT * n + i], state[CURRENT * n + i]
+            stroke, stroke_rate = state[STROKE * n + i], state[STROKE_RATE * n + i]
+            rod, rod_rate = state[ROD * n + i], state[ROD_RATE * n + i]
+            p_a, p_b = state[PRESSURE_A * n + i], state[PRESSURE_B * n + i]
 
-            # Inputs at both ends of the sub-step.
-            now_1 = _end(inputs, i, END_1, RATE_1, OLD_RATE_1, 1.0 - start, step)
-            now_2 = _end(inputs, i, END_2, RATE_2, OLD_RATE_2, 1.0 - start, step)
-            next_1 = _end(inputs, i, END_1, RATE_1, OLD_RATE_1, 1.0 - end, step)
-            next_2 = _end(inputs, i, END_2, RATE_2, OLD_RATE_2, 1.0 - end, step)
-            # Forces rise in time with the moving ends: gamma h df/dt, without which stiff mounts lag behind.
-            speed_up_1 = per_step * (inputs[RATE_1 * LANES + i] - inputs[OLD_RATE_1 * LANES + i])
-            speed_up_2 = per_step * (inputs[RATE_2 * LANES + i] - inputs[OLD_RATE_2 * LANES + i])
-            drift_1 = g * (c_1 * now_1[1] + d_1 * speed_up_1)
-            drift_2 = g * (c_2 * now_2[1] + d_2 * speed_up_2)
-            old, new = inputs[OLD_CURRENT * LANES + i], state[CURRENT * LANES + i]
-            valve = _place(old + start * (new - old))
-            next_valve = _place(old + end * (new - old))
-
-            stroke, stroke_rate = state[STROKE * LANES + i], state[STROKE_RATE * LANES + i]
-            rod, rod_rate = state[ROD * LANES + i], state[ROD_RATE * LANES + i]
-            p_a, p_b = state[PRESSURE_A * LANES + i], state[PRESSURE_B * LANES + i]
-            f_1, f_2, q_a, q_b, cap_a, cap_b, friction, throttle, drain_a, drain_b = _residuals(
-                (stroke, stroke_rate, rod, rod_rate, p_a, p_b), (*now_1, *now_2), valve, table, constant, i
+            ends_1 = _end(inputs, i, n, END_1, RATE_1, OLD_RATE_1, left_1, step)
+            ends_2 = _end(inputs, i, n, END_2, RATE_2, OLD_RATE_2, left_1, step)
+            w, v, a, b = _stage(
+                (stroke, stroke_rate, rod, rod_rate, p_a, p_b),
+                (p_a, p_b),
+                stroke_rate,
+                (*ends_1, *ends_2),
+                new - left_1 * (new - old),
+                g,
+                False,
+                table,
+                constant,
+                i,
+                n,
             )
 
-            # I - gamma h J times masses and capacities, the displacements eliminated.
-            masses = constant[PER_MASS_1 * LANES + i], constant[PER_MASS_2 * LANES + i]
-            diagonal_a, diagonal_b = cap_a + g * drain_a, cap_b + g * drain_b
-            both = 1.0 / (diagonal_a * diagonal_b)  # one division for two
-            capacities = diagonal_b * both, diagonal_a * both
-            slopes = g * constant[AREA * LANES + i], g * friction, g * throttle
+            # What the first stage's derivatives add up to before the second.
+            on = (1.0 - _GAMMA) * h
+            per = (1.0 - _GAMMA) / _GAMMA
+            stroke += on * w
+            rod += on * v
+            ends_1 = _end(inputs, i, n, END_1, RATE_1, OLD_RATE_1, left_2, step)
+            ends_2 = _end(inputs, i, n, END_2, RATE_2, OLD_RATE_2, left_2, step)
+            rise_a, rise_b = a - p_a, b - p_b
+            w, v, a, b = _stage(
+                (
+                    stroke,
+                    stroke_rate + per * (w - stroke_rate),
+                    rod,
+                    rod_rate + per * (v - rod_rate),
+                    p_a + per * rise_a,
+                    p_b + per * rise_b,
+                ),
+                (p_a + rise_a * _PER_GAMMA, p_b + rise_b * _PER_GAMMA),
+                w,
+                (*ends_1, *ends_2),
+                new - left_2 * (new - old),
+                g,
+                True,
+                table,
+                constant,
+                i,
+                n,
+            )
+            stroke += g * w
+            rod += g * v
+            state[STROKE * n + i] = stroke
+            state[STROKE_RATE * n + i] = w
+            state[ROD * n + i] = rod
+            state[ROD_RATE * n + i] = v
+            state[PRESSURE_A * n + i] = a
+            state[PRESSURE_B * n + i] = b
+            state[FORCE_1 * n + i] = constant[STIFFNESS_1 * n + i] * (ends_1[0] - rod) + constant[
+                DAMPING_1 * n + i
+            ] * (ends_1[1] - v)
+            state[FORCE_2 * n + i] = constant[STIFFNESS_2 * n + i] * (ends_2[0] - rod + stroke) + constant[
+                DAMPING_2 * n + i
+            ] * (ends_2[1] - v + w)
 
-            # Stage 1, for rod (x), stroke (s), rod velocity (v), stroke velocity (w), p_A and p_B.
-            right = (
-                f_1 + drift_1 - g * c_1 * rod_rate,
-                f_2 + drift_2 - g * c_2 * (rod_rate - stroke_rate),
-                q_a,
-                q_b,
-            )
-            k_v, k_w, k_a, k_b = _solve(right, masses, capacities, slopes)
-            k_x, k_s = rod_rate + g * k_v, stroke_rate + g * k_w
 
-            # Stage 2, with the same matrix.
-            middle = (
-                stroke + h * k_s,
-                stroke_rate + h * k_w,
-                rod + h * k_x,
-                rod_rate + h * k_v,
-                p_a + h * k_a,
-                p_b + h * k_b,
-            )
-            f_1, f_2, q_a, q_b, next_cap_a, next_cap_b, _, _, _, _ = _residuals(
-                middle, (*next_1, *next_2), next_valve, table, constant, i
-            )
-            both = 1.0 / (next_cap_a * next_cap_b)
-            x_rate, s_rate = middle[3] - 2.0 * k_x, middle[1] - 2.0 * k_s
-            right = (
-                f_1 - drift_1 - 2.0 * mass_1 * k_v - g * c_1 * x_rate,
-                f_2 - drift_2 - 2.0 * mass_2 * (k_v - k_w) - g * c_2 * (x_rate - s_rate),
-                cap_a * (q_a * next_cap_b * both - 2.0 * k_a),
-                cap_b * (q_b * next_cap_a * both - 2.0 * k_b),
-            )
-            l_v, l_w, l_a, l_b = _solve(right, masses, capacities, slopes)
-
-            stroke += h * (1.5 * k_s + 0.5 * (s_rate + g * l_w))
-            stroke_rate += h * (1.5 * k_w + 0.5 * l_w)
-            rod += h * (1.5 * k_x + 0.5 * (x_rate + g * l_v))
-            rod_rate += h * (1.5 * k_v + 0.5 * l_v)
-            p_a += h * (1.5 * k_a + 0.5 * l_a)
-            p_b += h * (1.5 * k_b + 0.5 * l_b)
-            state[STROKE * LANES + i] = stroke
-            state[STROKE_RATE * LANES + i] = stroke_rate
-            state[ROD * LANES + i] = rod
-            state[ROD_RATE * LANES + i] = rod_rate
-            state[PRESSURE_A * LANES + i] = p_a if p_a > vapour else vapour
-            state[PRESSURE_B * LANES + i] = p_b if p_b > vapour else vapour
-            state[FORCE_1 * LANES + i] = c_1 * (next_1[0] - rod) + d_1 * (next_1[1] - rod_rate)
-            state[FORCE_2 * LANES + i] = c_2 * (next_2[0] - rod + stroke) + d_2 * (
-                next_2[1] - rod_rate + stroke_rate
-            )
+@kernel(inline=True, allocates=False)
+def _spool(place: float, rate: float, target: float, constant: Array, i: int, n: int) -> tuple[float, float]:
+    """Where the spool stands and its rate a vehicle step later, held to its rate limit and to 0..1."""
+    deviation = place - target
+    limit, reach = constant[RATE_LIMIT * n + i], constant[REACH * n + i]
+    change = constant[SPOOL_HOLD * n + i] * deviation + constant[SPOOL_DRIFT * n + i] * rate
+    change = change if change < reach else reach
+    change = change if change > -reach else -reach
+    new_rate = constant[SPOOL_PULL * n + i] * deviation + constant[SPOOL_KEEP * n + i] * rate
+    new_rate = new_rate if new_rate < limit else limit
+    new_rate = new_rate if new_rate > -limit else -limit
+    new = place + change
+    inside = new if new > 0.0 else 0.0
+    inside = inside if inside < 1.0 else 1.0
+    return inside, (new_rate if inside == new else 0.0)
 
 
 @kernel(distinct=True, allocates=False)
-def move_valves(constant: Array, line: Array, inputs: Array, state: Array) -> None:
-    """Advance the acting currents over one vehicle step: delay, lag, rate limit, fail-safe, a stuck valve.
+def move_valves(lanes: tuple[int, ...], constant: Array, line: Array, inputs: Array, state: Array) -> None:
+    """Advance the acting currents over one vehicle step: delay, spool, rate limit, fail-safe, a stuck valve.
 
     Parameters
     ----------
-    constant : ndarray, shape (CONSTANTS * LANES,)
-    line : ndarray, shape ((delay steps + 1) * LANES,)
-        The commands of the last steps, the newest first; advanced in place.
-    inputs : ndarray, shape (INPUTS * LANES,)
+    lanes : tuple
+        As for `integrate`.
+    constant : ndarray, shape (CONSTANTS * n,)
+    line : ndarray, shape (rows * n,)
+        The commands of the last steps, the newest last; advanced in place. It has at least as many rows as
+        the longest delay needs (`line_length`); a damper with a shorter delay does not read the first ones.
+    inputs : ndarray, shape (INPUTS * n,)
         Receives the acting current at the start of the step.
-    state : ndarray, shape (STATES * LANES,)
+    state : ndarray, shape (STATES * n,)
         Advanced in place.
     """
-    lanes = constant.shape[0] // CONSTANTS
-    last = line.shape[0] - LANES
-    for j in range(line.shape[0] - 1, LANES - 1, -1):
-        line[j] = line[j - LANES]
-    for i in range(lanes):
+    n = LANES * len(lanes)
+    count = constant.shape[0] // CONSTANTS
+    newest = line.shape[0] - n
+    for j in range(newest):
+        line[j] = line[j + n]
+    for i in range(count):
         # The border refuses such commands; should one come through: no number closes the valve.
-        command = state[COMMAND * LANES + i]
+        command = state[COMMAND * n + i]
         command = command if command > 0.0 else 0.0
-        line[i] = command if command < 1.0 else 1.0
-    before = last - LANES if last >= LANES else last
-    for i in range(lanes):
-        share = constant[DELAY_SHARE * LANES + i]
-        asked = share * line[last + i] + (1.0 - share) * line[before + i]
-        powered, stuck = state[POWERED * LANES + i] > 0.5, state[STUCK * LANES + i]
-        free = asked if powered else constant[FAILSAFE * LANES + i]
+        line[newest + i] = command if command < 1.0 else 1.0
+    for i in range(count):
+        age, share = constant[DELAY * n + i], constant[DELAY_SHARE * n + i]
+        last, after = np.uint32(age), np.uint32(age - 1.0 if age > 1.0 else 0.0)
+        asked = share * line[newest + i - last * n] + (1.0 - share) * line[newest + i - after * n]
+        powered, stuck = state[POWERED * n + i], state[STUCK * n + i]
+        fallback = constant[FAILSAFE * n + i]
+        free = asked if powered > 0.5 else fallback
         target = stuck if stuck >= 0.0 else free
-        lag, reach = constant[LAG * LANES + i], constant[REACH * LANES + i]
-        now = state[CURRENT * LANES + i]
-        change = lag * (target - now)
-        change = change if change < reach else reach
-        change = change if change > -reach else -reach
-        inputs[OLD_CURRENT * LANES + i] = now
-        state[CURRENT * LANES + i] = now + change
-        flow = state[COIL * LANES + i]
-        rise = lag * ((asked if powered else 0.0) - flow)
-        rise = rise if rise < reach else reach
-        rise = rise if rise > -reach else -reach
-        state[COIL * LANES + i] = flow + rise
+        now = state[CURRENT * n + i]
+        inputs[OLD_CURRENT * n + i] = now
+        now, rate = _spool(now, state[CURRENT_RATE * n + i], target, constant, i, n)
+        state[CURRENT * n + i], state[CURRENT_RATE * n + i] = now, rate
+        flow = asked if powered > 0.5 else 0.0
+        coil, rate = _spool(state[COIL * n + i], state[COIL_RATE * n + i], flow, constant, i, n)
+        state[COIL * n + i], state[COIL_RATE * n + i] = coil, rate
 
 
 class SaydArrays(NamedTuple):
@@ -458,38 +534,44 @@ def sayd_arrays(config: SaydDamperConfig, step: float) -> SaydArrays:
     DataError
         A throttle table that cannot be used.
     """
-    delay_steps = line_length(config, step) - 1
     column = np.zeros(CONSTANTS)
-    cylinder, oil, friction = config.cylinder, config.oil, config.friction
-    dead = 0.25 * math.pi * cylinder.bore**2
+    cylinder, oil = config.cylinder, config.oil
     column[ROD_MASS], column[HOUSING_MASS] = config.rod_mass, config.housing_mass
     column[STIFFNESS_1], column[DAMPING_1] = config.bogie_mount.stiffness, config.bogie_mount.damping
     column[STIFFNESS_2], column[DAMPING_2] = config.carbody_mount.stiffness, config.carbody_mount.damping
-    column[SLIDING] = friction.sliding
-    column[STICTION_EXCESS] = friction.stiction - friction.sliding
-    column[WIDTH] = friction.width
-    column[PER_STRIBECK] = 1.0 / (_STRIBECK_WIDTHS * friction.width)
-    column[AREA] = cylinder.area
-    # Eq. (20) and (21).
-    half = 0.5 * cylinder.stroke * cylinder.area
-    column[CAPACITY_A] = (half + cylinder.dead_length_a * dead) / oil.bulk_modulus
-    column[CAPACITY_B] = (half + cylinder.dead_length_b * dead) / oil.bulk_modulus
-    column[CAPACITY_SLOPE] = cylinder.area / oil.bulk_modulus
+    column[AREA], column[PER_AREA] = cylinder.area, 1.0 / cylinder.area
+    column[BLEED] = config.bleed
+    column[CURRENT_START] = table_start(config.throttle)
+    column[PER_CURRENT] = 1.0 / (1.0 - column[CURRENT_START])
     column[CHECKED] = 2.0 * config.rectifier.opening
     column[TANK], column[VAPOUR] = oil.tank_pressure, oil.vapour_pressure
-    column[RELIEF_OPENING : RELIEF_SLOPE + 1] = _valve_column(config.relief)
-    column[SUCTION_OPENING : SUCTION_SLOPE + 1] = _valve_column(config.suction)
+    column[RELIEF_OPENING : RELIEF_ROOT + 1] = _valve_column(config.relief)
+    column[SUCTION_OPENING : SUCTION_ROOT + 1] = _valve_column(config.suction)
     substeps = math.ceil(step / config.step - 1e-9)
     g = _GAMMA * step / substeps
+    # Eq. (20) and (21).
+    half, dead = 0.5 * cylinder.stroke * cylinder.area, 0.25 * math.pi * cylinder.bore**2
+    column[CAPACITY_A] = (half + cylinder.dead_length_a * dead) / (oil.bulk_modulus * g)
+    column[CAPACITY_B] = (half + cylinder.dead_length_b * dead) / (oil.bulk_modulus * g)
+    column[CAPACITY_SLOPE] = cylinder.area / (oil.bulk_modulus * g)
     for row, mass, mount in (
         (PER_MASS_1, config.rod_mass, config.bogie_mount),
         (PER_MASS_2, config.housing_mass, config.carbody_mount),
     ):
         column[row] = 1.0 / (mass + g * (mount.damping + g * mount.stiffness))
-    lag = config.valve.lag
-    column[LAG] = 1.0 if lag == 0.0 else -math.expm1(-step / lag)
-    column[REACH] = config.valve.rate * step
+    mobility = column[PER_MASS_1] + column[PER_MASS_2]
+    column[ROD_SHARE] = column[PER_MASS_1] / mobility
+    per_force = g * mobility * cylinder.area
+    column[YIELDING] = per_force * cylinder.area
+    column[SLIDING], column[STICTION] = (
+        per_force * config.friction.sliding,
+        per_force * config.friction.stiction,
+    )
+    column[SPOOL_HOLD : SPOOL_KEEP + 1] = _spool_column(config.valve, step)
+    column[RATE_LIMIT], column[REACH] = config.valve.rate, config.valve.rate * step
     column[FAILSAFE] = config.failsafe_current
+    delay_steps = line_length(config, step) - 1
+    column[DELAY] = delay_steps
     column[DELAY_SHARE] = 1.0 if delay_steps == 0 else config.valve.delay / step - (delay_steps - 1)
     return SaydArrays(
         constant=np.repeat(column, LANES),
@@ -503,10 +585,17 @@ def line_length(config: SaydDamperConfig, step: float) -> int:
     return math.ceil(config.valve.delay / step - 1e-9) + 1
 
 
-def _valve_column(valve: SpringValve) -> tuple[float, float, float, float, float]:
+def _valve_column(valve: SpringValve) -> tuple[float, float, float, float]:
     root = valve.nominal_flow / math.sqrt(valve.nominal_drop)
     gain = root * math.sqrt(valve.full) / (valve.full - valve.opening)
-    return valve.opening, valve.full, gain, root, 0.5 * root / math.sqrt(valve.full)
+    return valve.opening, valve.full, gain, root
+
+
+def _spool_column(valve: ValveDynamics, step: float) -> tuple[float, float, float, float]:
+    """Exact solution of y'' + 2 zeta omega y' + omega^2 (y - target) = 0 over a step, the target constant."""
+    omega = 2.0 * math.pi * valve.natural_frequency
+    solution = expm(np.array([[0.0, 1.0], [-(omega**2), -2.0 * valve.damping_ratio * omega]]) * step)
+    return solution[0, 0] - 1.0, solution[0, 1], solution[1, 0], solution[1, 1]
 
 
 def rest(config: SaydDamperConfig, current: float | None = None) -> Array:
@@ -535,7 +624,7 @@ def steady_force(config: SaydDamperConfig, velocity: npt.ArrayLike, current: npt
     -------
     ndarray
         Force of pressures and sliding friction (N), in the broadcast shape. Flow balance with constant
-        pressures: A v = Q(p_A - p_B, i) + Q_relief(p_A), and the tank gives back what it gets.
+        pressures: A v = Q(p_A - p_B, i) + Q_tank(p_A), and the tank gives back what it gets.
 
     Raises
     ------
@@ -544,24 +633,40 @@ def steady_force(config: SaydDamperConfig, velocity: npt.ArrayLike, current: npt
     """
     v, i = np.broadcast_arrays(np.asarray(velocity, dtype=float), np.asarray(current, dtype=float))
     table = series_table(config.throttle, config.rectifier).ravel()
-    tank, vapour = config.oil.tank_pressure, config.oil.vapour_pressure
-
-    def suction_pressure(high: Array) -> Array:
-        flow = spring_valve_flow(config.relief, high - tank)
-        drop = spring_valve_drop(config.suction, flow)
-        return np.where(flow > 0.0, np.maximum(tank - drop, vapour), tank)
+    tank = config.oil.tank_pressure
 
     def excess(high: Array, wanted: Array, at: Array) -> Array:
-        drop = high - suction_pressure(high)
-        relief = spring_valve_flow(config.relief, high - tank)
-        return np.asarray(rectified_flow(config, table, drop, at) + relief - wanted)
+        drop = high - fed_pressure(config, high)
+        return np.asarray(rectified_flow(config, table, drop, at) + to_tank(config, high) - wanted)
 
     wanted = config.cylinder.area * v
     top = tank + spring_valve_drop(config.relief, wanted)
     found = elementwise.find_root(excess, (np.full_like(wanted, tank), top + 1e3), args=(wanted, i))
-    force = config.cylinder.area * (found.x - suction_pressure(found.x))
-    friction = config.friction.sliding * v / np.hypot(v, config.friction.width)
-    return np.asarray(np.where(wanted > 0.0, force + friction, 0.0))
+    force = config.cylinder.area * (found.x - fed_pressure(config, found.x))
+    return np.asarray(np.where(wanted > 0.0, force + config.friction.sliding, 0.0))
+
+
+def to_tank(config: SaydDamperConfig, pressure: npt.ArrayLike) -> Array:
+    """Flow (m3/s) from a chamber at a pressure (Pa) to the tank: bleed, relief, suction (negative)."""
+    over = np.asarray(pressure, dtype=float) - config.oil.tank_pressure
+    relief, suction = spring_valve_flow(config.relief, over), spring_valve_flow(config.suction, -over)
+    return np.asarray(config.bleed * over + relief - suction)
+
+
+def fed_pressure(config: SaydDamperConfig, high: npt.ArrayLike) -> Array:
+    """Pressure (Pa) of the low chamber at which it gets from the tank what the high one (Pa) gives to it.
+
+    Without a bleed and with the relief valve closed any pressure between those at which the valves open is
+    one; it is then the tank's.
+    """
+    flow, valve, bleed = to_tank(config, high), config.suction, config.bleed
+    root = valve.nominal_flow / math.sqrt(valve.nominal_drop)
+    gain = root * math.sqrt(valve.full) / (valve.full - valve.opening)
+    closed = flow / bleed if bleed > 0.0 else np.where(flow > 0.0, np.inf, 0.0)
+    partial = (flow + gain * valve.opening) / (gain + bleed)
+    wide = (2.0 * flow / (root + np.sqrt(root**2 + 4.0 * bleed * flow))) ** 2  # bleed d + root sqrt(d) = flow
+    depth = np.where(partial > valve.full, wide, np.where(closed > valve.opening, partial, closed))
+    return np.asarray(np.maximum(config.oil.tank_pressure - depth, config.oil.vapour_pressure))
 
 
 def rectified_flow(
@@ -570,12 +675,17 @@ def rectified_flow(
     """Flow (m3/s) through throttle and rectifier as the compiled damper computes it."""
     dp, i = np.broadcast_arrays(np.asarray(drop, dtype=float), np.asarray(current, dtype=float))
     out = np.empty(dp.size)
-    _rectified_loop(table, 2.0 * config.rectifier.opening, np.ravel(dp), np.ravel(i), out)
+    start, checked = table_start(config.throttle), 2.0 * config.rectifier.opening
+    _rectified_loop(table, start, checked, np.ravel(dp), np.ravel(i), out)
     return out.reshape(dp.shape)
 
 
 @kernel(allocates=False)
-def _rectified_loop(table: Array, checked: float, drop: Array, current: Array, out: Array) -> None:
+def _rectified_loop(
+    table: Array, start: float, checked: float, drop: Array, current: Array, out: Array
+) -> None:
     for k in range(out.shape[0]):
-        first, share = _place(current[k])
-        out[k], _ = _rectified(drop[k], checked, first, share, table)
+        first, share = _place(current[k], start, 1.0 / (1.0 - start))
+        over = abs(drop[k]) - checked
+        root = math.sqrt(max(over, 0.0) + DROP_SCALE)
+        out[k] = math.copysign(_rectified(over, root, 1.0 / root, first, share, table)[0], drop[k])

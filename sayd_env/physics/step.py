@@ -529,9 +529,9 @@ def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int) -> N
         _copy(state.force, work.x[x_dampers:x_sayds])
         if d > 0:
             _follow_lost_ends(d, state.sayd, inputs)
-            sayd.move_valves(plant.sayd_constant, state.sayd_line, inputs, state.sayd)
+            sayd.move_valves(lanes, plant.sayd_constant, state.sayd_line, inputs, state.sayd)
             substeps = int(plant.number[SUBSTEPS * w])
-            sayd.integrate(h, substeps, plant.sayd_constant, plant.sayd_table, inputs, state.sayd)
+            sayd.integrate(lanes, h, substeps, plant.sayd_constant, plant.sayd_table, inputs, state.sayd)
             _sayd_forces(d, state.sayd, work.x[x_sayds:x_stops])
         step_stops(w, stretch, plant.stop_shift, plant.stop_force, work.x[x_stops:])
         add_product(lanes, plant.force_start, plant.force_column, plant.force_value, work.x, work.f)

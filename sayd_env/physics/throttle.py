@@ -18,22 +18,28 @@ import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 
 from sayd_env.config import DataError, read_text
-from sayd_env.config.damper import OrificeThrottle, SpringValve, TableThrottle
+from sayd_env.config.damper import (
+    EqualPercentageThrottle,
+    OrificeThrottle,
+    SpringValve,
+    TableThrottle,
+    Throttle,
+)
+from sayd_env.physics.kernel import kernel
 
 Array = npt.NDArray[np.float64]
 
 CURRENTS = 129
-"""Nodes over the current of the compiled table, from 0 to 1."""
+"""Nodes over the current of the compiled table: see `table_currents`."""
 ROOTS = 129
 """Nodes over the warped pressure drop of the compiled table."""
-DROP_SCALE = 2.0e4
-"""Pressure drop (Pa) at which `warped` goes over from linear to a square root."""
+DROP_ROOT = 20.0
+"""Root of the pressure drop (Pa^0.5) at which `warped` goes over from linear to a square root."""
+DROP_SCALE = DROP_ROOT**2
 LARGEST_DROP = 1.2e7
 """Largest pressure drop (Pa) of the table; beyond it the flow goes on with the square root."""
-ROOT_STEP = LARGEST_DROP / math.sqrt(LARGEST_DROP + DROP_SCALE) / (ROOTS - 1)
+ROOT_STEP = (math.sqrt(LARGEST_DROP + DROP_SCALE) - DROP_ROOT) / (ROOTS - 1)
 """Distance of nodes over the warped pressure drop, Pa^0.5."""
-
-_SERIES_POINTS = 4000  # points of the series' curve from which the table is read
 
 
 def warped(drop: Array) -> Array:
@@ -41,7 +47,7 @@ def warped(drop: Array) -> Array:
 
     `drop` is what a pressure drop has above the check valves' opening drop (Pa, >= 0).
     """
-    return np.asarray(drop / np.sqrt(drop + DROP_SCALE))
+    return np.asarray(np.sqrt(drop + DROP_SCALE) - DROP_ROOT)
 
 
 def spring_valve_flow(valve: SpringValve, drop: npt.ArrayLike) -> Array:
@@ -88,7 +94,7 @@ class ThrottleField:
         return np.asarray(field(np.stack([i, np.sqrt(dp)], axis=-1)))
 
 
-def throttle_field(throttle: OrificeThrottle | TableThrottle) -> ThrottleField:
+def throttle_field(throttle: Throttle) -> ThrottleField:
     """Characteristic field of a configured throttle.
 
     Raises
@@ -98,15 +104,27 @@ def throttle_field(throttle: OrificeThrottle | TableThrottle) -> ThrottleField:
     """
     if isinstance(throttle, TableThrottle):
         return read_throttle_table(Path(throttle.file))
-    current = np.linspace(0.0, 1.0, CURRENTS)
-    travel = np.maximum(0.0, (current - throttle.overlap) / (1.0 - throttle.overlap))
-    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * travel**throttle.exponent
+    return _orifice_field(throttle, np.linspace(0.0, 1.0, CURRENTS))
+
+
+def _orifice_field(throttle: OrificeThrottle | EqualPercentageThrottle, current: Array) -> ThrottleField:
     drop = np.array([0.0, LARGEST_DROP])  # linear over the root of the drop: two points are exact
+    area = opening_area(throttle, current)
     flow = throttle.discharge * area[:, None] * np.sqrt(2.0 * drop / throttle.density)
     return ThrottleField(current, drop, flow)
 
 
-def overlap(throttle: OrificeThrottle | TableThrottle) -> float:
+def opening_area(throttle: OrificeThrottle | EqualPercentageThrottle, current: npt.ArrayLike) -> Array:
+    """Area of a throttle (m2) at currents from 0 to 1."""
+    i = np.asarray(current, dtype=float)
+    if isinstance(throttle, EqualPercentageThrottle):
+        return np.asarray(throttle.closed_area * throttle.ratio**i)
+    travel = np.maximum(0.0, (i - throttle.overlap) / (1.0 - throttle.overlap))
+    rise = throttle.open_area - throttle.closed_area
+    return np.asarray(throttle.closed_area + rise * travel**throttle.exponent)
+
+
+def overlap(throttle: Throttle) -> float:
     """Largest current up to which a throttle is as closed as at current 0.
 
     Raises
@@ -116,19 +134,43 @@ def overlap(throttle: OrificeThrottle | TableThrottle) -> float:
     """
     if isinstance(throttle, OrificeThrottle):
         return throttle.overlap
+    if isinstance(throttle, EqualPercentageThrottle):
+        return 0.0 if throttle.ratio > 1.0 else 1.0
     field = throttle_field(throttle)
     # The flow does not fall with the current: equal rows are the first ones.
     return float(field.current[np.all(field.flow == field.flow[0], axis=1)][-1])
 
 
-def series_table(throttle: OrificeThrottle | TableThrottle, check: SpringValve) -> Array:
+def table_start(throttle: Throttle) -> float:
+    """Current of the compiled table's first row: the throttle's `overlap`, below which nothing changes.
+
+    Raises
+    ------
+    DataError
+        A table file that cannot be used.
+    """
+    end = overlap(throttle)
+    return end if end < 1.0 else 0.0
+
+
+def table_currents(throttle: Throttle) -> Array:
+    """Currents (CURRENTS,) of the compiled table's rows, from `table_start` to 1.
+
+    Close at its beginning, where an area that rises with a small power of the current is bent most: the root
+    of the distance from there is even.
+    """
+    start = table_start(throttle)
+    return np.asarray(start + (1.0 - start) * np.linspace(0.0, 1.0, CURRENTS) ** 2)
+
+
+def series_table(throttle: Throttle, check: SpringValve) -> Array:
     """Flow of throttle and two check valves in series, as the compiled damper reads it.
 
     Returns
     -------
     ndarray, shape (CURRENTS, ROOTS)
-        Flow (m3/s) at currents that divide 0 to 1 evenly, over pressure drops above the check valves' opening
-        whose `warped` values are ROOT_STEP apart.
+        Flow (m3/s) at `table_currents`, over pressure drops above the check valves' opening whose `warped`
+        values are ROOT_STEP apart.
 
     Raises
     ------
@@ -136,27 +178,82 @@ def series_table(throttle: OrificeThrottle | TableThrottle, check: SpringValve) 
         A table file that cannot be used.
     """
     if isinstance(throttle, TableThrottle):  # its file may change
-        return _series_table(throttle_field(throttle), check)
+        return _series_table(throttle_field(throttle), table_currents(throttle), check)
     return _orifice_series_table(throttle, check)
 
 
 @lru_cache(maxsize=64)
-def _orifice_series_table(throttle: OrificeThrottle, check: SpringValve) -> Array:
-    table = _series_table(throttle_field(throttle), check)
+def _orifice_series_table(throttle: OrificeThrottle | EqualPercentageThrottle, check: SpringValve) -> Array:
+    current = table_currents(throttle)
+    table = _series_table(_orifice_field(throttle, current), current, check)
     table.setflags(write=False)  # shared by all who ask
     return table
 
 
-def _series_table(field: ThrottleField, check: SpringValve) -> Array:
-    # Dense where the check valves begin to open; the root makes even steps of an orifice's flow.
-    drop = np.linspace(0.0, math.sqrt(LARGEST_DROP), _SERIES_POINTS) ** 2
-    nodes = ROOT_STEP * np.arange(ROOTS)
-    # The field is linear over the root between its own drops, so these and the largest say all.
-    knots = np.union1d(field.drop, LARGEST_DROP)
-    at_knots = field.at(np.linspace(0.0, 1.0, CURRENTS)[:, None], knots)
-    flows = np.array([np.interp(np.sqrt(drop), np.sqrt(knots), row) for row in at_knots])
-    over = warped(drop + 2.0 * (spring_valve_drop(check, flows) - check.opening))
-    return np.array([np.interp(nodes, x, flow) for x, flow in zip(over, flows, strict=True)])
+def _series_table(field: ThrottleField, wanted: Array, check: SpringValve) -> Array:
+    below = np.clip(np.searchsorted(field.current, wanted, side="right") - 1, 0, len(field.current) - 2)
+    share = (wanted - field.current[below]) / (field.current[below + 1] - field.current[below])
+    flow = field.flow[below] + share[:, None] * (field.flow[below + 1] - field.flow[below])
+    over = (DROP_ROOT + ROOT_STEP * np.arange(ROOTS)) ** 2 - DROP_SCALE
+    table = np.empty((len(wanted), ROOTS))
+    wide = check.nominal_flow * math.sqrt(check.full / check.nominal_drop)
+    linear = 2.0 * (check.full - check.opening) / wide
+    square = 2.0 * check.nominal_drop / check.nominal_flow**2
+    _solve_series(np.sqrt(field.drop), flow, wide, linear, square, 2.0 * check.opening, over, table)
+    return table
+
+
+@kernel(allocates=False)
+def _solve_series(
+    root: Array,
+    flow: Array,
+    wide: float,
+    linear: float,
+    square: float,
+    opening: float,
+    over: Array,
+    out: Array,
+) -> None:
+    """Flow at which throttle and check valves share a pressure drop, solved in closed form.
+
+    Between two of its pressure drops the throttle's flow is q = a + b r over their root r. Both check valves
+    together take linear q above their opening up to the flow `wide`, from there on square q^2.
+
+    Parameters
+    ----------
+    root : ndarray, shape (p,)
+        Roots of the throttle's pressure drops, Pa^0.5.
+    flow : ndarray, shape (c, p)
+        Its flows, m3/s.
+    wide : float
+        Flow at which the check valves are fully open, m3/s.
+    linear, square, opening : float
+        The check valves' drops: Pa s/m3, Pa s2/m6, Pa.
+    over : ndarray, shape (k,)
+        Whole pressure drops above `opening`, rising, Pa.
+    out : ndarray, shape (c, k)
+        Receives the flows.
+    """
+    for c in range(flow.shape[0]):
+        k = 0
+        for m in range(over.shape[0]):
+            while k + 2 < root.shape[0]:
+                q = flow[c, k + 1]
+                check = linear * q if q <= wide else square * q * q - opening
+                if root[k + 1] * root[k + 1] + check > over[m]:
+                    break
+                k += 1
+            b = (flow[c, k + 1] - flow[c, k]) / (root[k + 1] - root[k])
+            a = flow[c, k] - b * root[k]
+            # r^2 + linear (a + b r) = over.
+            rest = over[m] - linear * a
+            half = 0.5 * linear * b
+            q = a + b * rest / (half + math.sqrt(half * half + rest)) if rest > 0.0 else a
+            if q > wide:  # r^2 + square (a + b r)^2 - opening = over
+                lead, half = 1.0 + square * b * b, square * a * b
+                rest = over[m] + opening - square * a * a
+                q = a + b * rest / (half + math.sqrt(half * half + lead * rest))
+            out[c, m] = q
 
 
 def read_throttle_table(path: Path) -> ThrottleField:

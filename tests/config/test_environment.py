@@ -181,8 +181,8 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
             "the law reaches from 0 to 1.1; allowed are 0.1 to 10",
         ),
         (
-            "randomisation.tolerances.frames.keys=[sayd.valve.lag]",
-            "key 'sayd.valve.lag' stands in two groups, 'frames' and 'valve_lag'",
+            "randomisation.tolerances.frames.keys=[sayd.valve.delay]",
+            "key 'sayd.valve.delay' stands in two groups, 'frames' and 'valve_delay'",
         ),
         (
             "faults.count={law: uniform, low: 0, high: 1}",

@@ -48,10 +48,10 @@ def test_a_whole_list_and_one_of_its_entries_multiply():
 
 
 def test_what_is_not_touched_is_shared():
-    changed = scaled(SAYD, {("damper", "valve", "lag"): 2.0})
+    changed = scaled(SAYD, {("damper", "valve", "delay"): 2.0})
     assert changed.vehicle is SAYD.vehicle
     assert changed.track is SAYD.track
-    assert SAYD.damper.valve.lag == 0.01
+    assert SAYD.damper.valve.delay == 0.005
     assert scaled(SAYD, {}) is SAYD
 
 

@@ -9,10 +9,23 @@ import numpy as np
 import pytest
 
 from sayd_env.config import ConfigError, DataError
-from sayd_env.config.damper import OrificeThrottle, SaydDamperConfig, SpringValve, TableThrottle, load_sayd
+from sayd_env.config.damper import (
+    EqualPercentageThrottle,
+    OrificeThrottle,
+    SaydDamperConfig,
+    SpringValve,
+    TableThrottle,
+    load_sayd,
+)
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics.sayd import rectified_flow, steady_force
 from sayd_env.physics.throttle import (
+    DROP_ROOT,
+    DROP_SCALE,
+    ROOT_STEP,
+    ROOTS,
+    ThrottleField,
+    _series_table,
     overlap,
     read_throttle_table,
     series_table,
@@ -58,6 +71,34 @@ def test_the_overlap_ends_where_the_flow_begins_to_rise(tmp_path: Path) -> None:
     ):
         (tmp_path / "table.csv").write_text(f"dp,{rows}")
         assert overlap(TableThrottle(type="table", file=str(tmp_path / "table.csv"))) == end
+
+
+def test_an_equal_percentage_throttle_opens_by_equal_shares() -> None:
+    """Equal steps of the current multiply the flow by the same factor, to 50 times the first."""
+    throttle = EqualPercentageThrottle(
+        type="equal_percentage", discharge=0.65, density=860.0, closed_area=1e-7, ratio=50.0
+    )
+    flow = throttle_field(throttle).at(np.linspace(0.0, 1.0, 5), 1e6)
+    np.testing.assert_allclose(flow[1:] / flow[:-1], 50.0**0.25, rtol=1e-3)
+    assert flow[0] == pytest.approx(0.65 * 1e-7 * math.sqrt(2e6 / 860.0), rel=1e-12)
+    assert flow[-1] / flow[0] == pytest.approx(50.0, rel=1e-12)
+    assert overlap(throttle) == 0.0
+
+
+def test_the_series_table_solves_the_series() -> None:
+    """At each node the drops over throttle and check valves add up, for a formula and a table."""
+    check = load_sayd("sayd").rectifier
+    bent = ThrottleField(
+        np.array([0.0, 0.4, 1.0]),
+        np.array([0.0, 1e4, 3e5, 4e6]),
+        np.array([[0.0, 1e-6, 5e-6, 4e-5], [0.0, 1e-6, 5e-5, 2e-4], [0.0, 3e-5, 4e-4, 2e-3]]),
+    )
+    over = (DROP_ROOT + ROOT_STEP * np.arange(ROOTS)) ** 2 - DROP_SCALE
+    for field in (throttle_field(load_sayd("sayd").throttle), bent):
+        for current in field.current:
+            flow = _series_table(field, np.array([current] * 2), check)[0]
+            rest = over - 2.0 * (spring_valve_drop(check, flow) - check.opening)
+            np.testing.assert_allclose(field.at(current, np.maximum(rest, 0.0)), flow, rtol=1e-6, atol=1e-13)
 
 
 @pytest.mark.parametrize("current", [0.0, 0.1, 0.5, 1.0])
@@ -139,6 +180,9 @@ def test_bad_tables_are_refused(text: str, message: str, tmp_path: Path) -> None
         ("damper.relief.full=1e6", r"full 1e\+06 Pa must be above opening 6e\+06 Pa"),
         ("damper.friction.stiction=10", "stiction 10 N must not be below the sliding friction 100 N"),
         ("damper.oil.vapour_pressure=2e5", "vapour_pressure 200000 Pa must be below"),
+        ("damper.friction.width=2e-4", "unknown key 'damper.friction.width'"),
+        ("damper.valve.lag=0.01", "unknown key 'damper.valve.lag'"),
+        ("damper.bleed=-1e-13", "damper.bleed: found -1e-13"),
         ("damper.piston=1", "unknown key 'damper.piston'"),
     ],
 )
