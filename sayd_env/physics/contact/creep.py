@@ -218,7 +218,7 @@ def fastsim_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modul
 def _fastsim_rows(x: Array, out: Array, scratch: Array, shear_modulus: float, elements: int) -> None:
     n = x.shape[0] // ROWS_IN
     rate = scratch[: fastsim.RATES * n]
-    traction = scratch[fastsim.RATES * n : SCRATCH_ROWS * n]
+    px, py = scratch[fastsim.RATES * n : -_WIDTH - n], scratch[-_WIDTH - n : -_WIDTH]
     for i in range(n):
         a, b, bound = x[SEMI_A * n + i], x[SEMI_B * n + i], x[BOUND * n + i]
         a, b = (a, b) if a * b > _NO_PATCH else (1.0, 1.0)
@@ -241,7 +241,8 @@ def _fastsim_rows(x: Array, out: Array, scratch: Array, shear_modulus: float, el
         rate[fastsim.TURN_Y * n + i] = turn_y
         rate[fastsim.SEMI_A * n + i] = a
         rate[fastsim.SEMI_B * n + i] = b
-    fastsim.march(rate, out, traction, elements, elements, True, False)
+    fx, fy, mz = out[:n], out[n : 2 * n], out[2 * n :]
+    fastsim.march(rate, fx, fy, mz, px, py, elements, elements, True, False)
     for i in range(n):
         bound = x[BOUND * n + i]
         bound = bound if bound > 0.0 else 0.0

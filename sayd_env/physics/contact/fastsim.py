@@ -114,8 +114,11 @@ def rates(
 @kernel(distinct=True, allocates=False)
 def march(
     rate: Array,
-    force: Array,
-    traction: Array,
+    fx: Array,
+    fy: Array,
+    mz: Array,
+    px: Array,
+    py: Array,
     mx: int,
     my: int,
     parabolic: bool,
@@ -127,16 +130,17 @@ def march(
     ----------
     rate : ndarray, shape (RATES * n,)
         Rows RATE_X to TURN_Y as from `rates`, and the semi-axes (m).
-    force : ndarray, shape (3 * n,)
-        Receives Fx and Fy over mu N and Mz over mu N (m).
-    traction : ndarray, shape (TRACTIONS * n,)
-        Scratch.
+    fx, fy, mz : ndarray, shape (n,)
+        Receive the forces over mu N and the moment over mu N (m).
+    px, py : ndarray, shape (n,)
+        Scratch. (Rows of one array would have to be shown to be apart before the loop over contacts becomes
+        vector instructions.)
     mx, my, parabolic, whole_elements
         As for `fastsim`.
     """
-    n = traction.shape[0] // TRACTIONS
-    for k in range(3 * n):
-        force[k] = 0.0
+    n = px.shape[0]
+    for k in range(n):
+        fx[k] = fy[k] = mz[k] = 0.0
     peak = (2.0 if parabolic else 1.5) / math.pi
     dx, dy = 2.0 / mx, 2.0 / my
     centre = 1.0 / 6.0 if whole_elements else 0.5
@@ -144,8 +148,8 @@ def march(
         y = -1.0 + (j + 0.5) * dy
         chord = 1.0 - y * y
         first = math.ceil(0.5 * mx * (1.0 - math.sqrt(chord)) - 0.5)
-        for k in range(TRACTIONS * n):
-            traction[k] = 0.0
+        for k in range(n):
+            px[k] = py[k] = 0.0
         for i in range(first, mx - first):
             x = 1.0 - (i + 0.5) * dx
             step = dx
@@ -155,20 +159,22 @@ def march(
             bound = peak * (height if parabolic else math.sqrt(height))
             middle = x + centre * step
             for k in range(n):
-                px = traction[k] - (rate[RATE_X * n + k] - rate[TURN_X * n + k] * y) * step
-                py = traction[n + k] - (rate[RATE_Y * n + k] + rate[TURN_Y * n + k] * middle) * step
-                cut = bound / math.sqrt(px * px + py * py)
+                grown_x = px[k] - (rate[RATE_X * n + k] - rate[TURN_X * n + k] * y) * step
+                grown_y = py[k] - (rate[RATE_Y * n + k] + rate[TURN_Y * n + k] * middle) * step
+                cut = bound / math.sqrt(grown_x * grown_x + grown_y * grown_y)
                 cut = cut if cut < 1.0 else 1.0
-                px *= cut
-                py *= cut
-                traction[k] = px
-                traction[n + k] = py
-                force[k] += px
-                force[n + k] += py
-                force[2 * n + k] += rate[SEMI_A * n + k] * x * py - rate[SEMI_B * n + k] * y * px
+                grown_x *= cut
+                grown_y *= cut
+                px[k] = grown_x
+                py[k] = grown_y
+                fx[k] += grown_x
+                fy[k] += grown_y
+                mz[k] += rate[SEMI_A * n + k] * x * grown_y - rate[SEMI_B * n + k] * y * grown_x
     area = dx * dy
-    for k in range(3 * n):
-        force[k] *= area
+    for k in range(n):
+        fx[k] *= area
+        fy[k] *= area
+        mz[k] *= area
 
 
 @kernel
@@ -217,10 +223,12 @@ def fastsim(
     ``-(xi_x / L1 - spin y / L3, xi_y / L2 + spin x / L3)`` per length as long as a point sticks.
     """
     bound = friction * normal
-    rate, force, traction = np.empty(RATES), np.empty(3), np.empty(TRACTIONS)
+    rate, force, traction = np.empty(RATES), np.empty((3, 1)), np.empty((TRACTIONS, 1))
     rate[RATE_X], rate[RATE_Y], rate[TURN_X], rate[TURN_Y] = rates(
         xi_x, xi_y, spin, bound, a, b, c11, c22, c23, shear_modulus
     )
     rate[SEMI_A], rate[SEMI_B] = a, b
-    march(rate, force, traction, mx, my, parabolic, whole_elements)
-    return bound * force[0], bound * force[1], bound * force[2]
+    march(
+        rate, force[0], force[1], force[2], traction[0], traction[1], mx, my, parabolic, whole_elements
+    )
+    return bound * force[0, 0], bound * force[1, 0], bound * force[2, 0]
