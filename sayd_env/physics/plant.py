@@ -53,6 +53,10 @@ class Plant(NamedTuple):
     """(w,) vertical approach of a wheel under its static load at zero shift, m."""
     contact_damping: Array
     """(w,) Hunt-Crossley factor of the normal force, s/m."""
+    creep_law: float
+    """The creep law: its place in `sayd_env.physics.contact.creep.LAWS`."""
+    creep_table: Array
+    """What it reads as its table, from `creep.law_table`."""
     shear_modulus: float
     """G of wheel and rail, N/m2."""
     friction: float
@@ -147,5 +151,13 @@ class Work(NamedTuple):
     """(w, 8) irregularity under each wheelset: four values and their four slopes."""
     lane_in: Array
     """(rows * LANES,) kinematics of each wheel."""
+    lane_contact: Array
+    """(rows * LANES,) geometry and slip of each wheel's contact."""
+    creep_in: Array
+    """(rows * LANES,) what the creep law reads, as in `sayd_env.physics.contact.creep`."""
+    creep_out: Array
+    """(rows * LANES,) what it gives."""
+    creep_scratch: Array
+    """Its scratch memory."""
     lane_out: Array
     """(rows * LANES,) contact forces of each wheel."""

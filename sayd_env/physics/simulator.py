@@ -18,11 +18,12 @@ from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics import sayd
+from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.geometry import ContactTable, contact_table
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.profiles import rail_profile, wheel_profile
-from sayd_env.physics.step import LIFT, ROWS_IN, ROWS_OUT, advance
+from sayd_env.physics.step import LIFT, ROWS_CONTACT, ROWS_IN, ROWS_OUT, advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 
 Array = npt.NDArray[np.float64]
@@ -91,6 +92,12 @@ class VehicleModel:
         """Contact table of all wheels."""
         s = self.scenario
         return _contact_table(s.wheel, s.wear, s.rail, s.track.gauge, s.contact, s.vehicle.wheel_radius)
+
+    @property
+    def creep_table(self) -> Array:
+        """What the creep law reads as its table."""
+        contact = self.scenario.contact
+        return creep.law_table(contact.creep_law, contact.poisson_ratio)
 
     @cached_property
     def dampers(self) -> tuple[ForceElement, ...]:
@@ -191,6 +198,8 @@ class VehicleModel:
             table_step=float(table.step),
             approach=approach,
             contact_damping=hunt_crossley,
+            creep_law=float(creep.LAWS.index(s.contact.creep_law)),
+            creep_table=self.creep_table,
             shear_modulus=s.contact.shear_modulus,
             friction=s.friction,
             radius=radius,
@@ -271,6 +280,10 @@ class VehicleModel:
             sayd_inputs=np.zeros(0 if passive else sayd.INPUTS * LANES),
             rail=np.zeros((w, 8)),
             lane_in=lanes,
+            lane_contact=np.zeros(ROWS_CONTACT * LANES),
+            creep_in=np.zeros(creep.ROWS_IN * LANES),
+            creep_out=np.zeros(creep.ROWS_OUT * LANES),
+            creep_scratch=creep.scratch(LANES),
             lane_out=np.zeros(ROWS_OUT * LANES),
         )
 

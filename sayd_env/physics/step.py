@@ -17,8 +17,7 @@ from __future__ import annotations
 import math
 
 from sayd_env.physics import sayd
-from sayd_env.physics.contact import geometry
-from sayd_env.physics.contact.polach import polach
+from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import LANES, Array, Plant, State, Work
 from sayd_env.physics.track.spline import spline_weights
@@ -66,6 +65,26 @@ SLOPE = 4
     STORED,  # elastic energy of the contact, J
     ROWS_OUT,
 ) = range(13)
+
+
+# Rows of `Work.lane_contact`: what the creep law leaves in between, the contact's geometry and slip.
+(
+    LOAD,  # normal force, N
+    APPROACH,  # normal penetration, m
+    ELASTIC,  # elastic part of the normal force, N
+    GAP_RATE,  # m/s
+    COSINE,  # of the contact angle
+    SINE,
+    TANGENT,
+    ARM,  # lateral distance of the contact from the wheelset's centre, m
+    RAIL_ARM,  # lateral distance of the contact from the track's centre, m
+    LEVER,  # arm less radius times tangent, m
+    LEAD,  # how far the contact lies ahead of the axle, m
+    RADIUS,  # rolling radius, m
+    CREEP_X,  # slip velocities, m/s
+    CREEP_T,
+    ROWS_CONTACT,
+) = range(15)
 
 
 @kernel(allocates=False)
@@ -118,20 +137,35 @@ def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
 
 
 @kernel(allocates=False)
-def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop body, as the physics reads
-    """Normal and creep forces of all wheels, from `work.lane_in` into `work.lane_out`.
+def wheel_forces(plant: Plant, work: Work) -> None:
+    """Normal and creep forces of all wheels, from `work.lane_in` into `work.lane_out`."""
+    wheel_contacts(plant, work)
+    x, out, rows = work.creep_in, work.creep_out, work.creep_scratch
+    law = int(plant.creep_law)
+    if law == creep.TABLE:
+        creep.table_rows(x, out, rows, plant.creep_table, plant.shear_modulus)
+    elif law == creep.POLACH:
+        creep.polach_rows(x, out, rows, plant.creep_table, plant.shear_modulus)
+    else:
+        creep.fastsim_rows(x, out, rows, plant.creep_table, plant.shear_modulus)
+    wheel_resultants(plant, work)
 
-    One branch-free loop over eight wheels, which compiles to vector instructions. Normal force: Hertz on the
-    approach along the contact normal, with Hunt-Crossley damping, zero when the wheel lifts off. Creepages:
-    slip over V (Kalker), spin from yaw rate and contact angle. Creep forces: Polach.
+
+@kernel(allocates=False)
+def wheel_contacts(plant: Plant, work: Work) -> None:
+    """Normal forces and creepages of all wheels, from `work.lane_in` into `lane_contact` and `creep_in`.
+
+    One branch-free loop over eight wheels. Normal force: Hertz on the approach along the contact normal, with
+    Hunt-Crossley damping, zero when the wheel lifts off. Creepages: slip over V (Kalker), spin from yaw rate
+    and contact angle.
     """
-    x, out, table = work.lane_in, work.lane_out, plant.table
+    x, out, law, table = work.lane_in, work.lane_contact, work.creep_in, plant.table
     nodes = table.shape[0] // geometry.WIDTH
     per_step, last = 1.0 / plant.table_step, float(nodes - 2)
     speed, radius = plant.speed, plant.radius
     per_speed, per_radius = 1.0 / speed, 1.0 / radius
     start = plant.table_start
-    friction, shear = plant.friction, plant.shear_modulus
+    friction = plant.friction
     for i in range(x.shape[0] // ROWS_IN):
         side = x[SIDE * LANES + i]
         # Contact geometry at this shift, linear between the nodes of a fine table.
@@ -194,22 +228,43 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         # slip of yaw is V yaw / cos(gamma), and along the normal none is left.
         slip_t = slip_y * cosine + side * sine * slip_z - speed * yaw * tangent * sine
         spin = x[YAW_RATE * LANES + i] * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
-        force_x, force_t = polach(
-            slip_x * per_speed,
-            slip_t * per_speed,
-            spin,
-            normal,
-            a_s * root,
-            b_s * root,
-            c11,
-            c22,
-            c23,
-            gain,
-            friction,
-            shear,
-        )
+        law[creep.XI_X * LANES + i] = slip_x * per_speed
+        law[creep.XI_Y * LANES + i] = slip_t * per_speed
+        law[creep.SPIN * LANES + i] = spin
+        law[creep.BOUND * LANES + i] = friction * normal
+        law[creep.SEMI_A * LANES + i] = a_s * root
+        law[creep.SEMI_B * LANES + i] = b_s * root
+        law[creep.C11 * LANES + i] = c11
+        law[creep.C22 * LANES + i] = c22
+        law[creep.C23 * LANES + i] = c23
+        law[creep.SPIN_GAIN * LANES + i] = gain
+        out[LOAD * LANES + i] = normal
+        out[APPROACH * LANES + i] = pressed
+        out[ELASTIC * LANES + i] = elastic
+        out[GAP_RATE * LANES + i] = gap_rate
+        out[COSINE * LANES + i] = cosine
+        out[SINE * LANES + i] = sine
+        out[TANGENT * LANES + i] = tangent
+        out[ARM * LANES + i] = arm
+        out[RAIL_ARM * LANES + i] = rail_arm
+        out[LEVER * LANES + i] = lever
+        out[LEAD * LANES + i] = lead
+        out[RADIUS * LANES + i] = radius + delta_r
+        out[CREEP_X * LANES + i] = slip_x
+        out[CREEP_T * LANES + i] = slip_t
 
-        # Resultants on the wheelset (about its centre) and on the track section.
+
+@kernel(allocates=False)
+def wheel_resultants(plant: Plant, work: Work) -> None:
+    """Resultants of normal and creep forces on wheelset (about its centre) and track section."""
+    x, c, law, out = work.lane_in, work.lane_contact, work.creep_out, work.lane_out
+    radius, speed = plant.radius, plant.speed
+    for i in range(c.shape[0] // ROWS_CONTACT):
+        side, yaw, plane = x[SIDE * LANES + i], x[YAW * LANES + i], x[PLANE * LANES + i]
+        normal, cosine, sine = c[LOAD * LANES + i], c[COSINE * LANES + i], c[SINE * LANES + i]
+        tangent, arm, lever = c[TANGENT * LANES + i], c[ARM * LANES + i], c[LEVER * LANES + i]
+        force_x, force_t = law[creep.FX * LANES + i], law[creep.FY * LANES + i]
+        moment = law[creep.MZ * LANES + i]
         up = normal * cosine
         creep_y = force_t * cosine
         force_y = creep_y - up * (side * tangent + plane)
@@ -218,14 +273,24 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         out[FORCE_Y * LANES + i] = force_y
         out[FORCE_Z * LANES + i] = force_z
         out[MOMENT_ROLL * LANES + i] = radius * force_y + side * arm * force_z
-        out[MOMENT_PITCH * LANES + i] = -(radius + delta_r) * force_x
-        out[MOMENT_YAW * LANES + i] = -side * arm * force_x + lead * creep_y + up * yaw * tangent * lever
-        out[MOMENT_TRACK * LANES + i] = -rail_arm * force_z
+        out[MOMENT_PITCH * LANES + i] = -c[RADIUS * LANES + i] * force_x - side * sine * moment
+        out[MOMENT_YAW * LANES + i] = (
+            -side * arm * force_x
+            + c[LEAD * LANES + i] * creep_y
+            + up * yaw * tangent * lever
+            + cosine * moment
+        )
+        out[MOMENT_TRACK * LANES + i] = -c[RAIL_ARM * LANES + i] * force_z
         out[NORMAL * LANES + i] = normal
-        out[PENETRATION * LANES + i] = pressed
-        out[POWER_SLIP * LANES + i] = -(force_x * slip_x + force_t * slip_t)
-        out[POWER_DAMPING * LANES + i] = (elastic - normal) * gap_rate * cosine
-        out[STORED * LANES + i] = 0.4 * elastic * pressed
+        out[PENETRATION * LANES + i] = c[APPROACH * LANES + i]
+        out[POWER_SLIP * LANES + i] = -(
+            force_x * c[CREEP_X * LANES + i]
+            + force_t * c[CREEP_T * LANES + i]
+            + moment * speed * work.creep_in[creep.SPIN * LANES + i]
+        )
+        elastic = c[ELASTIC * LANES + i]
+        out[POWER_DAMPING * LANES + i] = (elastic - normal) * c[GAP_RATE * LANES + i] * cosine
+        out[STORED * LANES + i] = 0.4 * elastic * c[APPROACH * LANES + i]
 
 
 @kernel(allocates=False)

@@ -207,16 +207,12 @@ def polach_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulu
 
 @kernel(allocates=False)
 def fastsim_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulus: float) -> None:
-    """Creep forces by FASTSIM with the parabolic bound on 32 x 32 elements, with the parameters of `table_rows`.
+    """Creep forces by FASTSIM with the parabolic bound, with the parameters of `table_rows`.
 
-    Some fifty times slower than the table: the reference to judge it by.
+    `table` holds one number: the elements of the grid along both semi-axes. Some twenty times slower than the
+    table: the reference to judge it by.
     """
-    _fastsim_rows(x, out, scratch, shear_modulus, _MARCH_ELEMENTS)
-
-
-@kernel(allocates=False)
-def _fastsim_rows(x: Array, out: Array, scratch: Array, shear_modulus: float, elements: int) -> None:
-    n = x.shape[0] // ROWS_IN
+    n, elements = x.shape[0] // ROWS_IN, int(table[0])
     rate = scratch[: fastsim.RATES * n]
     px, py = scratch[fastsim.RATES * n : -_WIDTH - n], scratch[-_WIDTH - n : -_WIDTH]
     for i in range(n):
@@ -250,6 +246,13 @@ def _fastsim_rows(x: Array, out: Array, scratch: Array, shear_modulus: float, el
             out[row * n + i] *= bound
 
 
+def law_table(law: str, poisson_ratio: float) -> Array:
+    """Return what a law of `LAWS` reads as its table; nothing for Polach's law."""
+    if law == "table":
+        return creep_table(poisson_ratio)
+    return np.array([float(_MARCH_ELEMENTS)] if law == "fastsim" else [])
+
+
 def creep_table(poisson_ratio: float) -> Array:
     """Return the table of `table_rows` for a Poisson's ratio, from the disk if it has been made before.
 
@@ -267,7 +270,6 @@ def _creep_table(poisson_ratio: float) -> Array:
     if table is None:
         table = build_table(poisson_ratio)
         _store(file, table)
-    table.setflags(write=False)
     return table
 
 
@@ -361,7 +363,7 @@ def _forces_in_ball(place: Array, a_over_b: float, poisson_ratio: float, element
     for begin in range(0, n, _BLOCK):
         part = np.ascontiguousarray(rows[:, begin : begin + _BLOCK])
         out = np.empty((ROWS_OUT, part.shape[1]))
-        _fastsim_rows(part.ravel(), out.ravel(), scratch(part.shape[1]), 1.0, elements)
+        fastsim_rows(part.ravel(), out.ravel(), scratch(part.shape[1]), np.array([float(elements)]), 1.0)
         forces[:, begin : begin + _BLOCK] = out[:_FORCES]
     return forces.reshape((_FORCES, *place.shape[1:]))
 
@@ -439,7 +441,6 @@ def creep_forces(
     x = np.concatenate([np.ravel(column) for column in columns]).astype(float)
     n = x.size // ROWS_IN
     out = np.empty(ROWS_OUT * n)
-    table = creep_table(poisson_ratio) if law == "table" else np.zeros(0)
     kernels = (table_rows, polach_rows, fastsim_rows)
-    kernels[LAWS.index(law)](x, out, scratch(n), table, shear_modulus)
+    kernels[LAWS.index(law)](x, out, scratch(n), law_table(law, poisson_ratio), shear_modulus)
     return out.reshape(ROWS_OUT, *shape)
