@@ -69,8 +69,8 @@ FX, FY, MZ = range(3)
 ROWS_OUT = 3
 
 # Nodes. In creepage and spin errors fall with the square of the cells' size; spin wants the finer ones.
-_CELLS_U, _CELLS_V, _CELLS_W = 8, 8, 12
-_CORE, _SPIN_SCALE = 1.5, 2.0  # c and r above
+_CELLS_U, _CELLS_V, _CELLS_W = 8, 8, 14
+_CORE, _SPIN_SCALE = 1.5, math.sqrt(3.0)  # c and r above
 _PEAK = _CORE * (1.0 - _CORE / 3.0)
 _SPIN_PEAK = _CORE / _SPIN_SCALE
 _RATIOS = 13
