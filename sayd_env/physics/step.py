@@ -152,7 +152,7 @@ def wheel_forces(plant: Plant, work: Work) -> None:
 
 
 @kernel(allocates=False)
-def wheel_contacts(plant: Plant, work: Work) -> None:
+def wheel_contacts(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop body, as the physics reads
     """Normal forces and creepages of all wheels, from `work.lane_in` into `lane_contact` and `creep_in`.
 
     One branch-free loop over eight wheels. Normal force: Hertz on the approach along the contact normal, with
@@ -192,7 +192,7 @@ def wheel_contacts(plant: Plant, work: Work) -> None:
         gain = left * table[p + geometry.SPIN_GAIN] + right * table[n + geometry.SPIN_GAIN]
 
         # The table is made at the kinematic roll; another roll moves the contact and so the slope.
-        tilt, yaw, plane = x[TILT * LANES + i], x[YAW * LANES + i], x[PLANE * LANES + i]
+        tilt, yaw = x[TILT * LANES + i], x[YAW * LANES + i]
         tangent += (tilt_0 - tilt) * arm_slope
         cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
         sine = tangent * cosine

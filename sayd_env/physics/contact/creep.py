@@ -1,26 +1,27 @@
-"""The creep laws of the time loop, all with one interface: a table of FASTSIM, Polach's law, FASTSIM itself.
+"""The creep laws of the time loop behind one interface: a table of FASTSIM, Polach's law, FASTSIM itself.
 
-FASTSIM with three flexibilities has no scale: over mu N its forces depend on the ratio of the semi-axes and on
+FASTSIM with three flexibilities has no scale: over mu N its forces depend on the ratio of the semi-axes and
+on
 
     u = G a b C11 xi_x / (mu N),  v = G a b C22 xi_y / (mu N),  w = G (a b)^1.5 C23 spin / (mu N)
 
-alone, for one Poisson's ratio. The forces of the linear theory are -u and -(v + w). A table over these four
+alone, for one Poisson's ratio. The linear theory's forces are -u and -(v + w). A table over these four
 numbers replaces the march through the contact. The creepages, which have no end, are drawn into a ball,
 
-    (U, V, W) = (u, v, r w) / (c + sqrt(u^2 + v^2 + (r w)^2)),
+    (U, V, W) = (u, v, s w) / (c + sqrt(u^2 + v^2 + (s w)^2)),
 
 which keeps their directions: on its surface stand the forces of a sliding contact. In U, V and W the table is
-a quadratic B-spline, so that forces and their slopes are continuous; over (a - b) / (a + b) it is linear, as the
-contact table is. Its slope at no creepage is set to that of the linear theory, exactly.
+a quadratic B-spline, so that forces and their slopes are continuous; over (a - b) / (a + b) it is linear, as
+the contact table is over the shift. The slopes at no creepage are set to those of the linear theory.
 
-Tabulated is what remains when a part is taken away that has a peak at no creepage, where a spline has none. In
-the ball the linear forces are c U / (1 - R) and so on, R the distance from the centre: they grow by R. The
-slip that begins at the trailing edge takes a third of u and v off the forces of u and v, and none off that of
-w (to first order), so that in all
+Tabulated is what remains when a part is taken away that has a peak at no creepage, where a spline has none.
+In the ball the linear forces are c U / (1 - R) and so on, R the distance from the centre: they grow by R. The
+slip that begins at the trailing edge takes a third of sqrt(u^2 + v^2) off the forces of u and v, and to first
+order nothing off that of w. In all
 
-    fx = -c (1 - c/3) R (1 - R)^2 U + spline,  fy = -(c (1 - c/3) V + c/r W) R (1 - R)^2 + spline.
+    fx = -c (1 - c/3) P U + spline,  fy = -(c (1 - c/3) V + c/s W) P + spline,  P = R (1 - R)^2.
 
-Without it forces are 2 to 3 % too small where new wheels run, at a tenth of mu N.
+Without that part forces are 2 to 3 % too small where new wheels run, at a tenth of mu N.
 
 The forces are odd in xi_x and in (xi_y, spin) together, so a quarter of the ball is tabulated, with nodes
 beyond its faces that continue the spline by symmetry. Cells that the ball's surface cuts have nodes outside,
@@ -31,9 +32,9 @@ Arrays are flat, element ``row * n + i`` for contact i of n.
 References
 ----------
 J. J. Kalker, A fast algorithm for the simplified theory of rolling contact, Vehicle System Dynamics 11 (1982)
-1-13. E. A. H. Vollebregt, S. D. Iwnicki, G. Xie, P. Shackleton, Assessing the accuracy of different simplified
-frictional rolling contact algorithms, Vehicle System Dynamics 50 (2012) 1-17: what FASTSIM and tables of it
-are worth.
+1-13. E. A. H. Vollebregt, S. D. Iwnicki, G. Xie, P. Shackleton, Assessing the accuracy of different
+simplified frictional rolling contact algorithms, Vehicle System Dynamics 50 (2012) 1-17: what FASTSIM and
+tables are worth.
 """
 
 from __future__ import annotations
@@ -64,13 +65,13 @@ TABLE, POLACH, FASTSIM = range(3)
 # constant of the spin force.
 XI_X, XI_Y, SPIN, BOUND, SEMI_A, SEMI_B, C11, C22, C23, SPIN_GAIN = range(10)
 ROWS_IN = 10
-# Rows out: forces on the wheel (N) and the moment about the contact's normal (N m), which FASTSIM alone gives.
+# Rows out: forces on the wheel (N) and moment about the contact's normal (N m), which FASTSIM alone gives.
 FX, FY, MZ = range(3)
 ROWS_OUT = 3
 
 # Nodes. In creepage and spin errors fall with the square of the cells' size; spin wants the finer ones.
 _CELLS_U, _CELLS_V, _CELLS_W = 8, 8, 14
-_CORE, _SPIN_SCALE = 1.5, math.sqrt(3.0)  # c and r above
+_CORE, _SPIN_SCALE = 1.5, math.sqrt(3.0)  # c and s above
 _PEAK = _CORE * (1.0 - _CORE / 3.0)
 _SPIN_PEAK = _CORE / _SPIN_SCALE
 _RATIOS = 13
@@ -162,7 +163,7 @@ def table_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulus
     row = scratch[SCRATCH_ROWS * n :]
     for i in range(n):
         node = np.uint32(out[i])
-        next_ = node + np.uint32(_RATIO)
+        beyond = node + np.uint32(_RATIO)
         u0, u1, u2 = _weights(scratch[i])
         v0, v1, v2 = _weights(scratch[n + i])
         w0, w1, w2 = _weights(scratch[2 * n + i])
@@ -172,7 +173,7 @@ def table_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulus
         p10, p11, p12 = w1 * v0, w1 * v1, w1 * v2
         p20, p21, p22 = w2 * v0, w2 * v1, w2 * v2
         for c in range(row.shape[0]):
-            k, m = node + c, next_ + c
+            k, m = node + c, beyond + c
             row[c] = below * (
                 (p00 * table[k] + p01 * table[k + _V1] + p02 * table[k + _V2])
                 + (p10 * table[k + _W1] + p11 * table[k + _W1 + _V1] + p12 * table[k + _W1 + _V2])
@@ -272,9 +273,9 @@ def law_table(law: str, poisson_ratio: float) -> Array:
 def creep_table(poisson_ratio: float) -> Array:
     """Return the table of `table_rows` for a Poisson's ratio, from the disk if it has been made before.
 
-    It lies beside the compiled kernels in a file named by the hash of all that it is made from: the sources of
-    this module, of FASTSIM and of Kalker's coefficients, and Poisson's ratio. A file that is damaged is made
-    anew; without a place to write the table is made in every process (a third of a second).
+    It lies beside the compiled kernels in a file named by the hash of all that it is made from: the sources
+    of this module, of FASTSIM and of Kalker's coefficients, and Poisson's ratio. A file that is damaged is
+    made anew; without a place to write, every process makes its own table, which takes half a second.
     """
     return _creep_table(float(poisson_ratio))
 
@@ -373,7 +374,9 @@ def _node_forces(a_over_b: float, poisson_ratio: float, elements: int) -> Array:
     direction = place / np.where(outside, radius, 1.0)
     forces = _forces_in_ball(direction, a_over_b, poisson_ratio, elements)
     # Beyond the surface: as far from the force there as the force equally deep below, on the other side.
-    mirrored = _forces_in_ball((2.0 - radius[outside]) * direction[:, outside], a_over_b, poisson_ratio, elements)
+    mirrored = _forces_in_ball(
+        (2.0 - radius[outside]) * direction[:, outside], a_over_b, poisson_ratio, elements
+    )
     forces[:, outside] = 2.0 * forces[:, outside] - mirrored
     return forces
 
@@ -424,7 +427,8 @@ def _spline(values: Array, component: int) -> Array:
         lack = slope / cells[axis] - 0.5 * weights @ (ahead - behind) @ weights
         ahead += lack
         behind -= lack
-    u, v, w = (slice(m - n - 1 if k == 1 else m - 1, m + n + 2) for k, (m, n) in enumerate(zip(middle, cells)))
+    least = (-1, -_CELLS_V - 1, -1)
+    u, v, w = (slice(m + n, m + k + 2) for m, n, k in zip(middle, least, cells, strict=True))
     return np.asarray(spline[u, v, w])
 
 

@@ -59,10 +59,10 @@ def flexibilities(
 ) -> tuple[float, float, float]:
     """Flexibilities (L1, L2, L3) of the simplified theory (m^3/N), blended into one for large creepage.
 
-    Parameters as for `fastsim`, with the bound mu N (N, positive). For vanishing creepage L1 = 8 a / (3 G C11), L2 = 8 a / (3 G C22) and
-    L3 = pi a sqrt(a/b) / (4 G C23). Their weighted mean L = (xi_x^2 + xi_y^2 + s^2) / (xi_x^2/L1 + xi_y^2/L2
-    + s^2/L3) with s = 3 pi a spin / 32 replaces them linearly until creepage is three times the one at which
-    the linear forces reach the friction bound.
+    Parameters as for `fastsim`, with the bound mu N (N, positive) in place of its factors. For vanishing
+    creepage L1 = 8 a / (3 G C11), L2 = 8 a / (3 G C22) and L3 = pi a sqrt(a/b) / (4 G C23). Their weighted
+    mean L = (xi_x^2 + xi_y^2 + s^2) / (xi_x^2/L1 + xi_y^2/L2 + s^2/L3) with s = 3 pi a spin / 32 replaces them
+    linearly until creepage is three times the one at which the linear forces reach the friction bound.
     """
     flex_x = 8.0 * a / (3.0 * shear_modulus * c11)
     flex_y = 8.0 * a / (3.0 * shear_modulus * c22)
@@ -228,7 +228,5 @@ def fastsim(
         xi_x, xi_y, spin, bound, a, b, c11, c22, c23, shear_modulus
     )
     rate[SEMI_A], rate[SEMI_B] = a, b
-    march(
-        rate, force[0], force[1], force[2], traction[0], traction[1], mx, my, parabolic, whole_elements
-    )
+    march(rate, force[0], force[1], force[2], traction[0], traction[1], mx, my, parabolic, whole_elements)
     return bound * force[0, 0], bound * force[1, 0], bound * force[2, 0]
