@@ -189,8 +189,8 @@ def reproduce(
     Raises
     ------
     ConfigError
-        A scenario without passive yaw dampers, a control period that cannot be, a name that is no creep law, or a
-        folder that cannot be written to.
+        A scenario without passive yaw dampers, a control period that cannot be, a name that is no creep law,
+        or a folder that cannot be written to.
     StudyError
         A run that diverged.
     """

@@ -355,7 +355,7 @@ def _axis(cells: int, two_sided: bool) -> Array:
 def _nodes() -> Array:
     """Places of the nodes of U >= 0, all V, W >= 0, shape (3, U, V, W)."""
     axes = (_axis(_CELLS_U, False), _axis(_CELLS_V, True), _axis(_CELLS_W, False))
-    return np.array(np.meshgrid(*axes, indexing="ij"))
+    return np.stack(np.meshgrid(*axes, indexing="ij"))
 
 
 def _peaked_part() -> Array:
@@ -363,7 +363,7 @@ def _peaked_part() -> Array:
     u, v, w = _nodes()
     remote = np.maximum(1.0 - np.sqrt(u * u + v * v + w * w), 0.0)
     peak = (1.0 - remote) * remote**2
-    return -peak * np.array([_PEAK * u, _PEAK * v + _SPIN_PEAK * w])
+    return np.stack([-peak * _PEAK * u, -peak * (_PEAK * v + _SPIN_PEAK * w)])
 
 
 def _node_forces(a_over_b: float, poisson_ratio: float, elements: int) -> Array:

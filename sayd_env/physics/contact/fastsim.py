@@ -61,8 +61,8 @@ def flexibilities(
 
     Parameters as for `fastsim`, with the bound mu N (N, positive) in place of its factors. For vanishing
     creepage L1 = 8 a / (3 G C11), L2 = 8 a / (3 G C22) and L3 = pi a sqrt(a/b) / (4 G C23). Their weighted
-    mean L = (xi_x^2 + xi_y^2 + s^2) / (xi_x^2/L1 + xi_y^2/L2 + s^2/L3) with s = 3 pi a spin / 32 replaces them
-    linearly until creepage is three times the one at which the linear forces reach the friction bound.
+    mean L = (xi_x^2 + xi_y^2 + s^2) / (xi_x^2/L1 + xi_y^2/L2 + s^2/L3) with s = 3 pi a spin / 32 replaces
+    them linearly until creepage is three times the one at which the linear forces reach the friction bound.
     """
     flex_x = 8.0 * a / (3.0 * shear_modulus * c11)
     flex_y = 8.0 * a / (3.0 * shear_modulus * c22)
