@@ -11,7 +11,7 @@ numbers replaces the march through the contact. The creepages, which have no end
     (U, V, W) = (u, v, s w) / (c + sqrt(u^2 + v^2 + (s w)^2)),
 
 which keeps their directions: on its surface stand the forces of a sliding contact. In U, V and W the table is
-a quadratic B-spline, so that forces and their slopes are continuous; over (a - b) / (a + b) it is linear, as
+a quadratic B-spline, so that forces and their slopes are continuous; over tanh(log(a/b) / 4) it is linear, as
 the contact table is over the shift. The slopes at no creepage are set to those of the linear theory.
 
 Tabulated is what remains when a part is taken away that has a peak at no creepage, where a spline has none.
@@ -75,7 +75,8 @@ _CORE, _SPIN_SCALE = 1.5, math.sqrt(3.0)  # c and s above
 _PEAK = _CORE * (1.0 - _CORE / 3.0)
 _SPIN_PEAK = _CORE / _SPIN_SCALE
 _RATIOS = 13
-_LAST_RATIO = 9.0 / 11.0  # of (a - b) / (a + b): a/b from 1/10 to 10, as Kalker's table E.3; clamped beyond
+# a/b from 1/10 to 10, as Kalker's table E.3, in steps of tanh(log(a/b) / 4); clamped beyond.
+_LAST_RATIO = math.tanh(math.log(10.0) / 4.0)
 _RATIO_SCALE = (_RATIOS - 1) / (2.0 * _LAST_RATIO)
 _ELEMENTS = 64  # of FASTSIM's grid along both semi-axes, for the table
 _MARCH_ELEMENTS = 32  # the same in the time loop
@@ -134,7 +135,8 @@ def table_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulus
         stiffness = shear_modulus * a * b / (bound if bound > _NO_FORCE else _NO_FORCE)
         u = stiffness * x[C11 * n + i] * x[XI_X * n + i]
         v = stiffness * x[C22 * n + i] * x[XI_Y * n + i]
-        w = _SPIN_SCALE * stiffness * math.sqrt(a * b) * x[C23 * n + i] * x[SPIN * n + i]
+        root = math.sqrt(a * b)
+        w = _SPIN_SCALE * stiffness * root * x[C23 * n + i] * x[SPIN * n + i]
         inward = 1.0 / (_CORE + math.sqrt(u * u + v * v + w * w))
         u, v, w = inward * abs(u), inward * v * (1.0 if x[SPIN * n + i] >= 0.0 else -1.0), inward * abs(w)
         # Within the ball by construction; the bounds keep what is not a number inside the table.
@@ -147,7 +149,7 @@ def table_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulus
         peak = (1.0 - remote) * remote * remote
         out[n + i] = _PEAK * peak * u
         out[2 * n + i] = peak * (_PEAK * v + _SPIN_PEAK * w)
-        ratio = ((a - b) / (a + b + _NO_PATCH) + _LAST_RATIO) * _RATIO_SCALE
+        ratio = ((a - b) / (a + b + 2.0 * root + _NO_PATCH) + _LAST_RATIO) * _RATIO_SCALE
         ratio = ratio if ratio > 0.0 else 0.0
         ratio = ratio if ratio < _RATIOS - 1.0 else _RATIOS - 1.0
         plane = np.floor(ratio)
@@ -336,7 +338,7 @@ def build_table(poisson_ratio: float, elements: int = _ELEMENTS) -> Array:
     """
     table = np.empty((_RATIOS, _SIDE_W, _SIDE_V, _SIDE_U, _FORCES))
     for plane, t in enumerate(np.linspace(-_LAST_RATIO, _LAST_RATIO, _RATIOS)):
-        forces = _node_forces((1.0 + t) / (1.0 - t), poisson_ratio, elements) - _peaked_part()
+        forces = _node_forces(((1.0 + t) / (1.0 - t)) ** 2, poisson_ratio, elements) - _peaked_part()
         for component, values in enumerate(forces):
             spline = _spline(values, component)
             table[plane, ..., component] = np.moveaxis(spline, (0, 1, 2), (2, 1, 0))
