@@ -14,8 +14,9 @@ A wheel tread has a spin up to about 0.1 1/m, a flange contact about 1 1/m; a wo
 a/b of 1.7 to 4, where the time loop's table of FASTSIM is compared with FASTSIM: along runs of the packaged
 vehicle, and at single ratios.
 
-FASTSIM's elliptic bound in place of the parabolic one: 3.4 and 3.6 % of mu N from the half-space in the mean,
-not 1.3 and 1.8 % (a/b 0.5, 1), and along runs forces that differ by 0.6 % (new wheels) and 1.5 % (worn).
+FASTSIM's elliptic bound in place of the parabolic one lies 2.3 and 2.2 % of mu N from the half-space in the
+mean, not 1.5 and 1.1 % (a/b 0.5 and 1); along runs its forces differ from the parabolic one's by 0.6 % of mu N
+in the mean on new and by 1.5 % on worn wheels, and by 10 % at most.
 """
 
 from __future__ import annotations
@@ -230,7 +231,7 @@ def fastsim_forces(x: NDArray[np.float64], shear_modulus: float, elements: int) 
     return out.reshape(creep.ROWS_OUT, n)[:2] / x[creep.BOUND]
 
 
-@pytest.mark.parametrize("ratio", [0.12, 0.3, 0.7, 1.3, 2.0, 3.0, 4.0, 5.0, 7.0])
+@pytest.mark.parametrize("ratio", [0.12, 0.2, 0.3, 0.7, 1.3, 2.0, 3.0, 4.0, 5.0, 7.0])
 def test_table_against_fastsim_at_other_ratios(ratio: float) -> None:
     """Random creepages, spin to 1 1/m, against FASTSIM on 128 x 128 elements: mean 2 %, largest 6 % of mu N."""
     rng = np.random.default_rng(7)
@@ -253,8 +254,8 @@ def test_table_against_fastsim_at_other_ratios(ratio: float) -> None:
 def test_table_along_runs(wear: float) -> None:
     """The contacts of the packaged vehicle at 200 to 400 km/h: mean 2 %, largest 6 % of mu N.
 
-    Measured: 0.03 % in the mean on new and 0.1 % on worn wheels; the sum of the forces, weighted by the
-    forces, is right to 0.5 %. Polach's law errs by 1.2 % and 4 % in the mean and by 46 % at most.
+    Measured: 0.03 % in the mean on new and 0.08 % on worn wheels, 2.9 % at most; the regression on FASTSIM's
+    forces is right to 0.5 % (measured 0.1 %). Polach's law errs by 1.2 % and 3.9 % in the mean, 46 % at most.
     """
     model = VehicleModel(load_scenario(None, [f"wear={wear}", "contact.creep_law=table"]))
     shear, poisson = model.scenario.contact.shear_modulus, model.scenario.contact.poisson_ratio

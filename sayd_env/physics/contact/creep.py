@@ -11,8 +11,8 @@ numbers replaces the march through the contact. The creepages, which have no end
     (U, V, W) = (u, v, s w) / (c + sqrt(u^2 + v^2 + (s w)^2)),
 
 which keeps their directions: on its surface stand the forces of a sliding contact. In U, V and W the table is
-a quadratic B-spline, so that forces and their slopes are continuous; over tanh(log(a/b) / 4) it is linear, as
-the contact table is over the shift. The slopes at no creepage are set to those of the linear theory.
+a quadratic B-spline, so that forces and their slopes are continuous; over sqrt(a) / (sqrt(a) + 1.7 sqrt(b)) it is
+linear, as the contact table is over the shift; long contacts have the finer steps. The slopes at no creepage are set to those of the linear theory.
 
 Tabulated is what remains when a part is taken away that has a peak at no creepage, where a spline has none.
 In the ball the linear forces are c U / (1 - R) and so on, R the distance from the centre: they grow by R. The
@@ -75,9 +75,14 @@ _CORE, _SPIN_SCALE = 1.5, math.sqrt(3.0)  # c and s above
 _PEAK = _CORE * (1.0 - _CORE / 3.0)
 _SPIN_PEAK = _CORE / _SPIN_SCALE
 _RATIOS = 13
-# a/b from 1/10 to 10, as Kalker's table E.3, in steps of tanh(log(a/b) / 4); clamped beyond.
-_LAST_RATIO = math.tanh(math.log(10.0) / 4.0)
-_RATIO_SCALE = (_RATIOS - 1) / (2.0 * _LAST_RATIO)
+# Ellipses: a/b from 1/10 to 10 as in Kalker's table E.3, clamped beyond, in equal steps of
+# sqrt(a) / (sqrt(a) + _RATIO_MIDDLE sqrt(b)). Two steps from 10 down lies 5, where Kalker's coefficients,
+# linear between the entries of their table, have a strong kink.
+_RATIO_MIDDLE = 1.7
+_FIFTH_RATIO, _LAST_RATIO = (math.sqrt(r) / (math.sqrt(r) + _RATIO_MIDDLE) for r in (5.0, 10.0))
+_RATIO_STEP = 0.5 * (_LAST_RATIO - _FIFTH_RATIO)
+_FIRST_RATIO = _LAST_RATIO - (_RATIOS - 1) * _RATIO_STEP
+_RATIO_SCALE = 1.0 / _RATIO_STEP
 _ELEMENTS = 64  # of FASTSIM's grid along both semi-axes, for the table
 _MARCH_ELEMENTS = 32  # the same in the time loop
 _SURFACE = 1.0 - 1e-6  # radius that stands for that of the surface, where creepages are infinite
@@ -149,7 +154,7 @@ def table_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulus
         peak = (1.0 - remote) * remote * remote
         out[n + i] = _PEAK * peak * u
         out[2 * n + i] = peak * (_PEAK * v + _SPIN_PEAK * w)
-        ratio = ((a - b) / (a + b + 2.0 * root + _NO_PATCH) + _LAST_RATIO) * _RATIO_SCALE
+        ratio = (a / (a + _RATIO_MIDDLE * root + _NO_PATCH) - _FIRST_RATIO) * _RATIO_SCALE
         ratio = ratio if ratio > 0.0 else 0.0
         ratio = ratio if ratio < _RATIOS - 1.0 else _RATIOS - 1.0
         plane = np.floor(ratio)
@@ -337,8 +342,8 @@ def build_table(poisson_ratio: float, elements: int = _ELEMENTS) -> Array:
         Elements of FASTSIM along each semi-axis.
     """
     table = np.empty((_RATIOS, _SIDE_W, _SIDE_V, _SIDE_U, _FORCES))
-    for plane, t in enumerate(np.linspace(-_LAST_RATIO, _LAST_RATIO, _RATIOS)):
-        forces = _node_forces(((1.0 + t) / (1.0 - t)) ** 2, poisson_ratio, elements) - _peaked_part()
+    for plane, t in enumerate(np.linspace(_FIRST_RATIO, _LAST_RATIO, _RATIOS)):
+        forces = _node_forces((_RATIO_MIDDLE * t / (1.0 - t)) ** 2, poisson_ratio, elements) - _peaked_part()
         for component, values in enumerate(forces):
             spline = _spline(values, component)
             table[plane, ..., component] = np.moveaxis(spline, (0, 1, 2), (2, 1, 0))

@@ -1,4 +1,6 @@
-"""Kalker's FASTSIM: creep forces by the simplified theory of rolling contact, the reference for the tests.
+"""Kalker's FASTSIM: creep forces by the simplified theory of rolling contact.
+
+The time loop's table is made from it (`sayd_env.physics.contact.creep`); it can also stand there itself.
 
 The elastic displacement of a point of the contact is proportional to its traction (an elastic foundation).
 Tractions build up along strips from the leading to the trailing edge and are cut back to the traction bound.
