@@ -11,8 +11,8 @@ numbers replaces the march through the contact. The creepages, which have no end
     (U, V, W) = (u, v, s w) / (c + sqrt(u^2 + v^2 + (s w)^2)),
 
 which keeps their directions: on its surface stand the forces of a sliding contact. In U, V and W the table is
-a quadratic B-spline, so that forces and their slopes are continuous; over sqrt(a) / (sqrt(a) + 1.7 sqrt(b)) it is
-linear, as the contact table is over the shift; long contacts have the finer steps. The slopes at no creepage are set to those of the linear theory.
+a quadratic B-spline, so that forces and their slopes are continuous; over the ellipse it is linear, as the
+contact table is over the shift. The slopes at no creepage are set to those of the linear theory.
 
 Tabulated is what remains when a part is taken away that has a peak at no creepage, where a spline has none.
 In the ball the linear forces are c U / (1 - R) and so on, R the distance from the centre: they grow by R. The

@@ -65,7 +65,7 @@ def test_sliding(ratio: float):
     """
     angle = np.linspace(0.0, 2.0 * np.pi, 49)
     found = forces(1e3 * np.cos(angle), 1e3 * np.sin(angle), 0.0, ratio)
-    error = np.hypot(*(found + [np.cos(angle), np.sin(angle)]))
+    error = np.hypot(found[0] + np.cos(angle), found[1] + np.sin(angle))
     print(f"sliding at a/b {ratio}: {error.max():.4f} mu N")
     assert error.max() <= 1.5e-2
 
