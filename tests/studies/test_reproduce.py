@@ -172,7 +172,7 @@ def test_rows_on_skyhook_at_another_control_period(short_scenario: Scenario):
 
 
 def test_critical_speeds_by_creep_law(short_scenario: Scenario, monkeypatch: pytest.MonkeyPatch):
-    """On new and on worn wheels, all else equal, as `find_critical_speed` finds them; progress ends at all."""
+    """On new and on worn wheels as `find_critical_speed` finds them; progress ends at all."""
     speeds = (300 / 3.6, 400 / 3.6)
     monkeypatch.setattr("sayd_env.studies.reproduce.LAW_SPEEDS", speeds)
     told: list[tuple[float, float]] = []

@@ -70,6 +70,17 @@ def test_sliding(ratio: float):
     assert error.max() <= 1.5e-2
 
 
+def test_no_more_than_friction_allows():
+    """Coulomb: no force beyond mu N, at any creepage, spin and ellipse."""
+    rng = np.random.default_rng(2)
+    n = 20000
+    xi_x, xi_y = 10.0 ** rng.uniform(-4.0, -1.0, (2, n)) * rng.choice((-1.0, 1.0), (2, n))
+    spin = 10.0 ** rng.uniform(-3.0, 0.5, n)
+    size = np.hypot(*forces(xi_x, xi_y, spin, np.exp(rng.uniform(np.log(0.1), np.log(10.0), n))))
+    assert size.max() <= 1.0 + 1e-12
+    assert size.max() > 0.99
+
+
 def test_symmetry():
     """Reversed xi_x reverses Fx alone; reversed xi_y and spin reverse Fy alone: to the bit."""
     xi_x, xi_y, spin, ratio = random_contacts(200, 0)
