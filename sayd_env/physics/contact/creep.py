@@ -121,7 +121,9 @@ def scratch(n: int) -> Array:
 
 
 @kernel(distinct=True, allocates=False)
-def table_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulus: float) -> None:
+def table_rows(  # noqa: PLR0915 - three loops: into the ball, the spline, back to forces
+    x: Array, out: Array, scratch: Array, table: Array, shear_modulus: float
+) -> None:
     """Creep forces from the table of `creep_table`.
 
     Parameters
