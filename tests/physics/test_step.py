@@ -93,8 +93,9 @@ def test_loss_of_contact() -> None:
 def test_friction_limits_every_wheel(friction: float) -> None:
     """Coulomb: the resultant of a wheel lies within the friction cone, |F|^2 <= N^2 (1 + mu^2).
 
-    The creep law's own forces keep to it exactly; sliding wheels reach it. Without cross-level the track plane
-    is level to 1e-4, so N stands perpendicular to the creep forces but for 1e-4 N, or 1e-4 / mu of the limit.
+    The creep law's own forces keep to it exactly; sliding wheels reach it. Without cross-level the track
+    plane is level to 1e-4, so N stands perpendicular to the creep forces but for 1e-4 N, or 1e-4 / mu of the
+    limit.
     """
     overrides = [f"friction={friction}", "track=german_high", "track.irregularity.levels.cross_level=0"]
     simulator = Simulator(VehicleModel(load_scenario(overrides=overrides)), 380.0 / 3.6, 2)
