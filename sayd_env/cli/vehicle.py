@@ -26,6 +26,15 @@ def critical_speed(
     damper: options.DamperKind = None,
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
+    creep_laws: Annotated[
+        options.Names | None,
+        typer.Option(
+            "--creep-laws",
+            parser=options.names("--creep-laws", "table,polach,fastsim"),
+            metavar="LAWS",
+            help="Give the critical speed by these creep laws, too, for example table,polach.",
+        ),
+    ] = None,
     config: options.Config = None,
     assignments: options.Set = None,
     workers: options.Workers = None,
@@ -36,8 +45,10 @@ def critical_speed(
 
     Default speeds: the paper's grid, 280 to 400 km/h on new and 320 to 445 km/h on worn wheels.
     """
-    from sayd_env.studies.critical_speed import find_critical_speed  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.creep_laws import check_laws  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.critical_speed import find_critical_speed  # noqa: PLC0415
 
+    check_laws(creep_laws or (), "--creep-laws")
     scenario = scenario_from(
         config, assignments, profile=profile, wear=wear, friction=friction, track=track, damper=damper
     )
@@ -47,6 +58,7 @@ def critical_speed(
             scenario,
             _metres_per_second(speeds),
             range(seed, seed + seeds),
+            creep_laws=creep_laws or (),
             workers=workers,
             progress=progress,
         )
@@ -120,6 +132,15 @@ def reproduce(
             help="Judge rows S1 to S6 at these control periods (s), too, for example 0.002,0.005,0.01.",
         ),
     ] = None,
+    creep_laws: Annotated[
+        options.Names | None,
+        typer.Option(
+            "--creep-laws",
+            parser=options.names("--creep-laws", "table,polach,fastsim"),
+            metavar="LAWS",
+            help="Give the critical speeds of rows P2 and P5 by these creep laws, too.",
+        ),
+    ] = None,
     config: options.Config = None,
     assignments: options.Set = None,
     workers: options.Workers = None,
@@ -128,12 +149,14 @@ def reproduce(
 ) -> None:
     """Measure what the paper shows, row by row: the passive vehicle, the controllers, all figures."""
     from sayd_env.config import ConfigError, StudyError  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.creep_laws import check_laws  # noqa: PLC0415
     from sayd_env.studies.reproduce import ROWS  # noqa: PLC0415
     from sayd_env.studies.reproduce import reproduce as study  # noqa: PLC0415
 
     unknown = [row for row in allow or () if row not in ROWS]
     if unknown:
         raise ConfigError(f"--allow {unknown[0]}: unknown row; expected {', '.join(ROWS)}")
+    check_laws(creep_laws or (), "--creep-laws")
     scenario = scenario_from(config, assignments, friction=friction, track=track)
     job = Job("reproduce", out, as_json)
     with job.progress() as progress:
@@ -143,6 +166,7 @@ def reproduce(
             scenario,
             chosen,
             control_periods=control_periods or (),
+            creep_laws=creep_laws or (),
             workers=workers,
             progress=progress,
             folder=folder,

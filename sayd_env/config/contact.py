@@ -1,15 +1,21 @@
-"""Schema of the wheel-rail contact: elastic constants, regularisation and the table grid."""
+"""Schema of the wheel-rail contact: creep law, elastic constants, regularisation and the table grid."""
 
 from __future__ import annotations
 
-from pydantic import model_validator
+from typing import Literal
+
+from pydantic import Field, model_validator
 
 from sayd_env.config.base import Model, quantity
 
 
 class ContactConfig(Model):
-    """How the contact tables are made."""
+    """Law of the creep forces, and how the contact tables are made."""
 
+    creep_law: Literal["table", "polach", "fastsim"] = Field(
+        "table",
+        description="Creep forces: table of FASTSIM, Polach's law, or FASTSIM itself (slow, the reference)",
+    )
     youngs_modulus: float = quantity("Pa", "Young's modulus of wheel and rail", gt=0.0)
     poisson_ratio: float = quantity("-", "Poisson's ratio of wheel and rail", gt=0.0, lt=0.5)
     regularisation: float = quantity(

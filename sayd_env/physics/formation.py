@@ -17,9 +17,11 @@ import numpy.typing as npt
 from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import (
+    CREEP_LAW,
     LANES,
     NUMBERS,
     RAIL_BASE,
+    SHEAR_MODULUS,
     STEP,
     SUBSTEPS,
     TABLE_BASE,
@@ -100,7 +102,8 @@ def kind(plant: Plant) -> tuple[Any, ...]:
     lengths = (
         value.shape for name, value in zip(Plant._fields, plant, strict=True) if name not in _OF_ANY_LENGTH
     )
-    return float(plant.number[STEP]), int(plant.number[SUBSTEPS]), id(plant.creep), *lengths, *structure
+    common = (*plant.number[[STEP, SUBSTEPS, CREEP_LAW]], plant.wheel[SHEAR_MODULUS * LANES], id(plant.creep))
+    return *common, *lengths, *structure
 
 
 plant_of: Any = vehicle_from(Plant)

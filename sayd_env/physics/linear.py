@@ -4,9 +4,10 @@ The compiled right-hand side of the time integration is differentiated about ste
 so there is no second model. Wheel-rail contact is harmonically linearised at an amplitude of lateral motion;
 dampers count with the first segment of their curve, stops with what they do at small displacements.
 
-Differences are taken along the unknowns, one at a time. Polach's law has no derivative at pure spin: its
-stiffness depends on the direction of the slip, C11 along the rail to C22 across. So the matrix holds Kalker's
-linear coefficients, as linear theory does; in the simulation a mode whose slip turns sees a mean of them.
+Differences are taken along the unknowns, one at a time. The tabulated creep law has continuous slopes; at the
+spin of steady running they are near Kalker's coefficients. Polach's law has no derivative at pure spin: its
+stiffness depends on the direction of the slip, C11 along the rail to C22 across. So with it the matrix holds
+Kalker's linear coefficients, as linear theory does; in the simulation a mode whose slip turns sees a mean.
 """
 
 from __future__ import annotations

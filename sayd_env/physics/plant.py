@@ -33,8 +33,9 @@ WHEELSETS = 4
     RAIL_COUNT,  # number of their coefficients
     RAIL_BASE,  # place of the vehicle's first coefficient, counted from `Plant.irregularity`
     WIDEST,  # lateral shift at the end of the contact table, m
+    CREEP_LAW,  # place of the creep law in `contact.creep.LAWS`; the same for vehicles side by side
     NUMBERS,
-) = range(9)
+) = range(10)
 
 # Rows of `Plant.wheel`, one number for each wheel.
 (
@@ -47,7 +48,7 @@ WHEELSETS = 4
     WHEEL_SPEED,  # V, m/s
     PER_SPEED,  # s/m
     FRICTION,  # coefficient of friction (-)
-    SHEAR_MODULUS,  # G of wheel and rail, N/m2
+    SHEAR_MODULUS,  # G of wheel and rail, N/m2; the same for vehicles side by side
     APPROACH,  # vertical approach under the static load at zero shift, m; -1 for a wheel that there is not
     LOAD_FACTOR,  # Hunt-Crossley factor of the normal force, s/m
     WHEEL_ROWS,
@@ -158,7 +159,13 @@ class Work(NamedTuple):
     lane_in: Array
     """(ROWS_IN * 8 * W,) kinematics of each wheel."""
     patch: Array
-    """(PATCH_ROWS * 8 * W,) what happens in each contact patch."""
+    """(PATCH_ROWS * 8 * W,) geometry and slip of each contact patch."""
+    creep_in: Array
+    """(creep.ROWS_IN * 8 * W,) what the creep law reads, by the rows of `contact.creep`."""
+    creep_out: Array
+    """(creep.ROWS_OUT * 8 * W,) what it gives."""
+    creep_scratch: Array
+    """Its scratch memory."""
     measured: Array
     """(measuring points * W,) accelerations, m/s2."""
 
@@ -208,29 +215,19 @@ class Work(NamedTuple):
     ROWS_IN,
 ) = range(18)
 
-# Rows of `Work.patch`: what happens where a wheel touches its rail.
+# Rows of `Work.patch`: geometry and slip where a wheel touches its rail.
 (
-    XI_X,  # longitudinal and lateral creepage
-    XI_Y,
-    SPIN,  # spin creepage, 1/m
-    BOUND,  # friction times normal force, N
-    SEMI_A,  # semi-axes of the ellipse in rolling and lateral direction, m
-    SEMI_B,
-    C11,  # Kalker's coefficients
-    C22,
-    C23,
-    SPIN_GAIN,  # Polach's constant of the spin force
-    CREEP_X,  # creep forces on the wheel, N
-    CREEP_Y,
     ARM,  # lateral distance of the contact from the wheelset's centre, m
     TANGENT,  # of the contact angle
     COSINE,
     LEVER,  # by how much the contact leads or lags the axle for each radian of yaw, m
     ROLLING,  # rolling radius, m
     RAIL_ARM,  # lateral position of the contact from the track's centre, m
-    SLIP_T,  # lateral slip velocity in the contact plane, m/s
+    CREEP_X,  # slip velocities of the wheel over the rail in the contact plane, m/s
+    CREEP_T,
+    CREEP_SPIN,  # 1/s
     PATCH_ROWS,
-) = range(20)
+) = range(10)
 
 # Rows of `Work.lane_out`: what the contact does to wheelset and track.
 (

@@ -17,10 +17,12 @@ from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics import sayd
+from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.geometry import ContactTable, contact_table
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import (
     APPROACH,
+    CREEP_LAW,
     FORCE_X,
     FORCE_Y,
     FORCE_Z,
@@ -76,8 +78,6 @@ Array = npt.NDArray[np.float64]
 
 FASTEST = 50.0
 """No part of a vehicle moves faster against the running train (m/s, rad/s): beyond it, numbers do."""
-
-_NO_TABLE = np.zeros(0)
 
 RUN_OUT = 150.0
 """Track behind the assessed length (m): room for half a second of signal that settles the filter."""
@@ -140,6 +140,12 @@ class VehicleModel:
         """Contact table of all wheels."""
         s = self.scenario
         return _contact_table(s.wheel, s.wear, s.rail, s.track.gauge, s.contact, s.vehicle.wheel_radius)
+
+    @property
+    def creep_table(self) -> Array:
+        """What the creep law reads as its table."""
+        contact = self.scenario.contact
+        return creep.law_table(contact.creep_law, contact.poisson_ratio)
 
     @cached_property
     def dampers(self) -> tuple[ForceElement, ...]:
@@ -268,7 +274,7 @@ class VehicleModel:
             sayd_constant=np.zeros(0) if sayds is None else sayds.constant,
             sayd_table=np.zeros(0) if sayds is None else sayds.table,
             irregularity=track.coefficients.ravel(),
-            creep=_NO_TABLE,
+            creep=self.creep_table,
         )
 
     def _numbers(self, speed: float, track: TrackRealisation, table: ContactTable, substeps: int) -> Array:
@@ -277,6 +283,7 @@ class VehicleModel:
         number[RAIL_START], number[RAIL_STEP] = track.x0, track.step
         number[RAIL_COUNT] = len(track.coefficients)
         number[WIDEST] = table.dy[-1]
+        number[CREEP_LAW] = creep.LAWS.index(self.scenario.contact.creep_law)
         return number
 
     def _wheels(self, speed: float, table: ContactTable) -> Array:
@@ -388,15 +395,16 @@ class VehicleModel:
             clock=np.array([0.0, -float(np.max(self.multibody.wheelset_x))]),
         )
 
-    def work(self, points: int = 0, width: int = 1) -> Work:
-        """Scratch memory for vehicles side by side, with room for further measuring points."""
+    def work(self, points: int = 0) -> Work:
+        """Scratch memory for one vehicle, with room for further measuring points."""
         b = self.multibody
         n, m, s, w = b.n, len(self.dampers), len(b.stops), len(b.wheelset_x)
         semi_active = self._semi_active
         x = 3 * n + ROWS_OUT * LANES + m + s + (2 * LANES if semi_active else 0)
         y = MOTIONS * WHEELSETS + m + s + (sayd.INPUTS * LANES if semi_active else 0)
-        sizes = (n, x, y, 8 * WHEELSETS, ROWS_IN * LANES, PATCH_ROWS * LANES, w + points)
-        return Work(*(np.zeros(size * width) for size in sizes))
+        law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
+        sizes = (n, x, y, 8 * WHEELSETS, ROWS_IN * LANES, PATCH_ROWS * LANES, *law, w + points)
+        return Work(*(np.zeros(size) for size in sizes))
 
 
 class Simulator:

@@ -23,19 +23,16 @@ from __future__ import annotations
 import math
 
 from sayd_env.physics import sayd
-from sayd_env.physics.contact import geometry
-from sayd_env.physics.contact.polach import polach
+from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import (
     APPROACH,
     ARM,
-    BOUND,
-    C11,
-    C22,
-    C23,
     COSINE,
+    CREEP_LAW,
+    CREEP_SPIN,
+    CREEP_T,
     CREEP_X,
-    CREEP_Y,
     FORCE_X,
     FORCE_Y,
     FORCE_Z,
@@ -64,7 +61,6 @@ from sayd_env.physics.plant import (
     MOTIONS,
     NORMAL,
     OFFSET,
-    PATCH_ROWS,
     PENETRATION,
     PER_RADIUS,
     PER_SPEED,
@@ -83,19 +79,14 @@ from sayd_env.physics.plant import (
     ROLLING,
     ROWS_IN,
     ROWS_OUT,
-    SEMI_A,
-    SEMI_B,
     SHEAR_MODULUS,
     SHIFT,
     SHIFT_RATE,
     SIDE,
-    SLIP_T,
     SLIP_X,
     SLIP_Y,
     SLIP_Z,
     SPEED,
-    SPIN,
-    SPIN_GAIN,
     SPIN_RATE,
     STEP,
     STORED,
@@ -109,8 +100,6 @@ from sayd_env.physics.plant import (
     WHEEL_SPEED,
     WHEELSETS,
     WIDEST,
-    XI_X,
-    XI_Y,
     YAW,
     YAW_RATE,
     Array,
@@ -231,7 +220,7 @@ def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Ar
 
 
 @kernel(distinct=True, allocates=False)
-def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, patch: Array, out: Array) -> None:
+def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch: Array, out: Array) -> None:
     """Contact geometry, normal force and creepages of all wheels, from `Work.lane_in` into `Work.patch`.
 
     Normal force: Hertz on the approach along the contact normal, with Hunt-Crossley damping, zero when the
@@ -262,10 +251,10 @@ def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, patch: Array, out
         hertz = left * table[p + geometry.C_HERTZ] + right * table[q + geometry.C_HERTZ]
         a_s = left * table[p + geometry.A_S] + right * table[q + geometry.A_S]
         b_s = left * table[p + geometry.B_S] + right * table[q + geometry.B_S]
-        patch[C11 * n + i] = left * table[p + geometry.C11] + right * table[q + geometry.C11]
-        patch[C22 * n + i] = left * table[p + geometry.C22] + right * table[q + geometry.C22]
-        patch[C23 * n + i] = left * table[p + geometry.C23] + right * table[q + geometry.C23]
-        patch[SPIN_GAIN * n + i] = (
+        law[creep.C11 * n + i] = left * table[p + geometry.C11] + right * table[q + geometry.C11]
+        law[creep.C22 * n + i] = left * table[p + geometry.C22] + right * table[q + geometry.C22]
+        law[creep.C23 * n + i] = left * table[p + geometry.C23] + right * table[q + geometry.C23]
+        law[creep.SPIN_GAIN * n + i] = (
             left * table[p + geometry.SPIN_GAIN] + right * table[q + geometry.SPIN_GAIN]
         )
 
@@ -306,12 +295,13 @@ def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, patch: Array, out
         # Touching ahead of its axle by r yaw tan(gamma), the wheel also turns downwards there: with it the
         # slip of yaw is V yaw / cos(gamma), and along the normal none is left.
         slip_t = slip_y * cosine + side * sine * slip_z - speed * yaw * tangent * sine
-        patch[XI_X * n + i] = slip_x * per_speed
-        patch[XI_Y * n + i] = slip_t * per_speed
-        patch[SPIN * n + i] = yaw_rate * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
-        patch[BOUND * n + i] = wheel[FRICTION * n + i] * normal
-        patch[SEMI_A * n + i] = a_s * root
-        patch[SEMI_B * n + i] = b_s * root
+        law[creep.XI_X * n + i] = slip_x * per_speed
+        law[creep.XI_Y * n + i] = slip_t * per_speed
+        spin = yaw_rate * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
+        law[creep.SPIN * n + i] = spin
+        law[creep.BOUND * n + i] = wheel[FRICTION * n + i] * normal
+        law[creep.SEMI_A * n + i] = a_s * root
+        law[creep.SEMI_B * n + i] = b_s * root
         patch[ARM * n + i] = arm
         patch[TANGENT * n + i] = tangent
         patch[COSINE * n + i] = cosine
@@ -320,19 +310,20 @@ def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, patch: Array, out
         patch[RAIL_ARM * n + i] = rail_arm
         out[NORMAL * n + i] = normal
         out[PENETRATION * n + i] = pressed
-        out[POWER_SLIP * n + i] = slip_x
-        patch[SLIP_T * n + i] = slip_t
+        patch[CREEP_X * n + i] = slip_x
+        patch[CREEP_T * n + i] = slip_t
+        patch[CREEP_SPIN * n + i] = spin * speed
         out[POWER_DAMPING * n + i] = (elastic - normal) * gap_rate * cosine
         out[STORED * n + i] = 0.4 * elastic * pressed
 
 
 @kernel(distinct=True, allocates=False)
-def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, out: Array) -> None:
+def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, law: Array, out: Array) -> None:
     """What the wheels' forces do to the wheelsets (about their centres) and to the track sections."""
     n = LANES * len(lanes)
     for i in range(x.shape[0] // ROWS_IN):
         side, yaw = x[SIDE * n + i], x[YAW * n + i]
-        force_x, force_t = patch[CREEP_X * n + i], patch[CREEP_Y * n + i]
+        force_x, force_t, moment = law[creep.FX * n + i], law[creep.FY * n + i], law[creep.MZ * n + i]
         arm, tangent, cosine = patch[ARM * n + i], patch[TANGENT * n + i], patch[COSINE * n + i]
         lever = patch[LEVER * n + i]
         lead = -side * yaw * lever
@@ -340,35 +331,32 @@ def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, out: Array) 
         creep_y = force_t * cosine
         force_y = creep_y - up * (side * tangent + x[PLANE * n + i])
         force_z = up + side * tangent * creep_y
+        upright = moment * cosine
         out[FORCE_X * n + i] = force_x
         out[FORCE_Y * n + i] = force_y
         out[FORCE_Z * n + i] = force_z
         out[MOMENT_ROLL * n + i] = wheel[RADIUS * n + i] * force_y + side * arm * force_z
-        out[MOMENT_PITCH * n + i] = -patch[ROLLING * n + i] * force_x
-        out[MOMENT_YAW * n + i] = -side * arm * force_x + lead * creep_y + up * yaw * tangent * lever
-        out[MOMENT_TRACK * n + i] = -patch[RAIL_ARM * n + i] * force_z
-        out[POWER_SLIP * n + i] = -(force_x * out[POWER_SLIP * n + i] + force_t * patch[SLIP_T * n + i])
-
-
-@kernel(distinct=True, allocates=False)
-def _polach(lanes: Lanes, wheel: Array, patch: Array) -> None:
-    """Creep forces by Polach's law."""
-    n = LANES * len(lanes)
-    for i in range(patch.shape[0] // PATCH_ROWS):
-        patch[CREEP_X * n + i], patch[CREEP_Y * n + i] = polach(
-            patch[XI_X * n + i],
-            patch[XI_Y * n + i],
-            patch[SPIN * n + i],
-            patch[BOUND * n + i],
-            patch[SEMI_A * n + i],
-            patch[SEMI_B * n + i],
-            patch[C11 * n + i],
-            patch[C22 * n + i],
-            patch[C23 * n + i],
-            patch[SPIN_GAIN * n + i],
-            1.0,
-            wheel[SHEAR_MODULUS * n + i],
+        out[MOMENT_PITCH * n + i] = -patch[ROLLING * n + i] * force_x - side * tangent * upright
+        out[MOMENT_YAW * n + i] = (
+            -side * arm * force_x + lead * creep_y + up * yaw * tangent * lever + upright
         )
+        out[MOMENT_TRACK * n + i] = -patch[RAIL_ARM * n + i] * force_z
+        out[POWER_SLIP * n + i] = -(
+            force_x * patch[CREEP_X * n + i]
+            + force_t * patch[CREEP_T * n + i]
+            + moment * patch[CREEP_SPIN * n + i]
+        )
+
+
+@kernel(allocates=False)
+def _creep(which: int, x: Array, out: Array, scratch: Array, table: Array, shear_modulus: float) -> None:
+    """Creep forces of all wheels by one of the laws."""
+    if which == creep.TABLE:
+        creep.table_rows(x, out, scratch, table, shear_modulus)
+    elif which == creep.POLACH:
+        creep.polach_rows(x, out, scratch, table, shear_modulus)
+    else:
+        creep.fastsim_rows(x, out, scratch, table, shear_modulus)
 
 
 @kernel(allocates=False)
@@ -477,9 +465,12 @@ def contact(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
     out = work.x[first : first + ROWS_OUT * LANES * w]
     read_track(lanes, plant.number, plant.wheelset_x, plant.irregularity, clock, work.rail)
     wheel_kinematics(lanes, plant.wheel, work.y, work.rail, work.lane_in)
-    _touch(lanes, plant.wheel, work.lane_in, plant.table, work.patch, out)
-    _polach(lanes, plant.wheel, work.patch)
-    _resultants(lanes, plant.wheel, work.lane_in, work.patch, out)
+    _touch(lanes, plant.wheel, work.lane_in, plant.table, work.creep_in, work.patch, out)
+    n = LANES * w
+    scratch = work.creep_scratch[: creep.SCRATCH_ROWS * n + creep.WIDTH]
+    which, shear_modulus = int(plant.number[CREEP_LAW * w]), plant.wheel[SHEAR_MODULUS * n]
+    _creep(which, work.creep_in, work.creep_out, scratch, plant.creep, shear_modulus)
+    _resultants(lanes, plant.wheel, work.lane_in, work.patch, work.creep_out, out)
 
 
 @kernel(allocates=False)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from sayd_env.stability import (
     thinned_grids,
 )
 from sayd_env.studies.claims_passive import NEW_SPEEDS, WORN_SPEEDS
+from sayd_env.studies.creep_laws import CreepLawComparison, check_laws, with_law
 from sayd_env.studies.output import Progress, silent
 from sayd_env.studies.sweep import Sweep, runs_table, simulate, sweep
 
@@ -58,6 +59,8 @@ class CriticalSpeedResult:
     limits: Limits
     wheelsets: tuple[str, ...]
     history: History
+    laws: CreepLawComparison | None = None
+    """The same by other creep laws, if asked for."""
 
     @cached_property
     def medians(self) -> dict[str, Array]:
@@ -126,11 +129,13 @@ class CriticalSpeedResult:
                 }
                 for name, c in crossing.items()
             },
+            **({} if self.laws is None else {"by_creep_law": self.laws.as_dict()}),
         }
 
     def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
-        """Every run, one line for each wheelset."""
-        return {"runs": runs_table(self.sweep, self.wheelsets)}
+        """Every run, one line for each wheelset, and the critical speeds by creep law."""
+        laws = {} if self.laws is None else {"creep_laws": self.laws.table()}
+        return {"runs": runs_table(self.sweep, self.wheelsets), **laws}
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
         """Counterparts of figure 10 (trends over speed) and figure 8 (a) (time history)."""
@@ -158,10 +163,14 @@ class CriticalSpeedResult:
                 styled[1],
             )
         console.print(table)
-        for name, c in self.crossing().items():
-            console.print(f"critical speed by {name.replace('_', ' ')}: {self._verdict(name, c)}")
+        for name in self.crossing():
+            console.print(f"critical speed by {name.replace('_', ' ')}: {self.verdict(name)}")
+        if self.laws is not None:
+            self.laws.summary(console, "critical speed by creep law, all else equal")
 
-    def _verdict(self, name: str, c: CriticalSpeed) -> str:
+    def verdict(self, name: str) -> str:
+        """Say in words what the critical speed by a criterion is."""
+        c = self.crossing()[name]
         if c.crossing is Crossing.NOT_REACHED:
             return f"above {self.sweep.speeds[-1] * KMH:.0f} km/h (limit not reached)"
         if c.speed is None:
@@ -279,6 +288,7 @@ def find_critical_speed(
     speeds: Sequence[float] | None = None,
     seeds: Sequence[int] = range(10),
     *,
+    creep_laws: Sequence[str] = (),
     workers: int | None = None,
     progress: Progress = silent,
 ) -> CriticalSpeedResult:
@@ -292,6 +302,8 @@ def find_critical_speed(
         Speeds, m/s, rising; the paper's grid for the wear by default.
     seeds : sequence of int
         Track seeds.
+    creep_laws : sequence of str
+        Creep laws by which the critical speed is found besides, all else equal.
     workers : int, optional
         Threads.
     progress : Progress
@@ -300,17 +312,30 @@ def find_critical_speed(
     Raises
     ------
     ConfigError
-        A speed outside the vehicle's range, a profile that cannot be used.
+        A speed outside the vehicle's range, a profile that cannot be used, a name that is no creep law.
     StudyError
         A run that diverged.
     """
-    model = VehicleModel(scenario)
+    check_laws(creep_laws, "creep laws")
+    own = scenario.contact.creep_law
+    laws = (own, *(law for law in creep_laws if law != own))
     chosen = default_speeds(scenario.wear) if speeds is None else tuple(speeds)
-    result = sweep(model, chosen, seeds, workers=workers, progress=progress)
-    names = tuple(name.removeprefix("wheelset.") for name, _ in model.multibody.measuring_points)
-    return CriticalSpeedResult(
-        scenario, result, model_limits(model), names, _history(model, chosen[0], seeds[0], names)
-    )
+    runs, results = len(chosen) * len(seeds), {}
+    for number, law in enumerate(laws):
+        model = VehicleModel(with_law(scenario, law))
+        report = partial(_report, progress, number * runs, len(laws) * runs)
+        found = sweep(model, chosen, seeds, workers=workers, progress=report)
+        names = tuple(name.removeprefix("wheelset.") for name, _ in model.multibody.measuring_points)
+        history = _history(model, chosen[0], seeds[0], names)
+        results[law] = CriticalSpeedResult(model.scenario, found, model_limits(model), names, history)
+    if not creep_laws:
+        return results[own]
+    return replace(results[own], laws=CreepLawComparison({law: results[law] for law in creep_laws}))
+
+
+def _report(progress: Progress, before: int, total: int, done: float, _: float, what: str = "") -> None:
+    """Progress by one creep law, as a part of all."""
+    progress(before + done, total, what)
 
 
 def _history(model: VehicleModel, speed: float, seed: int, names: Sequence[str]) -> History:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,9 @@ from sayd_env.studies.conicity import conicity, plot_conicity
 from sayd_env.studies.controlled import ControlledRuns
 from sayd_env.studies.controlled_figures import controlled_plots
 from sayd_env.studies.controlled_runs import controlled_groups, controlled_runs
-from sayd_env.studies.critical_speed import draw_trends, model_limits
+from sayd_env.studies.creep_laws import SPEEDS as LAW_SPEEDS
+from sayd_env.studies.creep_laws import CreepLawComparison, check_laws, with_law
+from sayd_env.studies.critical_speed import draw_trends, find_critical_speed, model_limits
 from sayd_env.studies.hysteresis import HysteresisResult, hysteresis
 from sayd_env.studies.judging import Claim, once
 from sayd_env.studies.output import Progress, silent
@@ -67,6 +69,8 @@ class ReproduceResult:
     """Runs that an earlier start had finished."""
     sensitivity: PeriodSensitivity | None = None
     """Rows S1 to S6 at other control periods."""
+    creep_laws: Mapping[str, CreepLawComparison] = field(default_factory=dict)
+    """Critical speeds on new and on worn wheels by creep law."""
 
     @property
     def failed(self) -> list[str]:
@@ -76,7 +80,13 @@ class ReproduceResult:
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd reproduce --json``."""
         periods = {} if self.sensitivity is None else {"control_periods": self.sensitivity.as_dict()}
-        return {"claims": [c.as_dict() for c in self.claims], "seeds": list(self.new.seeds), **periods}
+        laws = {wheels: found.as_dict() for wheels, found in self.creep_laws.items()}
+        return {
+            "claims": [c.as_dict() for c in self.claims],
+            "seeds": list(self.new.seeds),
+            **periods,
+            **({"by_creep_law": laws} if laws else {}),
+        }
 
     def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
         """Claims, and every run."""
@@ -88,6 +98,7 @@ class ReproduceResult:
             "runs_worn": runs_table(self.worn, self.wheelsets),
             **self.controlled.tables(self.wheelsets),
             **({} if self.sensitivity is None else {"control_periods": self.sensitivity.table()}),
+            **{f"creep_laws_{wheels}": found.table() for wheels, found in self.creep_laws.items()},
         }
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
@@ -121,6 +132,8 @@ class ReproduceResult:
         shown(f"what the paper shows, on {len(self.new.seeds)} track seeds", self.claims)
         for period, claims in () if self.sensitivity is None else self.sensitivity.claims.items():
             shown(f"rows S1 to S6 with a control period of {1e3 * period:g} ms", claims)
+        for wheels, found in self.creep_laws.items():
+            found.summary(console, f"critical speed on {wheels} wheels by creep law, all else equal")
         if len(self.new.seeds) < LEAST_SEEDS:
             console.print(f"fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
         held = len(self.claims) - len(self.failed)
@@ -145,6 +158,7 @@ def reproduce(
     *,
     environment: EnvironmentConfig | None = None,
     control_periods: Sequence[float] = (),
+    creep_laws: Sequence[str] = (),
     workers: int | None = None,
     progress: Progress = silent,
     folder: Path | None = None,
@@ -162,6 +176,8 @@ def reproduce(
         Sensors and clock of the controllers; those of ``nominal`` by default.
     control_periods : sequence of float
         Control periods (s) at which rows S1 to S6 are judged besides.
+    creep_laws : sequence of str
+        Creep laws by which the passive critical speeds are found besides, on a grid wide enough for all.
     workers : int, optional
         Threads.
     progress : Progress
@@ -173,8 +189,8 @@ def reproduce(
     Raises
     ------
     ConfigError
-        A scenario without passive yaw dampers, a control period that cannot be, or a folder that cannot be
-        written to.
+        A scenario without passive yaw dampers, a control period that cannot be, a name that is no creep law,
+        or a folder that cannot be written to.
     StudyError
         A run that diverged.
     """
@@ -183,10 +199,12 @@ def reproduce(
     laws = environment or load_environment()
     if control_periods:
         environments_at(control_periods, laws)  # refused before any work
+    check_laws(creep_laws, "creep laws")
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
     groups = controlled_groups(models[1].scenario, laws, seeds, required_runs())
     rest = len(control_periods) * len(skyhook_runs())
-    total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS) + len(groups) + rest)
+    compared = len(models) * len(creep_laws) * len(LAW_SPEEDS)
+    total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS) + len(groups) + rest + compared)
     done_before = 0
     sweeps = []
     stores = [_store(folder, model) for model in models]
@@ -208,6 +226,20 @@ def reproduce(
             progress=partial(_report, progress, done_before, total),
             folder=None if folder is None else folder / "control_periods",
         )
+    done_before += len(seeds) * rest
+    by_law: dict[str, CreepLawComparison] = {}
+    for wheels, model in zip(("new", "worn"), models if creep_laws else (), strict=False):
+        found = find_critical_speed(
+            with_law(model.scenario, creep_laws[0]),
+            LAW_SPEEDS,
+            seeds,
+            creep_laws=creep_laws,
+            workers=workers,
+            progress=partial(_report, progress, done_before, total),
+        )
+        assert found.laws is not None  # some were asked for
+        by_law[wheels] = found.laws
+        done_before += len(seeds) * len(creep_laws) * len(LAW_SPEEDS)
     limits = model_limits(models[0])
     loops = hysteresis(scenario)
     claims = [
@@ -222,7 +254,9 @@ def reproduce(
         store.forget_former()
     reused = taken + sum(store.reused for store in kept)
     reused += 0 if sensitivity is None else sensitivity.reused
-    return ReproduceResult(scenario, claims, new, worn, limits, names, loops, runs, reused, sensitivity)
+    return ReproduceResult(
+        scenario, claims, new, worn, limits, names, loops, runs, reused, sensitivity, by_law
+    )
 
 
 def _store(folder: Path | None, model: VehicleModel) -> RunStore[Run] | None:

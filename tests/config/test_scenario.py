@@ -175,3 +175,12 @@ def test_a_bad_assignment_is_one_line(item: str, expected: str):
     found = refused(None, item)
     assert expected in found
     assert "\n" not in found
+
+
+def test_creep_laws():
+    """FASTSIM's table by default; the others by name; anything else is refused with what is expected."""
+    assert load_scenario().contact.creep_law == "table"
+    for law in ("table", "polach", "fastsim"):
+        assert load_scenario(None, [f"contact.creep_law={law}"]).contact.creep_law == law
+    with pytest.raises(ConfigError, match=r"contact\.creep_law.*'kalker'"):
+        load_scenario(None, ["contact.creep_law=kalker"])

@@ -185,3 +185,34 @@ def test_the_command_prints_the_keys_and_writes_its_files(tmp_path: Path, capsys
     at = (runs["speed_kmh"] == 300.0) & (runs["wheelset"] == "rear.trailing")
     median = np.median(runs["acceleration_rms"][at])
     assert content["speeds"][0]["acceleration_rms"][3] == pytest.approx(median)
+
+
+def test_critical_speeds_by_creep_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Each law as a study of its own with contact.creep_law gives it; the study's own law is run once."""
+    command = ["critical-speed", "--config", "estimates", "--speeds", "300,400", "--seeds", "1", "--json"]
+    settings = ["--set", "assessment.run_in=200", "--set", "assessment.length=600"]
+    out = ["--out", str(tmp_path)]
+    assert main([*command, *settings, *out, "--creep-laws", "table,polach"]) == 0
+    both = capsys.readouterr()
+    content = json.loads(both.out)
+    assert set(content["by_creep_law"]) == {"table", "polach"}
+    assert content["config"]["contact"]["creep_law"] == "table"
+    assert content["by_creep_law"]["table"]["by_criterion"] == content["by_criterion"]
+    assert "critical speed by creep law" in both.err + both.out
+    assert main([*command, *settings, "--set", "contact.creep_law=polach"]) == 0
+    alone = json.loads(capsys.readouterr().out)
+    for key in ("critical_speed_kmh", "criterion", "by_criterion"):
+        assert content["by_creep_law"]["polach"][key] == alone[key]
+    assert "by_creep_law" not in alone
+    assert alone["speeds"] != content["speeds"]
+    laws = np.genfromtxt(tmp_path / "creep_laws.csv", delimiter=",", names=True, dtype=None, encoding=None)
+    assert list(laws["creep_law"]) == ["table", "table", "polach", "polach"]
+
+
+@pytest.mark.parametrize(
+    ("laws", "message"),
+    [(["kalker"], "kalker: unknown creep law"), (["table"] * 2, "'table' stands there twice")],
+)
+def test_creep_laws_that_are_none_are_refused(short_scenario: Scenario, laws: list[str], message: str):
+    with pytest.raises(ConfigError, match=message):
+        find_critical_speed(short_scenario, SPEEDS, (0,), creep_laws=laws)

@@ -14,6 +14,7 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.studies import sweep
 from sayd_env.studies.claims_passive import WORN_SPEEDS, passive_claims
+from sayd_env.studies.critical_speed import find_critical_speed
 from sayd_env.studies.hysteresis import hysteresis
 from sayd_env.studies.reproduce import ROWS, ReproduceResult, damper_claim, model_claim, reproduce
 from sayd_env.studies.sweep import assessed_run
@@ -168,3 +169,24 @@ def test_rows_on_skyhook_at_another_control_period(short_scenario: Scenario):
     rows = [claim for claim in found.claims if claim.id.startswith("S")]
     assert found.sensitivity.claims[0.01] == rows
     assert {entry["control_period_s"] for entry in found.as_dict()["control_periods"]} == {0.01}
+
+
+def test_critical_speeds_by_creep_law(short_scenario: Scenario, monkeypatch: pytest.MonkeyPatch):
+    """On new and on worn wheels as `find_critical_speed` finds them; progress ends at all."""
+    speeds = (300 / 3.6, 400 / 3.6)
+    monkeypatch.setattr("sayd_env.studies.reproduce.LAW_SPEEDS", speeds)
+    told: list[tuple[float, float]] = []
+    found = reproduce(
+        short_scenario,
+        [3],
+        creep_laws=["polach"],
+        progress=lambda done, total, what="": told.append((done, total)),
+    )
+    assert told[-1][0] == told[-1][1]
+    keys = found.as_dict()["by_creep_law"]
+    for wheels, wear in (("new", 0.0), ("worn", 1.0)):
+        contact = short_scenario.contact.model_copy(update={"creep_law": "polach"})
+        scenario = short_scenario.model_copy(update={"wear": wear, "contact": contact})
+        alone = find_critical_speed(scenario, speeds, [3]).as_dict()
+        assert keys[wheels]["polach"]["by_criterion"] == alone["by_criterion"]
+    assert {"creep_laws_new", "creep_laws_worn"} <= set(found.tables())

@@ -1,4 +1,4 @@
-"""Creep forces against CONTACT: FASTSIM against its FASTSIM, Polach's law against its half-space.
+"""Creep forces against CONTACT: FASTSIM and its table against its FASTSIM, laws against its half-space.
 
 Source of the tables: CONTACT by E. A. H. Vollebregt (open source, revision 2707); conditions in the heads of
 the files in data/. The half-space tables are about 2 % too stiff in the linear range (41 x 41 elements); the
@@ -10,7 +10,13 @@ Errors are vectors over mu N. Polach's law, measured over all 488 rows of each t
     a/b 0.5   8.6 %  9.9 %   12.0 %  16.7 %  19.5 %  5.4 %
     a/b 1.0   6.3 %  8.9 %   12.1 %  17.6 %  22.3 %  6.5 %
 
-A wheel tread has a spin up to about 0.1 1/m, a flange contact about 1 1/m.
+A wheel tread has a spin up to about 0.1 1/m, a flange contact about 1 1/m; a worn tread has up to 0.5 1/m and
+a/b of 1.7 to 4, where the time loop's table of FASTSIM is compared with FASTSIM: along runs of the packaged
+vehicle, and at single ratios.
+
+FASTSIM's elliptic bound in place of the parabolic one lies 2.3 and 2.2 % of mu N from the half-space in the
+mean, not 1.5 and 1.1 % (a/b 0.5 and 1); along runs its forces differ from the parabolic one's by 0.6 % of
+mu N in the mean on new and by 1.5 % on worn wheels, and by 10 % at most.
 """
 
 from __future__ import annotations
@@ -23,9 +29,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sayd_env.config.scenario import load_scenario
+from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.fastsim import fastsim
 from sayd_env.physics.contact.kalker import kalker_coefficients
 from sayd_env.physics.contact.polach import polach_forces
+from sayd_env.physics.simulator import Simulator, VehicleModel
 
 DATA = Path(__file__).parent / "data"
 NORMAL, SHEAR_MODULUS, POISSON, MEAN_AXIS = 75e3, 82e9, 0.28, 5.5e-3
@@ -154,3 +163,125 @@ def test_polach_linear_and_coulomb(ratio: str) -> None:
             np.testing.assert_allclose(force, SHEAR_MODULUS * c.a * c.b * slope, rtol=1e-3)
         if size == 10.0:
             np.testing.assert_allclose(force, 0.3 * NORMAL, rtol=1e-6)
+
+
+def by_table(rows: NDArray[np.void], ratio: float, friction: NDArray[np.float64]) -> NDArray[np.float64]:
+    c = contact(ratio)
+    found = creep.creep_forces(
+        "table",
+        rows["xi"],
+        rows["eta"],
+        rows["spin"],
+        NORMAL,
+        c.a,
+        c.b,
+        friction,
+        SHEAR_MODULUS,
+        POISSON,
+    )
+    return found[:2]
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize(("kind", "mean", "largest"), [("par", 0.02, 0.06), ("hs", 0.03, None)])
+def test_table_against_contact(ratio: str, kind: str, mean: float, largest: float | None) -> None:
+    """All rows: mean 2 % and largest 6 % of mu N to CONTACT's FASTSIM, mean 3 % to its half-space."""
+    rows = table(f"creep_forces_aob{ratio}.csv")
+    fx, fy = by_table(rows, float(ratio), rows["mu"])
+    error = np.hypot(fx - rows[f"{kind}_fx"], fy - rows[f"{kind}_fy"]) / (rows["mu"] * NORMAL)
+    print(f"table against {kind}, a/b {ratio}: mean {error.mean():.4f}, largest {error.max():.4f} mu N")
+    assert error.mean() <= mean
+    assert largest is None or error.max() <= largest
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_bounds_against_half_space(ratio: str) -> None:
+    """Why the bound is parabolic: CONTACT's own rows with it lie nearer to its half-space in the mean."""
+    rows = table(f"creep_forces_aob{ratio}.csv")
+    error = {
+        bound: np.hypot(rows[f"{bound}_fx"] - rows["hs_fx"], rows[f"{bound}_fy"] - rows["hs_fy"])
+        / (rows["mu"] * NORMAL)
+        for bound in ("par", "ell")
+    }
+    for bound, values in error.items():
+        print(f"FASTSIM {bound} against half-space, a/b {ratio}: mean {values.mean():.4f} mu N")
+    assert error["par"].mean() < error["ell"].mean()
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_table_against_extrapolated_half_space(ratio: str) -> None:
+    """The most exact rows: mean 3 % of mu N, and 3 % of the force at the smallest creepages."""
+    rows = table("creep_forces_extrapolated.csv")
+    rows = rows[rows["a_over_b"] == float(ratio)]
+    fx, fy = by_table(rows, float(ratio), np.full(len(rows), 0.3))
+    error = np.hypot(fx - rows["fx"], fy - rows["fy"]) / (0.3 * NORMAL)
+    print(f"table against extrapolated half-space, a/b {ratio}: mean {error.mean():.4f} mu N")
+    assert error.mean() <= 0.03
+    small = (rows["xi"] <= 1e-4) & (rows["eta"] <= 1e-4) & (np.abs(rows["spin"]) <= 0.05)
+    found, expected = np.array([fx, fy])[:, small], np.array([rows["fx"], rows["fy"]])[:, small]
+    largest = np.abs(expected).max(axis=0)
+    assert np.all(np.abs(found - expected) <= 0.03 * largest)
+
+
+def fastsim_forces(x: NDArray[np.float64], shear_modulus: float, elements: int) -> NDArray[np.float64]:
+    """Forces over mu N of contacts in the columns of x, as the time loop's laws read them, by FASTSIM."""
+    n = x.shape[1]
+    out = np.empty(creep.ROWS_OUT * n)
+    creep.fastsim_rows(x.ravel(), out, creep.scratch(n), np.array([float(elements)]), shear_modulus)
+    return np.asarray(out.reshape(creep.ROWS_OUT, n)[:2] / x[creep.BOUND])
+
+
+@pytest.mark.parametrize("ratio", [0.12, 0.2, 0.3, 0.7, 1.3, 2.0, 3.0, 4.0, 5.0, 7.0])
+def test_table_against_fastsim_at_other_ratios(ratio: float) -> None:
+    """Random creepages, spin to 1 1/m, and FASTSIM on 128 x 128 elements: mean 2 %, largest 6 % of mu N."""
+    rng = np.random.default_rng(7)
+    n, c = 3000, contact(ratio)
+    xi = 10.0 ** rng.uniform(-5.0, -2.0, (2, n)) * rng.choice((-1.0, 1.0), (2, n))
+    spin, normal = rng.uniform(-1.0, 1.0, n), NORMAL * rng.uniform(0.3, 1.7, n)
+    size = np.cbrt(normal / NORMAL)
+    a, b, friction = c.a * size, c.b * size, rng.uniform(0.2, 0.5, n)
+    rows = (*xi, spin, friction * normal, a, b, *c.coefficients, 1.0)
+    x = np.array([np.broadcast_to(row, n) for row in rows])
+    exact = fastsim_forces(x, SHEAR_MODULUS, 128)
+    found = creep.creep_forces("table", xi[0], xi[1], spin, normal, a, b, friction, SHEAR_MODULUS, POISSON)
+    error = np.hypot(*(found[:2] / x[creep.BOUND] - exact))
+    print(f"table against FASTSIM, a/b {ratio}: mean {error.mean():.4f}, largest {error.max():.4f} mu N")
+    assert error.mean() <= 0.02
+    assert error.max() <= 0.06
+
+
+@pytest.mark.parametrize("wear", [0.0, 1.0])
+def test_table_along_runs(wear: float) -> None:
+    """The contacts of the packaged vehicle at 200 to 400 km/h: mean 2 %, largest 6 % of mu N.
+
+    Measured: 0.03 % in the mean on new and 0.08 % on worn wheels, 2.9 % at most; the regression on FASTSIM's
+    forces is right to 0.5 % (measured 0.1 %). Polach's law errs by 1.2 % and 3.9 % in the mean, 46 % at most.
+    """
+    model = VehicleModel(load_scenario(None, [f"wear={wear}", "contact.creep_law=table"]))
+    shear, poisson = model.scenario.contact.shear_modulus, model.scenario.contact.poisson_ratio
+    kept = []
+    for speed in (200.0, 300.0, 350.0, 400.0):
+        simulator = Simulator(model, speed / 3.6, seed=1)
+        simulator.advance(200)
+        for _ in range(60):
+            simulator.advance(17)
+            kept.append(simulator.work.creep_in.reshape(creep.ROWS_IN, -1).copy())
+    x = np.concatenate(kept, axis=1)
+    x = np.ascontiguousarray(x[:, x[creep.BOUND] > 0.0])
+    exact = fastsim_forces(x, shear, 128)
+    n = x.shape[1]
+    error, found = {}, np.empty(creep.ROWS_OUT * n)
+    for law, kernel in (("table", creep.table_rows), ("polach", creep.polach_rows)):
+        kernel(x.ravel(), found, creep.scratch(n), creep.law_table(law, poisson), shear)
+        difference = found.reshape(creep.ROWS_OUT, n)[:2] / x[creep.BOUND] - exact
+        error[law] = np.hypot(*difference)
+        bias = np.sum(difference * exact) / np.sum(exact * exact)
+        print(
+            f"{law}, wear {wear:g}: mean {error[law].mean():.4f}, largest {error[law].max():.4f} mu N, "
+            f"bias {bias:+.4f}"
+        )
+        if law == "table":
+            assert abs(bias) <= 0.005
+    assert error["table"].mean() <= 0.02
+    assert error["table"].max() <= 0.06
+    assert error["table"].mean() < 0.1 * error["polach"].mean()
