@@ -11,11 +11,11 @@ Signs as corrected in the paper's equations: with ends at x'_1 (bogie) and x'_2 
 
 Integration: the diagonally implicit Runge-Kutta method SDIRK2 with gamma = 1 - 1/sqrt(2), of second order,
 L-stable and stiffly accurate (Alexander, SIAM J. Numer. Anal. 14 (1977) 1006), in equal sub-steps of a
-vehicle step. The first stage is solved by one Newton step on the pressures, the second by two; within each of
-them everything but the dry friction is linear in the stroke velocity, and the friction law, eq. (11), is
-solved exactly: a piston that cannot overcome stiction stands still, one that moves meets the sliding friction.
-No velocity stands for standstill. Displacements, rod velocity and pressures are eliminated by hand: no matrix
-is factorised.
+vehicle step. The first stage is solved by one Newton step on the pressures, the second by two; within each
+of them everything but the dry friction is linear in the stroke velocity, and the friction law, eq. (11), is
+solved exactly: a piston that cannot overcome stiction stands still, one that moves meets the sliding
+friction. No velocity stands for standstill. Displacements, rod velocity and pressures are eliminated by hand:
+no matrix is factorised.
 
 The flat arrays hold ``n = LANES * W`` dampers of W vehicles: element ``row * n + i`` belongs to damper
 ``i = k * W + w``, the k-th of vehicle w. Nothing is computed across dampers, so that W changes no bits.
