@@ -457,7 +457,7 @@ def _sayd_forces(n: int, state: Array, forces: Array) -> None:
         forces[n + k] = attached * state[sayd.FORCE_2 * n + k]
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def contact(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
     """Track and contact: from the motion in `Work.x` and the kinematics in `Work.y` to the wheels' forces."""
     w = len(lanes)
@@ -583,13 +583,13 @@ def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work:
         out[n + i] = work.f[i] / plant.mass[i]
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def measure(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
     """Accelerations of the measuring points at this instant, into `Work.measured`."""
     multiply(lanes, plant.measure_start, plant.measure_column, plant.measure_value, state.a, work.measured)
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def record(lanes: Lanes, k: int, plant: Plant, state: State, work: Work, row: Array) -> None:
     """Write the assessed signals of vehicle k at this instant; `measure` comes before.
 
@@ -612,7 +612,7 @@ def record(lanes: Lanes, k: int, plant: Plant, state: State, work: Work, row: Ar
             row[2 * count + j] = state.force[place]
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def record_wheels(lanes: Lanes, k: int, work: Work, row: Array) -> None:
     """Write lateral and vertical force of each wheel of vehicle k on the rail.
 
@@ -628,7 +628,7 @@ def record_wheels(lanes: Lanes, k: int, work: Work, row: Array) -> None:
             row[LANES + 2 * j + side] = work.x[FORCE_Z * n + place]
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def largest_shift(lanes: Lanes, k: int, plant: Plant, work: Work) -> float:
     """Largest shift of a wheel of vehicle k towards its flange over that of the contact table's end.
 
