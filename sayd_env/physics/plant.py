@@ -49,6 +49,8 @@ class Plant(NamedTuple):
     """Lateral shift of the first node, m."""
     table_step: float
     """Distance of nodes, m."""
+    table_load: float
+    """Static wheel load of the table to the power of 2/3, N^(2/3)."""
     approach: Array
     """(w,) vertical approach of a wheel under its static load at zero shift, m."""
     contact_damping: Array

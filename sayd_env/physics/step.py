@@ -121,9 +121,10 @@ def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
 def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop body, as the physics reads
     """Normal and creep forces of all wheels, from `work.lane_in` into `work.lane_out`.
 
-    One branch-free loop over eight wheels, which compiles to vector instructions. Normal force: Hertz on the
-    approach along the contact normal, with Hunt-Crossley damping, zero when the wheel lifts off. Creepages:
-    slip over V (Kalker), spin from yaw rate and contact angle. Creep forces: Polach.
+    One branch-free loop over eight wheels, which compiles to vector instructions. Normal force: the gradient
+    of the contact's potential (`sayd_env.physics.contact.geometry`), with Hunt-Crossley damping, zero when
+    the wheel lifts off. Creepages: slip over V (Kalker), spin from yaw rate and contact angle. Creep forces:
+    Polach.
     """
     x, out, table = work.lane_in, work.lane_out, plant.table
     nodes = table.shape[0] // geometry.WIDTH
@@ -131,7 +132,7 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
     speed, radius = plant.speed, plant.radius
     per_speed, per_radius = 1.0 / speed, 1.0 / radius
     start = plant.table_start
-    friction, shear = plant.friction, plant.shear_modulus
+    friction, shear, rest = plant.friction, plant.shear_modulus, plant.table_load
     for i in range(x.shape[0] // ROWS_IN):
         side = x[SIDE * LANES + i]
         # Contact geometry at this shift, linear between the nodes of a fine table.
@@ -149,7 +150,10 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         arm_slope = (table[n + geometry.Y_C] - table[p + geometry.Y_C]) * per_step
         tilt_0 = left * table[p + geometry.PHI_K] + right * table[n + geometry.PHI_K]
         tangent = left * table[p + geometry.TAN_GAMMA] + right * table[n + geometry.TAN_GAMMA]
-        hertz = left * table[p + geometry.C_HERTZ] + right * table[n + geometry.C_HERTZ]
+        soft = left * table[p + geometry.COMPLIANCE] + right * table[n + geometry.COMPLIANCE]
+        soft_slope = (
+            left * table[p + geometry.COMPLIANCE_SLOPE] + right * table[n + geometry.COMPLIANCE_SLOPE]
+        )
         a_s = left * table[p + geometry.A_S] + right * table[n + geometry.A_S]
         b_s = left * table[p + geometry.B_S] + right * table[n + geometry.B_S]
         c11 = left * table[p + geometry.C11] + right * table[n + geometry.C11]
@@ -160,25 +164,30 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         # The table is made at the kinematic roll; another roll moves the contact and so the slope.
         tilt, yaw, plane = x[TILT * LANES + i], x[YAW * LANES + i], x[PLANE * LANES + i]
         tangent += (tilt_0 - tilt) * arm_slope
-        cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
-        sine = tangent * cosine
 
-        # Normal force. A yawed wheel touches ahead of or behind its axle, by `lead`.
+        # Vertical force of the elastic contact. A yawed wheel touches ahead of or behind its axle, by `lead`.
         lever = arm - radius * tangent
         lead = -side * yaw * lever
         gap = x[LIFT * LANES + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * tangent * lever
+        pressed = -gap if gap < 0.0 else 0.0
+        power = pressed / soft
+        root = math.sqrt(power)
+        elastic = power * root
+
+        # Another load than the static one moves the contact likewise: its potential changes with the shift.
+        tangent -= 0.6 * soft_slope * (power - rest)
+        secant = math.sqrt(1.0 + tangent * tangent)
+        cosine = 1.0 / secant
+        sine = tangent * cosine
         gap_rate = (
             x[LIFT_RATE * LANES + i]
             + x[TILT_RATE * LANES + i] * arm
             + yaw * x[YAW_RATE * LANES + i] * tangent * lever
             - tangent * x[SHIFT_RATE * LANES + i]
         )
-        pressed = -gap * cosine
-        pressed = pressed if pressed > 0.0 else 0.0
-        root = math.sqrt(pressed)
-        elastic = hertz * pressed * root
         factor = 1.0 - x[LOAD_FACTOR * LANES + i] * gap_rate * cosine
-        normal = elastic * (factor if factor > 0.0 else 0.0)
+        up = elastic * (factor if factor > 0.0 else 0.0)
+        normal = up * secant
 
         # Slip of the wheel over the rail, and creepages.
         slip_x = (
@@ -210,7 +219,6 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         )
 
         # Resultants on the wheelset (about its centre) and on the track section.
-        up = normal * cosine
         creep_y = force_t * cosine
         force_y = creep_y - up * (side * tangent + plane)
         force_z = up + side * sine * force_t
@@ -222,9 +230,9 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         out[MOMENT_YAW * LANES + i] = -side * arm * force_x + lead * creep_y + up * yaw * tangent * lever
         out[MOMENT_TRACK * LANES + i] = -rail_arm * force_z
         out[NORMAL * LANES + i] = normal
-        out[PENETRATION * LANES + i] = pressed
+        out[PENETRATION * LANES + i] = pressed * cosine
         out[POWER_SLIP * LANES + i] = -(force_x * slip_x + force_t * slip_t)
-        out[POWER_DAMPING * LANES + i] = (elastic - normal) * gap_rate * cosine
+        out[POWER_DAMPING * LANES + i] = (elastic - up) * gap_rate
         out[STORED * LANES + i] = 0.4 * elastic * pressed
 
 
