@@ -34,7 +34,8 @@ SLOPE = 4
     OFFSET,  # lateral offset of the wheelset from the track's centre at rail level, m
     LIFT,  # height of the unloaded wheelset over the track plane at the centre, m
     TILT,  # roll of the wheelset against the track plane, times side
-    YAW,  # against the mean track: the slope of its alignment is left out
+    SWAY,  # lateral position of the wheelset's lowest point over its centre: radius times roll, m
+    YAW,  # against the rails: less the slope of their alignment
     SLIP_X,  # longitudinal slip velocity of the axle's centre, m/s
     YAW_RATE,
     SPIN_RATE,  # pitch rate over the nominal one, rad/s
@@ -43,12 +44,12 @@ SLOPE = 4
     LIFT_RATE,  # d LIFT / dt, m/s
     TILT_RATE,
     SLIP_Z,  # vertical velocity of the axle's centre over the rail's, m/s
-    ROLL_RATE,  # wheelset, times side, rad/s
+    ROLL_RATE,  # wheelset, rad/s
     PLANE_RATE,  # turning of the track plane with the train, rad/s
     PLANE,  # angle of the track plane, rad
     LOAD_FACTOR,  # Hunt-Crossley factor, s/m
     ROWS_IN,
-) = range(19)
+) = range(20)
 
 # Rows of `Work.lane_out`: what the contact does to wheelset and track.
 (
@@ -95,23 +96,27 @@ def wheel_kinematics(plant: Plant, q: Array, v: Array, work: Work) -> None:
         offset = q[w[1]] + radius * q[w[3]] - rail[ALIGNMENT] - q[s[0]]
         offset_rate = bottom - speed * rail[SLOPE + ALIGNMENT]
         rise = v[w[2]] - v[s[1]] - speed * rail[SLOPE + VERTICAL]
+        sway = radius * q[w[3]]
+        lift = q[w[2]] - q[s[1]] - rail[VERTICAL] - plane * offset + 0.5 * sway * q[w[3]] - plant.approach[j]
+        lift_rate = rise - plane_rate * offset - plane * offset_rate + sway * v[w[3]]
         for k in range(2):
             i, side = 2 * j + k, 1.0 - 2.0 * k
             lane[SIDE * LANES + i] = side
             lane[SHIFT * LANES + i] = side * offset - 0.5 * rail[GAUGE]
             lane[OFFSET * LANES + i] = offset
-            lane[LIFT * LANES + i] = q[w[2]] - q[s[1]] - rail[VERTICAL] - plane * offset - plant.approach[j]
+            lane[LIFT * LANES + i] = lift
             lane[TILT * LANES + i] = side * (q[w[3]] - plane)
-            lane[YAW * LANES + i] = q[w[5]]
+            lane[SWAY * LANES + i] = sway
+            lane[YAW * LANES + i] = q[w[5]] - rail[SLOPE + ALIGNMENT]
             lane[SLIP_X * LANES + i] = v[w[0]]
             lane[YAW_RATE * LANES + i] = v[w[5]]
             lane[SPIN_RATE * LANES + i] = v[w[4]]
             lane[SLIP_Y * LANES + i] = bottom - speed * q[w[5]]
             lane[SHIFT_RATE * LANES + i] = side * offset_rate - 0.5 * speed * rail[SLOPE + GAUGE]
-            lane[LIFT_RATE * LANES + i] = rise - plane_rate * offset - plane * offset_rate
+            lane[LIFT_RATE * LANES + i] = lift_rate
             lane[TILT_RATE * LANES + i] = side * (v[w[3]] - plane_rate)
             lane[SLIP_Z * LANES + i] = rise
-            lane[ROLL_RATE * LANES + i] = side * v[w[3]]
+            lane[ROLL_RATE * LANES + i] = v[w[3]]
             lane[PLANE_RATE * LANES + i] = plane_rate
             lane[PLANE * LANES + i] = plane
             lane[LOAD_FACTOR * LANES + i] = plant.contact_damping[j]
@@ -125,6 +130,19 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
     of the contact's potential (`sayd_env.physics.contact.geometry`), with Hunt-Crossley damping, zero when
     the wheel lifts off. Creepages: slip over V (Kalker), spin from yaw rate and contact angle. Creep forces:
     Polach.
+
+    Forces are the transposes of the velocities on which they work, also in what is of second order:
+
+    - The lowest points of a rolled wheelset lie r phi beside its centre and r phi^2 / 2 higher: the lever of
+      the vertical forces is side * Y_c + r phi (`reach`), in moments and in slips.
+    - Yaw against the rails, psi (less the slope of their alignment), turns the tread across them: at the
+      tread's speed V + `faster` the slip is psi (V + faster) / cos(gamma), and the lateral creep force has a
+      moment about the axle. Rolling freely, a wheelset so has the longitudinal force -psi F_y. Forces are
+      along the rail and across it.
+    - The contact's angle moves with its load, as its potential asks for.
+
+    Left out: the spin moment, the contact's motion with roll at a fixed shift in the lever, the wheel's other
+    height over rail level at a climbed flange, and the force along the track of rails at an angle to it.
     """
     x, out, table = work.lane_in, work.lane_out, plant.table
     nodes = table.shape[0] // geometry.WIDTH
@@ -168,7 +186,8 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         # Vertical force of the elastic contact. A yawed wheel touches ahead of or behind its axle, by `lead`.
         lever = arm - radius * tangent
         lead = -side * yaw * lever
-        gap = x[LIFT * LANES + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * tangent * lever
+        raised = tangent * lever
+        gap = x[LIFT * LANES + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * raised
         pressed = -gap if gap < 0.0 else 0.0
         power = pressed / soft
         root = math.sqrt(power)
@@ -182,26 +201,27 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         gap_rate = (
             x[LIFT_RATE * LANES + i]
             + x[TILT_RATE * LANES + i] * arm
-            + yaw * x[YAW_RATE * LANES + i] * tangent * lever
+            + yaw * x[YAW_RATE * LANES + i] * raised
             - tangent * x[SHIFT_RATE * LANES + i]
         )
         factor = 1.0 - x[LOAD_FACTOR * LANES + i] * gap_rate * cosine
         up = elastic * (factor if factor > 0.0 else 0.0)
         normal = up * secant
 
-        # Slip of the wheel over the rail, and creepages.
-        slip_x = (
-            x[SLIP_X * LANES + i]
-            - side * x[YAW_RATE * LANES + i] * arm
-            - x[SPIN_RATE * LANES + i] * (radius + delta_r)
-            - speed * delta_r * per_radius
-        )
+        # Slip of the wheel over the rail, and creepages. The contact lies at `reach` from the wheelset's
+        # centre and at `rail_arm` from the track's.
+        reach = side * arm + x[SWAY * LANES + i]
         rail_arm = side * arm + x[OFFSET * LANES + i]
+        rolling = radius + delta_r
+        faster = x[SPIN_RATE * LANES + i] * rolling + speed * delta_r * per_radius
+        slip_x = x[SLIP_X * LANES + i] - x[YAW_RATE * LANES + i] * reach - faster
         slip_y = x[SLIP_Y * LANES + i] + lead * x[YAW_RATE * LANES + i]
-        slip_z = x[SLIP_Z * LANES + i] + x[ROLL_RATE * LANES + i] * arm - x[PLANE_RATE * LANES + i] * rail_arm
-        # Touching ahead of its axle by r yaw tan(gamma), the wheel also turns downwards there: with it the
-        # slip of yaw is V yaw / cos(gamma), and along the normal none is left.
-        slip_t = slip_y * cosine + side * sine * slip_z - speed * yaw * tangent * sine
+        slip_z = (
+            x[SLIP_Z * LANES + i] + x[ROLL_RATE * LANES + i] * reach - x[PLANE_RATE * LANES + i] * rail_arm
+        )
+        # The tread moves across the rail, and touching ahead of its axle by r yaw tan(gamma) also downwards:
+        # with both the slip of yaw is V yaw / cos(gamma), and along the normal none is left.
+        slip_t = slip_y * cosine + side * sine * slip_z - yaw * (speed * tangent * sine + faster * secant)
         spin = x[YAW_RATE * LANES + i] * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
         force_x, force_t = polach(
             slip_x * per_speed,
@@ -225,9 +245,9 @@ def wheel_forces(plant: Plant, work: Work) -> None:  # noqa: PLR0915 - one loop 
         out[FORCE_X * LANES + i] = force_x
         out[FORCE_Y * LANES + i] = force_y
         out[FORCE_Z * LANES + i] = force_z
-        out[MOMENT_ROLL * LANES + i] = radius * force_y + side * arm * force_z
-        out[MOMENT_PITCH * LANES + i] = -(radius + delta_r) * force_x
-        out[MOMENT_YAW * LANES + i] = -side * arm * force_x + lead * creep_y + up * yaw * tangent * lever
+        out[MOMENT_ROLL * LANES + i] = radius * force_y + reach * force_z
+        out[MOMENT_PITCH * LANES + i] = -rolling * (force_x + yaw * secant * force_t)
+        out[MOMENT_YAW * LANES + i] = -reach * force_x + lead * creep_y + up * yaw * raised
         out[MOMENT_TRACK * LANES + i] = -rail_arm * force_z
         out[NORMAL * LANES + i] = normal
         out[PENETRATION * LANES + i] = pressed * cosine

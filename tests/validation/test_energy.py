@@ -114,14 +114,20 @@ def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[st
     # Stored is (2/5) N d, with the elastic force N and the penetration d = m N^(2/3).
     compliance, rest = at_shift(table.compliance), table.load ** (2.0 / 3.0)
     power = (2.5 * row(lanes, kernels.STORED, wheels) / compliance) ** 0.4
-    tangent = at_shift(table.tan_gamma) + (tilt_0 - side * (roll - plane)) * slope(table.y_c)
-    tangent -= 0.6 * at_shift(table.compliance_slope) * (power - rest)
+    slant = at_shift(table.tan_gamma) + (tilt_0 - side * (roll - plane)) * slope(table.y_c)
+    tangent = slant - 0.6 * at_shift(table.compliance_slope) * (power - rest)
     cosine = 1.0 / np.hypot(1.0, tangent)
     up = row(lanes, kernels.NORMAL, wheels) * cosine
     creep_y = row(lanes, kernels.FORCE_Y, wheels) + up * (side * tangent + plane)
     rise = vertical + cross * (side * arm + offset)  # of the rail's surface below the wheel
-    # A wheel of radius r0 + dr that spins with V / r0, and rolls along its yawed plane.
-    hold = speed * (row(lanes, kernels.FORCE_X, wheels) * delta_r / radius + creep_y * yaw / cosine**2)
+    # A wheel of radius r0 + dr that spins with V / r0, and rolls along its yawed plane over the rail's line.
+    across = yaw - slopes[:, :, 0]
+    more = delta_r / radius
+    hold = speed * row(lanes, kernels.FORCE_X, wheels) * more
+    hold += speed * creep_y * (yaw + across * (tangent**2 + more / cosine**2))
+    # A bent rail yaws below the wheel, which raises it.
+    bend = np.gradient(slopes[:, :, 0], np.asarray(run["position"]) / speed, axis=0)
+    hold += up * across * slant * (arm - radius * slant) * bend
     # The rail's surface lifts the wheel and shifts it sideways as it runs by.
     hold += creep_y * side * tangent * rise
     hold += up * (rise - (side * tangent + plane) * align - 0.5 * tangent * gauge)
