@@ -19,10 +19,10 @@ class ContactConfig(Model):
     youngs_modulus: float = quantity("Pa", "Young's modulus of wheel and rail", gt=0.0)
     poisson_ratio: float = quantity("-", "Poisson's ratio of wheel and rail", gt=0.0, lt=0.5)
     regularisation: float = quantity(
-        "m",
-        "quasi-elastic smoothing depth epsilon of the gap; a fifth to a third of the penetration",
-        ge=1e-6,
-        le=2e-4,
+        "-",
+        "quasi-elastic smoothing depth of the gap over the penetration under the static wheel load",
+        ge=0.01,
+        le=1.0,
     )
     table_step: float = quantity("m", "lateral step of the table and of the profile grid", ge=1e-5, le=5e-4)
     table_half_width: float = quantity(

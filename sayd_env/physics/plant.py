@@ -43,6 +43,7 @@ WHEELSETS = 4
     TABLE_START,  # lateral shift of its first node, m
     PER_TABLE_STEP,  # 1 / distance of nodes, 1/m
     TABLE_LAST,  # number of the last node but one
+    TABLE_LOAD,  # static wheel load of the table to the power of 2/3, N^(2/3)
     RADIUS,  # nominal rolling radius r_0, m
     PER_RADIUS,  # 1/m
     WHEEL_SPEED,  # V, m/s
@@ -52,7 +53,7 @@ WHEELSETS = 4
     APPROACH,  # vertical approach under the static load at zero shift, m; -1 for a wheel that there is not
     LOAD_FACTOR,  # Hunt-Crossley factor of the normal force, s/m
     WHEEL_ROWS,
-) = range(13)
+) = range(14)
 
 
 class Plant(NamedTuple):
@@ -200,7 +201,8 @@ class Work(NamedTuple):
     OFFSET,  # lateral offset of the wheelset from the track's centre at rail level, m
     LIFT,  # height of the unloaded wheelset over the track plane at the centre, m
     TILT,  # roll of the wheelset against the track plane, times side
-    YAW,  # against the mean track: the slope of its alignment is left out
+    SWAY,  # lateral position of the wheelset's lowest point over its centre: radius times roll, m
+    YAW,  # against the rails: less the slope of their alignment
     SLIP_X,  # longitudinal slip velocity of the axle's centre, m/s
     YAW_RATE,
     SPIN_RATE,  # pitch rate over the nominal one, rad/s
@@ -209,25 +211,27 @@ class Work(NamedTuple):
     LIFT_RATE,  # d LIFT / dt, m/s
     TILT_RATE,
     SLIP_Z,  # vertical velocity of the axle's centre over the rail's, m/s
-    ROLL_RATE,  # wheelset, times side, rad/s
+    ROLL_RATE,  # wheelset, rad/s
     PLANE_RATE,  # turning of the track plane with the train, rad/s
     PLANE,  # angle of the track plane, rad
     ROWS_IN,
-) = range(18)
+) = range(19)
 
 # Rows of `Work.patch`: geometry and slip where a wheel touches its rail.
 (
-    ARM,  # lateral distance of the contact from the wheelset's centre, m
     TANGENT,  # of the contact angle
-    COSINE,
-    LEVER,  # by how much the contact leads or lags the axle for each radian of yaw, m
+    SECANT,
+    LEAD,  # by how much the contact leads its axle, m
+    RAISED,  # how much higher a contact lies that leads or lags, over the square of yaw, m
     ROLLING,  # rolling radius, m
-    RAIL_ARM,  # lateral position of the contact from the track's centre, m
+    REACH,  # lateral position of the contact from the wheelset's centre, m
+    RAIL_ARM,  # the same from the track's centre, m
+    UP,  # vertical part of the normal force, N
     CREEP_X,  # slip velocities of the wheel over the rail in the contact plane, m/s
     CREEP_T,
     CREEP_SPIN,  # 1/s
     PATCH_ROWS,
-) = range(10)
+) = range(12)
 
 # Rows of `Work.lane_out`: what the contact does to wheelset and track.
 (

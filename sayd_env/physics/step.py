@@ -27,8 +27,6 @@ from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import (
     APPROACH,
-    ARM,
-    COSINE,
     CREEP_LAW,
     CREEP_SPIN,
     CREEP_T,
@@ -38,7 +36,7 @@ from sayd_env.physics.plant import (
     FORCE_Z,
     FRICTION,
     LANES,
-    LEVER,
+    LEAD,
     LIFT,
     LIFT_RATE,
     LOAD_FACTOR,
@@ -75,10 +73,13 @@ from sayd_env.physics.plant import (
     RAIL_COUNT,
     RAIL_START,
     RAIL_STEP,
+    RAISED,
+    REACH,
     ROLL_RATE,
     ROLLING,
     ROWS_IN,
     ROWS_OUT,
+    SECANT,
     SHEAR_MODULUS,
     SHIFT,
     SHIFT_RATE,
@@ -91,12 +92,15 @@ from sayd_env.physics.plant import (
     STEP,
     STORED,
     SUBSTEPS,
+    SWAY,
     TABLE_BASE,
     TABLE_LAST,
+    TABLE_LOAD,
     TABLE_START,
     TANGENT,
     TILT,
     TILT_RATE,
+    UP,
     WHEEL_SPEED,
     WHEELSETS,
     WIDEST,
@@ -188,11 +192,13 @@ def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Ar
         offset_rate = bottom - speed * rail[(SLOPE + ALIGNMENT) * block + e]
         rise = y[M_RISE * block + e] - speed * rail[(SLOPE + VERTICAL) * block + e]
         half_gauge_rate = 0.5 * speed * rail[(SLOPE + GAUGE) * block + e]
-        height = y[M_HEIGHT * block + e] - vertical - plane * offset
-        lift_rate = rise - plane_rate * offset - plane * offset_rate
-        tilt, tilt_rate = y[M_ROLL * block + e] - plane, y[M_ROLL_RATE * block + e] - plane_rate
-        yaw, roll_rate = y[M_YAW * block + e], y[M_ROLL_RATE * block + e]
-        slip_y = bottom - speed * yaw
+        roll, roll_rate = y[M_ROLL * block + e], y[M_ROLL_RATE * block + e]
+        sway = wheel[RADIUS * n + e] * roll
+        height = y[M_HEIGHT * block + e] - vertical - plane * offset + 0.5 * sway * roll
+        lift_rate = rise - plane_rate * offset - plane * offset_rate + sway * roll_rate
+        tilt, tilt_rate = roll - plane, roll_rate - plane_rate
+        slip_y = bottom - speed * y[M_YAW * block + e]
+        yaw = y[M_YAW * block + e] - rail[(SLOPE + ALIGNMENT) * block + e]
         slip_x, yaw_rate, spin_rate = (
             y[M_SLIP_X * block + e],
             y[M_YAW_RATE * block + e],
@@ -204,6 +210,7 @@ def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Ar
         lane[LIFT * n + e] = height - wheel[APPROACH * n + e]
         lane[LIFT * n + right] = height - wheel[APPROACH * n + right]
         lane[TILT * n + e], lane[TILT * n + right] = tilt, -tilt
+        lane[SWAY * n + e], lane[SWAY * n + right] = sway, sway
         lane[YAW * n + e], lane[YAW * n + right] = yaw, yaw
         lane[SLIP_X * n + e], lane[SLIP_X * n + right] = slip_x, slip_x
         lane[YAW_RATE * n + e], lane[YAW_RATE * n + right] = yaw_rate, yaw_rate
@@ -214,17 +221,30 @@ def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Ar
         lane[LIFT_RATE * n + e], lane[LIFT_RATE * n + right] = lift_rate, lift_rate
         lane[TILT_RATE * n + e], lane[TILT_RATE * n + right] = tilt_rate, -tilt_rate
         lane[SLIP_Z * n + e], lane[SLIP_Z * n + right] = rise, rise
-        lane[ROLL_RATE * n + e], lane[ROLL_RATE * n + right] = roll_rate, -roll_rate
+        lane[ROLL_RATE * n + e], lane[ROLL_RATE * n + right] = roll_rate, roll_rate
         lane[PLANE_RATE * n + e], lane[PLANE_RATE * n + right] = plane_rate, plane_rate
         lane[PLANE * n + e], lane[PLANE * n + right] = plane, plane
 
 
 @kernel(distinct=True, allocates=False)
 def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch: Array, out: Array) -> None:
-    """Contact geometry, normal force and creepages of all wheels, from `Work.lane_in` into `Work.patch`.
+    """Contact geometry, normal force and creepages of all wheels, from `Work.lane_in`.
 
-    Normal force: Hertz on the approach along the contact normal, with Hunt-Crossley damping, zero when the
-    wheel lifts off. Creepages: slip over V (Kalker), spin from yaw rate and contact angle.
+    Normal force: the gradient of the contact's potential (`sayd_env.physics.contact.geometry`), with Hunt-Crossley
+    damping, zero when the wheel lifts off. Creepages: slip over V (Kalker), spin from yaw rate and contact angle.
+
+    Forces are the transposes of the velocities on which they work, also in what is of second order:
+
+    - The lowest points of a rolled wheelset lie r phi beside its centre and r phi^2 / 2 higher: the lever of
+      the vertical forces is side * Y_c + r phi (REACH), in moments and in slips.
+    - Yaw against the rails, psi (less the slope of their alignment), turns the tread across them: at the
+      tread's speed V + `faster` the slip is psi (V + faster) / cos(gamma), and the lateral creep force has a
+      moment about the axle. Rolling freely, a wheelset so has the longitudinal force -psi F_y. Forces are
+      along the rail and across it.
+    - The contact's angle moves with its load, as its potential asks for.
+
+    Left out: the contact's motion with roll at a fixed shift in the lever, the wheel's other height over rail
+    level at a climbed flange, and the force along the track of rails at an angle to it.
     """
     n = LANES * len(lanes)
     for i in range(x.shape[0] // ROWS_IN):
@@ -248,7 +268,10 @@ def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch
         arm_slope = (arm_right - arm_left) * per_step
         tilt_0 = left * table[p + geometry.PHI_K] + right * table[q + geometry.PHI_K]
         tangent = left * table[p + geometry.TAN_GAMMA] + right * table[q + geometry.TAN_GAMMA]
-        hertz = left * table[p + geometry.C_HERTZ] + right * table[q + geometry.C_HERTZ]
+        soft = left * table[p + geometry.COMPLIANCE] + right * table[q + geometry.COMPLIANCE]
+        soft_slope = (
+            left * table[p + geometry.COMPLIANCE_SLOPE] + right * table[q + geometry.COMPLIANCE_SLOPE]
+        )
         a_s = left * table[p + geometry.A_S] + right * table[q + geometry.A_S]
         b_s = left * table[p + geometry.B_S] + right * table[q + geometry.B_S]
         law[creep.C11 * n + i] = left * table[p + geometry.C11] + right * table[q + geometry.C11]
@@ -259,61 +282,66 @@ def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch
         )
 
         # The table is made at the kinematic roll; another roll moves the contact and so the slope.
-        tilt, yaw = x[TILT * n + i], x[YAW * n + i]
+        tilt, yaw, yaw_rate = x[TILT * n + i], x[YAW * n + i], x[YAW_RATE * n + i]
         tangent += (tilt_0 - tilt) * arm_slope
-        cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
-        sine = tangent * cosine
 
-        # Normal force. A yawed wheel touches ahead of or behind its axle, by `lead`.
-        yaw_rate = x[YAW_RATE * n + i]
+        # Vertical force of the elastic contact. A yawed wheel touches ahead of or behind its axle, by `lead`.
         lever = arm - radius * tangent
         lead = -side * yaw * lever
-        gap = x[LIFT * n + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * tangent * lever
+        raised = tangent * lever
+        gap = x[LIFT * n + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * raised
+        pressed = -gap if gap < 0.0 else 0.0
+        power = pressed / soft
+        root = math.sqrt(power)
+        elastic = power * root
+
+        # Another load than the static one moves the contact likewise: its potential changes with the shift.
+        tangent -= 0.6 * soft_slope * (power - wheel[TABLE_LOAD * n + i])
+        secant = math.sqrt(1.0 + tangent * tangent)
+        cosine = 1.0 / secant
+        sine = tangent * cosine
         gap_rate = (
             x[LIFT_RATE * n + i]
             + x[TILT_RATE * n + i] * arm
-            + yaw * yaw_rate * tangent * lever
+            + yaw * yaw_rate * raised
             - tangent * x[SHIFT_RATE * n + i]
         )
-        pressed = -gap * cosine
-        pressed = pressed if pressed > 0.0 else 0.0
-        root = math.sqrt(pressed)
-        elastic = hertz * pressed * root
         factor = 1.0 - wheel[LOAD_FACTOR * n + i] * gap_rate * cosine
-        normal = elastic * (factor if factor > 0.0 else 0.0)
+        up = elastic * (factor if factor > 0.0 else 0.0)
+        normal = up * secant
 
         # Slip of the wheel over the rail, and creepages.
-        slip_x = (
-            x[SLIP_X * n + i]
-            - side * yaw_rate * arm
-            - x[SPIN_RATE * n + i] * (radius + delta_r)
-            - speed * delta_r * per_radius
-        )
+        reach = side * arm + x[SWAY * n + i]
         rail_arm = side * arm + x[OFFSET * n + i]
+        rolling = radius + delta_r
+        faster = x[SPIN_RATE * n + i] * rolling + speed * delta_r * per_radius
+        slip_x = x[SLIP_X * n + i] - yaw_rate * reach - faster
         slip_y = x[SLIP_Y * n + i] + lead * yaw_rate
-        slip_z = x[SLIP_Z * n + i] + x[ROLL_RATE * n + i] * arm - x[PLANE_RATE * n + i] * rail_arm
-        # Touching ahead of its axle by r yaw tan(gamma), the wheel also turns downwards there: with it the
-        # slip of yaw is V yaw / cos(gamma), and along the normal none is left.
-        slip_t = slip_y * cosine + side * sine * slip_z - speed * yaw * tangent * sine
+        slip_z = x[SLIP_Z * n + i] + x[ROLL_RATE * n + i] * reach - x[PLANE_RATE * n + i] * rail_arm
+        # The tread moves across the rail, and touching ahead of its axle by r yaw tan(gamma) also downwards:
+        # with both the slip of yaw is V yaw / cos(gamma), and along the normal none is left.
+        slip_t = slip_y * cosine + side * sine * slip_z - yaw * (speed * tangent * sine + faster * secant)
+        spin = yaw_rate * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
         law[creep.XI_X * n + i] = slip_x * per_speed
         law[creep.XI_Y * n + i] = slip_t * per_speed
-        spin = yaw_rate * cosine * per_speed + side * (tilt * cosine - sine) * per_radius
         law[creep.SPIN * n + i] = spin
         law[creep.BOUND * n + i] = wheel[FRICTION * n + i] * normal
         law[creep.SEMI_A * n + i] = a_s * root
         law[creep.SEMI_B * n + i] = b_s * root
-        patch[ARM * n + i] = arm
         patch[TANGENT * n + i] = tangent
-        patch[COSINE * n + i] = cosine
-        patch[LEVER * n + i] = lever
-        patch[ROLLING * n + i] = radius + delta_r
+        patch[SECANT * n + i] = secant
+        patch[LEAD * n + i] = lead
+        patch[RAISED * n + i] = raised
+        patch[ROLLING * n + i] = rolling
+        patch[REACH * n + i] = reach
         patch[RAIL_ARM * n + i] = rail_arm
-        out[NORMAL * n + i] = normal
-        out[PENETRATION * n + i] = pressed
+        patch[UP * n + i] = up
         patch[CREEP_X * n + i] = slip_x
         patch[CREEP_T * n + i] = slip_t
         patch[CREEP_SPIN * n + i] = spin * speed
-        out[POWER_DAMPING * n + i] = (elastic - normal) * gap_rate * cosine
+        out[NORMAL * n + i] = normal
+        out[PENETRATION * n + i] = pressed * cosine
+        out[POWER_DAMPING * n + i] = (elastic - up) * gap_rate
         out[STORED * n + i] = 0.4 * elastic * pressed
 
 
@@ -324,10 +352,9 @@ def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, law: Array, 
     for i in range(x.shape[0] // ROWS_IN):
         side, yaw = x[SIDE * n + i], x[YAW * n + i]
         force_x, force_t, moment = law[creep.FX * n + i], law[creep.FY * n + i], law[creep.MZ * n + i]
-        arm, tangent, cosine = patch[ARM * n + i], patch[TANGENT * n + i], patch[COSINE * n + i]
-        lever = patch[LEVER * n + i]
-        lead = -side * yaw * lever
-        up = out[NORMAL * n + i] * cosine
+        tangent, secant, up = patch[TANGENT * n + i], patch[SECANT * n + i], patch[UP * n + i]
+        reach, lead = patch[REACH * n + i], patch[LEAD * n + i]
+        cosine = 1.0 / secant
         creep_y = force_t * cosine
         force_y = creep_y - up * (side * tangent + x[PLANE * n + i])
         force_z = up + side * tangent * creep_y
@@ -335,10 +362,12 @@ def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, law: Array, 
         out[FORCE_X * n + i] = force_x
         out[FORCE_Y * n + i] = force_y
         out[FORCE_Z * n + i] = force_z
-        out[MOMENT_ROLL * n + i] = wheel[RADIUS * n + i] * force_y + side * arm * force_z
-        out[MOMENT_PITCH * n + i] = -patch[ROLLING * n + i] * force_x - side * tangent * upright
+        out[MOMENT_ROLL * n + i] = wheel[RADIUS * n + i] * force_y + reach * force_z
+        out[MOMENT_PITCH * n + i] = (
+            -patch[ROLLING * n + i] * (force_x + yaw * secant * force_t) - side * tangent * upright
+        )
         out[MOMENT_YAW * n + i] = (
-            -side * arm * force_x + lead * creep_y + up * yaw * tangent * lever + upright
+            -reach * force_x + lead * creep_y + up * yaw * patch[RAISED * n + i] + upright
         )
         out[MOMENT_TRACK * n + i] = -patch[RAIL_ARM * n + i] * force_z
         out[POWER_SLIP * n + i] = -(

@@ -1,4 +1,9 @@
-"""How does a wheelset steer? Equivalent conicity of a wheel profile on a rail profile (EN 15302)."""
+"""How does a wheelset steer? Equivalent conicity of a wheel profile on a rail profile (EN 15302).
+
+Two contacts are told apart. That of *rigid* profiles is what EN 15302 defines and measured profiles give;
+where its contact point jumps, so does its rolling radius. The *regularised* one, averaged over the patch that
+the static wheel load presses, is the contact table of the simulation.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +19,9 @@ from sayd_env.config import ConfigError
 from sayd_env.config.contact import ContactConfig
 from sayd_env.physics.contact.conicity import equivalent_conicity, harmonic_conicity, radius_difference
 from sayd_env.physics.contact.geometry import ContactTable, RigidContact, contact_table, rigid_contact
+from sayd_env.physics.multibody import assemble
 from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
+from sayd_env.physics.simulator import table_load
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,9 +60,9 @@ class ConicityResult:
         Equivalent conicity of the rigid profiles, as EN 15302 defines it; NaN where no motion of that
         amplitude passes through the centre.
     tan_gamma_e_table : ndarray, shape (m,)
-        The same from the regularised table that the simulation uses.
+        The same of the regularised contact, the table that a simulation uses.
     harmonic : ndarray, shape (m,)
-        Conicity of the table by harmonic linearisation; it exists for every profile.
+        Conicity of the regularised contact by harmonic linearisation; it exists for every profile.
     contact : RigidContact
         Touching points of the rigid profiles.
     table : ContactTable
@@ -89,6 +96,8 @@ class ConicityResult:
             "rail": self.rail.name,
             "wear": self.wear,
             "gauge_mm": self.gauge * _MILLI,
+            "load_kn": self.table.load / _MILLI,
+            "simulation_uses": "regularised",
             "amplitude_mm": self.amplitude * _MILLI,
             "tan_gamma_e": self.tan_gamma_e,
             "tan_gamma_e_table": self.tan_gamma_e_table,
@@ -124,7 +133,12 @@ class ConicityResult:
             f"{self.wheel.name} (wear {self.wear:g}) on {self.rail.name}, gauge {self.gauge * _MILLI:g} mm"
         )
         grid = RichTable(title=title)
-        for heading in ("amplitude (mm)", "EN 15302", "patch averaged", "harmonic"):
+        for heading in (
+            "amplitude (mm)",
+            "rigid: EN 15302",
+            "regularised: EN 15302",
+            "regularised: harmonic",
+        ):
             grid.add_column(heading, justify="right")
         for millimetres in _SHOWN_AMPLITUDES:
             at = np.flatnonzero(np.isclose(self.amplitude * _MILLI, millimetres))
@@ -132,6 +146,10 @@ class ConicityResult:
                 values = (self.tan_gamma_e[index], self.tan_gamma_e_table[index], self.harmonic[index])
                 grid.add_row(f"{millimetres:g}", *(f"{v:.3f}" if np.isfinite(v) else "-" for v in values))
         console.print(grid)
+        console.print(
+            "rigid: touching points of the profiles. regularised: mean over the patch under "
+            f"{self.table.load / _MILLI:g} kN a wheel;\na simulation uses the regularised contact."
+        )
 
 
 def conicity(scenario: Scenario, amplitudes: Array = AMPLITUDES) -> ConicityResult:
@@ -155,6 +173,7 @@ def conicity(scenario: Scenario, amplitudes: Array = AMPLITUDES) -> ConicityResu
         scenario.track.gauge,
         contact=scenario.contact,
         wheel_radius=scenario.vehicle.wheel_radius,
+        load=table_load(assemble(scenario.vehicle, scenario.track.section).wheel_load),
         wear=scenario.wear,
         amplitudes=amplitudes,
     )
@@ -167,6 +186,7 @@ def pair_conicity(
     *,
     contact: ContactConfig,
     wheel_radius: float,
+    load: float,
     wear: float = 0.0,
     amplitudes: Array = AMPLITUDES,
 ) -> ConicityResult:
@@ -180,6 +200,8 @@ def pair_conicity(
         Track gauge and rolling radius at the tape circle (m).
     contact : ContactConfig
         Contact settings; the table's half width is the range of the lateral position.
+    load : float
+        Static wheel load (N), under which the regularised contact is pressed.
     wear : float
         The wheel profile's state of wear, for the record.
     amplitudes : ndarray, shape (m,)
@@ -191,7 +213,7 @@ def pair_conicity(
             f"{np.max(amplitudes):g} m are asked for"
         )
     rigid = rigid_contact(wheel, rail, gauge, contact.table_half_width)
-    table = contact_table(wheel, rail, gauge, contact, wheel_radius)
+    table = contact_table(wheel, rail, gauge, contact, wheel_radius, load)
     y, delta_r = radius_difference(rigid)
     table_y, table_delta_r = radius_difference(table)
     return ConicityResult(
@@ -255,10 +277,13 @@ def _draw_pair(axes: Axes, result: ConicityResult) -> None:
 def _draw_curves(axes: Axes, results: Sequence[ConicityResult]) -> None:
     for number, result in enumerate(results):
         amplitude, colour = result.amplitude * _MILLI, f"C{number}"
-        axes.plot(amplitude, result.tan_gamma_e, colour, label=f"{_label(result)}, EN 15302")
-        axes.plot(
-            amplitude, result.harmonic, colour, linestyle="--", label=f"{_label(result)}, patch averaged"
-        )
+        axes.plot(amplitude, result.tan_gamma_e, colour, label=f"{_label(result)}: rigid, EN 15302")
+        for values, style, how in (
+            (result.tan_gamma_e_table, ":", "EN 15302"),
+            (result.harmonic, "--", "harmonic"),
+        ):
+            label = f"{_label(result)}: regularised (simulated), {how}"
+            axes.plot(amplitude, values, colour, linestyle=style, label=label)
     axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)")
     axes.grid(visible=True)
     axes.legend(fontsize=7)
@@ -268,8 +293,14 @@ def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
     for number, result in enumerate(results):
         y, rigid, soft = result.delta_r()
         near, colour = np.abs(y) <= _CONTACT_LINES_REACH, f"C{number}"
-        axes.plot(y[near] * _MILLI, rigid[near] * _MILLI, colour, label=_label(result))
-        axes.plot(y[near] * _MILLI, soft[near] * _MILLI, colour, linestyle="--")
+        axes.plot(y[near] * _MILLI, rigid[near] * _MILLI, colour, label=f"{_label(result)}: rigid")
+        axes.plot(
+            y[near] * _MILLI,
+            soft[near] * _MILLI,
+            colour,
+            linestyle="--",
+            label=f"{_label(result)}: regularised (simulated)",
+        )
     axes.set(xlabel="lateral position (mm)", ylabel="difference of rolling radii (mm)")
     axes.grid(visible=True)
     axes.legend(fontsize=7)

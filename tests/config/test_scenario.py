@@ -168,7 +168,7 @@ def test_the_file_of_a_section_is_blamed_for_what_stands_in_it(write: Write):
         ("damper.curve=[[0, 0], [0.2, 9], [0.1, 8]]", "velocity (m/s) must increase: 0.1 follows 0.2"),
         ("wheel.shape.file=x.csv", "wheel.shape: give exactly one of zones, points, file; found zones, file"),
         ("assessment.length=10", "--set: assessment: length must hold at least one segment and one window"),
-        ("contact.regularisation=1e-9", "expected a number greater than or equal to 1e-06"),
+        ("contact.regularisation=1e-9", "expected a number greater than or equal to 0.01"),
     ],
 )
 def test_a_bad_assignment_is_one_line(item: str, expected: str):

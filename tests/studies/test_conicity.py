@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from sayd_env.config import ConfigError
 from sayd_env.config.contact import ContactConfig
@@ -15,14 +16,14 @@ from sayd_env.physics.profiles import rail_profile, wheel_profile
 from sayd_env.studies.conicity import ConicityResult, pair_conicity, plot_conicity
 
 CONFIG = ContactConfig(
-    youngs_modulus=2.1e11, poisson_ratio=0.28, regularisation=2e-5, table_step=5e-5, table_half_width=9e-3
+    youngs_modulus=2.1e11, poisson_ratio=0.28, regularisation=0.27, table_step=5e-5, table_half_width=9e-3
 )
 
 
 @pytest.fixture(scope="module")
 def result() -> ConicityResult:
     wheel, rail = wheel_profile(load_wheel("lmb10")), rail_profile(load_rail("cn60"))
-    return pair_conicity(wheel, rail, 1.435, contact=CONFIG, wheel_radius=0.46)
+    return pair_conicity(wheel, rail, 1.435, contact=CONFIG, wheel_radius=0.46, load=60e3)
 
 
 def test_keys_and_values(result: ConicityResult) -> None:
@@ -56,4 +57,23 @@ def test_picture(result: ConicityResult) -> None:
 def test_amplitude_beyond_the_table() -> None:
     wheel, rail = wheel_profile(load_wheel("lmb10")), rail_profile(load_rail("cn60"))
     with pytest.raises(ConfigError, match=r"contact\.table_half_width"):
-        pair_conicity(wheel, rail, 1.435, contact=CONFIG, wheel_radius=0.46, amplitudes=np.array([0.02]))
+        pair_conicity(
+            wheel, rail, 1.435, contact=CONFIG, wheel_radius=0.46, load=60e3, amplitudes=np.array([0.02])
+        )
+
+
+def test_says_which_contact_a_simulation_uses(result: ConicityResult) -> None:
+    data = result.as_dict()
+    assert data["simulation_uses"] == "regularised"
+    assert data["load_kn"] == 60.0
+    figure = Figure()
+    plot_conicity(figure, [result])
+    for axes in figure.axes[1:]:
+        labels = [line.get_label() for line in axes.get_lines()]
+        assert any(": rigid" in str(label) for label in labels)
+        assert any(": regularised (simulated)" in str(label) for label in labels)
+    console = Console(record=True, width=120)
+    result.summary(console)
+    text = console.export_text()
+    assert "rigid: EN 15302" in text
+    assert "a simulation uses the regularised contact" in text

@@ -102,59 +102,67 @@ def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[st
     plane = values[:, :, 2] + q[:, section[of, 2]]
     offset = y + radius * roll - values[:, :, 0] - q[:, section[of, 0]]
     shift = side * offset - 0.5 * values[:, :, 3]
-    delta_r, arm, tilt_0 = (np.interp(shift, table.dy, t) for t in (table.delta_r, table.y_c, table.phi_k))
     node = np.clip(np.floor((shift - table.dy[0]) / table.step).astype(int), 0, len(table.dy) - 2)
-    arm_slope = (table.y_c[node + 1] - table.y_c[node]) / table.step
-    tangent = np.interp(shift, table.dy, table.tan_gamma) + (tilt_0 - side * (roll - plane)) * arm_slope
+
+    def at_shift(values: Array) -> Array:
+        return np.interp(shift, table.dy, values)
+
+    def slope(values: Array) -> Array:
+        return (values[node + 1] - values[node]) / table.step
+
+    delta_r, arm, tilt_0 = at_shift(table.delta_r), at_shift(table.y_c), at_shift(table.phi_k)
+    # Stored is (2/5) N d, with the elastic force N and the penetration d = m N^(2/3).
+    compliance, rest = at_shift(table.compliance), table.load ** (2.0 / 3.0)
+    power = (2.5 * row(lanes, kernels.STORED, wheels) / compliance) ** 0.4
+    slant = at_shift(table.tan_gamma) + (tilt_0 - side * (roll - plane)) * slope(table.y_c)
+    tangent = slant - 0.6 * at_shift(table.compliance_slope) * (power - rest)
     cosine = 1.0 / np.hypot(1.0, tangent)
     up = row(lanes, kernels.NORMAL, wheels) * cosine
     creep_y = row(lanes, kernels.FORCE_Y, wheels) + up * (side * tangent + plane)
     rise = vertical + cross * (side * arm + offset)  # of the rail's surface below the wheel
-    # A wheel of radius r0 + dr that spins with V / r0, and rolls along its yawed plane.
-    hold = speed * (row(lanes, kernels.FORCE_X, wheels) * delta_r / radius + creep_y * yaw / cosine**2)
+    # A wheel of radius r0 + dr that spins with V / r0, and rolls along its yawed plane over the rail's line.
+    across = yaw - slopes[:, :, 0]
+    more = delta_r / radius
+    hold = speed * row(lanes, kernels.FORCE_X, wheels) * more
+    hold += speed * creep_y * (yaw + across * (tangent**2 + more / cosine**2))
+    # A bent rail yaws below the wheel, which raises it.
+    bend = np.gradient(slopes[:, :, 0], np.asarray(run["position"]) / speed, axis=0)
+    hold += up * across * slant * (arm - radius * slant) * bend
     # The rail's surface lifts the wheel and shifts it sideways as it runs by.
     hold += creep_y * side * tangent * rise
     hold += up * (rise - (side * tangent + plane) * align - 0.5 * tangent * gauge)
-
-    # The Hertz coefficient changes as the contact moves, without a lateral force of its own.
-    offset_rate = v[:, dofs[of, 1]] + radius * v[:, dofs[of, 3]] - align - v[:, section[of, 0]]
-    shift_rate = side * offset_rate - 0.5 * gauge
-    hertz = np.interp(shift, table.dy, table.c_hertz)
-    hertz_slope = (table.c_hertz[node + 1] - table.c_hertz[node]) / table.step
-    stiffening = row(lanes, kernels.STORED, wheels) * hertz_slope / hertz * shift_rate
     return {
         "energy": kinetic + springs + stops + maxwell + static + stored,
         "heat": linear + pistons + slip + contact,
         "hold": hold.sum(axis=1),
-        "stiffening": stiffening.sum(axis=1),
     }
 
 
 def residual(scenario: Scenario, kmh: float, duration: float, step: float, seed: int = 1) -> dict[str, float]:
-    """Residual of the first law over a run, the heat and the work of the changing Hertz coefficient (J)."""
+    """Residual of the first law over a run and the heat (J)."""
     numerics = NumericsConfig(step=step, creep_step=1.0)
     model = VehicleModel(scenario.model_copy(update={"numerics": numerics}))
     run = march(Simulator(model, kmh / 3.6, seed), round(duration / step))
     result = balance(model, run, kmh / 3.6)
-    work = {name: float(trapezoid(result[name], dx=step)) for name in ("heat", "hold", "stiffening")}
+    work = {name: float(trapezoid(result[name], dx=step)) for name in ("heat", "hold")}
     change = float(result["energy"][-1] - result["energy"][0])
-    return work | {"residual": change + work["heat"] - work["hold"] - work["stiffening"]}
+    return work | {"residual": change + work["heat"] - work["hold"]}
 
 
 @pytest.mark.parametrize(("wear", "kmh"), [(0.0, 280.0), (1.0, 350.0)])
 def test_energy_balance_on_irregular_track(wear: float, kmh: float) -> None:
-    """First law over 1.5 s of running: closed to 0.2 % of the heat at 0.5 ms, with an order of 2.
+    """First law over 1.5 s of running: closed to 0.2 % of the heat at 0.5 ms, to nothing as steps vanish.
 
-    The one part of the contact that has no potential is the Hertz coefficient's change with the shift: it
-    stays below 0.5 % of the heat.
+    The residual falls with the square of the step; extrapolated to none, less than 5e-5 of the heat is left.
     """
     scenario = load_scenario("estimates", [f"wear={wear}"])
-    coarse, fine = (residual(scenario, kmh, 1.5, h) for h in (5e-4, 2.5e-4))
+    coarse, middle, fine = (residual(scenario, kmh, 1.5, h) for h in (5e-4, 2.5e-4, 1.25e-4))
     assert coarse["heat"] > 1e3
     assert abs(coarse["residual"]) < 2e-3 * coarse["heat"]
-    assert abs(fine["residual"]) < 5e-4 * fine["heat"]
-    assert abs(fine["residual"]) < abs(coarse["residual"]) / 3.0
-    assert abs(fine["stiffening"]) < 5e-3 * fine["heat"]
+    assert abs(fine["residual"]) < 1.25e-4 * fine["heat"]
+    assert abs(middle["residual"]) < abs(coarse["residual"]) / 3.0
+    assert abs(fine["residual"]) < abs(middle["residual"]) / 3.0
+    assert abs(4.0 * fine["residual"] - middle["residual"]) / 3.0 < 5e-5 * fine["heat"]
 
 
 def test_energy_balance_through_loss_of_contact() -> None:

@@ -9,24 +9,36 @@ The vertical gap between a wheel point at s from the tape circle and the rail be
 
 with the wheelset's height z and roll phi, the wheel curve p, the rail curve h and the rail's position t0.
 Rigid bodies touch where the gap is least, and that point jumps. Elastic bodies press a patch, whose mean
-moves continuously: the least gap is replaced by the soft minimum (Arnold and Netter's quasi-elastic contact)
-
-    G = -eps log( (1/L) integral exp(-gap/eps) ds ),   weights w(s) = exp(-gap/eps) / integral,
-
-a potential, so its gradient gives forces that do no net work around a loop:
-
-    dG/dz = 1,   dG/dphi = <e + s> = Y_c,   dG/d(dy) = -<h'> = -tan(gamma).
+moves continuously: contact quantities are means with the weights of the soft minimum (Arnold and Netter's
+quasi-elastic contact), w(s) = exp(-gap / eps) / integral. Of a load N they are the arm Y_c = <e + s> of its
+vertical part and the slope tan(gamma) = <h'> that gives its lateral part.
 
 For a gap B u^2 the weights have the variance eps / (2 B); Hertz's pressure, summed over the rolling
-direction, has b^2 / 5. With b^2 near penetration / (2 B) the two agree if eps is one fifth of the
-penetration.
-The wheelset's roll is the kinematic one, with both wheels just touching.
+direction, has b^2 / 5. The two agree if eps = (2/5) B b^2. As A a^2 + B b^2 is the penetration d, that is
+0.20 d for a circular patch and 0.27 d for one five times as wide as long; the wide ones are those at a jump,
+where eps matters. So eps follows the load: at every node it is one share of that node's penetration
+under the static wheel load (`ContactConfig.regularisation`), found together with the patch by iteration.
+
+Hertz's vertical force is N = (d / m)^1.5 with the patch's compliance m(dy) and the vertical penetration
+d = -(z + phi Y_c + g0). Its potential (2/5) N d changes along the shift also with m, so that the lateral
+force over the vertical one is
+
+    tan = -dg0/d(dy) - phi dY_c/d(dy) - (3/5) m' N^(2/3)
+
+and g0 is what makes this <h'> under the static load N_0, where the penetration is d_0 = m N_0^(2/3), and at
+the kinematic roll phi_k, at which both wheels carry that load at one height:
+
+    g0 = -integral <h'> d(dy) - integral phi_k dY_c - (3/5) d_0
+
+So tan = <h'> + (phi_k - phi) dY_c/d(dy) - (3/5) m' (N^(2/3) - N_0^(2/3)): the angle of a contact that moves
+with its load, and forces that are the gradient of one potential and do no net work around a loop.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,16 +54,46 @@ from sayd_env.physics.profiles import Profile, gauge_point
 
 Array = NDArray[np.float64]
 
-DELTA_R, G0, Y_C, TAN_GAMMA, C_HERTZ, A_S, B_S, C11, C22, C23, SPIN_GAIN, PHI_K = range(12)
-"""Columns of `ContactTable.packed`, in the order of the table's fields without the cosine and the sine."""
+DELTA_R, G0, Y_C, TAN_GAMMA, COMPLIANCE, A_S, B_S, C11, C22, C23, SPIN_GAIN, PHI_K, COMPLIANCE_SLOPE = range(
+    13
+)
+"""Columns of `ContactTable.packed`."""
 
-WIDTH = 12
+COLUMNS = (
+    "delta_r",
+    "g0",
+    "y_c",
+    "tan_gamma",
+    "compliance",
+    "a_s",
+    "b_s",
+    "c11",
+    "c22",
+    "c23",
+    "spin_gain",
+    "phi_k",
+    "compliance_slope",
+)
+"""What they hold: attributes of `ContactTable`."""
+
+WIDTH = len(COLUMNS)
 """Number of these columns."""
 
 _FAR = 1.0  # m; the gap where there is no rail below the wheel
 _MARGIN = 1e-3  # m; contact nearer to the end of a wheel's curve is contact on its end
 _ROLL_TOLERANCE = 1e-12  # m; difference of the two wheels' gaps
 _ROLL_ITERATIONS = 60
+_FIRST_PENETRATION = 1e-4  # m; where the search for the static penetration starts
+_DEEPEST = 25.0  # smoothing depths over the least gap beyond which a weight is nothing: 1e-11
+_NEAR = 4e-3  # m; what may come to weigh something at another roll, or in a flange's deep contact
+_COARSE = 4  # every so many samples are enough while changes are above
+_COARSE_TOLERANCE = 1e-2  # this
+_STATIC_TOLERANCE = 1e-5  # rad; change of the roll and, relative, of the smoothing depth
+_DEPTH_SLOPES = (
+    -3.0,
+    -0.5,
+)  # of the depth that a depth calls for less itself, logarithms: what the secant may be
+_STATIC_ITERATIONS = 60
 _FLATTEST = 1e-3  # 1/m; keeps the ellipse of a perfectly conformal pair finite
 
 
@@ -63,6 +105,8 @@ class ContactTable:
     ----------
     dy_min, step : float
         First shift and distance of the nodes (m).
+    load : float
+        Static wheel load of the table (N).
     delta_r : ndarray
         Rolling radius over that of the tape circle (m).
     g0 : ndarray
@@ -70,29 +114,31 @@ class ContactTable:
     y_c : ndarray
         Lateral distance of the contact from the wheelset's centre (m).
     tan_gamma, cos_gamma, sin_gamma : ndarray
-        Contact angle; the tangent is -d(gap)/d(dy) at fixed z and phi, positive where the rail pushes the
-        wheel back towards the track centre.
-    c_hertz : ndarray
-        Normal force over normal penetration^1.5 (N/m^1.5).
+        Contact angle; the tangent is lateral over vertical force under the static load, positive where the
+        rail pushes the wheel back towards the track centre.
+    compliance : ndarray
+        Vertical penetration over vertical force^(2/3) (m/N^(2/3)).
     a_s, b_s : ndarray
-        Semi-axes in rolling and lateral direction over the root of the normal penetration (sqrt(m)).
+        Semi-axes in rolling and lateral direction over the cube root of the vertical force (m/N^(1/3)).
     c11, c22, c23 : ndarray
         Kalker's coefficients at the patch's axis ratio.
     spin_gain : ndarray
         Polach's constant of the spin force.
     phi_k : ndarray
-        Kinematic roll of the wheelset against the track at which the node was evaluated (rad).
+        Kinematic roll of the wheelset against the track at which the node was evaluated (rad): both wheels
+        carry the static load.
     """
 
     dy_min: float
     step: float
+    load: float
     delta_r: Array
     g0: Array
     y_c: Array
     tan_gamma: Array
     cos_gamma: Array
     sin_gamma: Array
-    c_hertz: Array
+    compliance: Array
     a_s: Array
     b_s: Array
     c11: Array
@@ -109,20 +155,21 @@ class ContactTable:
     @cached_property
     def flat(self) -> Array:
         """The columns for compiled code, node by node: made once, so that vehicles can share it."""
-        values = self.packed().ravel()
-        return values
+        return self.packed().ravel()
+
+    @property
+    def compliance_slope(self) -> Array:
+        """Slope of `compliance` over the shift (1/N^(2/3)): of a contact that moves with its load."""
+        return np.asarray(np.gradient(self.compliance, self.step))
+
+    @property
+    def static_penetration(self) -> Array:
+        """Vertical penetration under the static load (m)."""
+        return np.asarray(self.load ** (2.0 / 3.0) * self.compliance)
 
     def packed(self) -> Array:
         """Return the columns for compiled code: (n, `WIDTH`), C-contiguous, `DELTA_R` first."""
         return np.ascontiguousarray(np.column_stack([getattr(self, name) for name in COLUMNS]))
-
-
-COLUMNS = tuple(
-    field.name
-    for field in fields(ContactTable)
-    if field.name not in ("dy_min", "step", "cos_gamma", "sin_gamma")
-)
-"""Names of the packed columns."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +204,7 @@ def contact_table(
     gauge: float,
     config: ContactConfig,
     r0: float,
+    load: float,
     e: float | None = None,
 ) -> ContactTable:
     """Tabulate the regularised contact of a wheel on its rail.
@@ -171,6 +219,8 @@ def contact_table(
         Elastic constants, regularisation, grid.
     r0 : float
         Rolling radius at the tape circle (m).
+    load : float
+        Static wheel load (N): the regularisation is a share of the penetration under it.
     e : float, optional
         Lateral distance of the tape circle from the wheelset's centre (m); by default the wheel profile's.
 
@@ -181,37 +231,31 @@ def contact_table(
     """
     e = wheel.half_distance if e is None else e
     pair = _pair(wheel, rail, gauge, e, config.table_step, config.half_nodes)
-    eps = config.regularisation
-    roll = _kinematic_roll(pair, eps, wheel, rail)
-    least, moments = _moments(pair.p, pair.h, pair.slope, pair.arm, pair.shifts, roll, eps)
-    y_c, variance, tan_gamma, delta_r, log_sum = moments.T
-    _check_faces(pair, wheel, rail, least, y_c - e)
-    potential = least - eps * log_sum
-    g0 = potential - roll * y_c
-    g0 = g0 - g0[len(g0) // 2]
-    cosine = 1.0 / np.sqrt(1.0 + tan_gamma**2)
-    # The gap is vertical and its argument horizontal; along the inclined patch both shrink by the cosine.
-    lateral = np.maximum(0.5 * eps / variance * cosine**3, _FLATTEST)
-    rolling = 0.5 * cosine / (r0 + delta_r)
-    c_hertz, a_s, b_s = hertz_coefficients(rolling, lateral, config.youngs_modulus, config.poisson_ratio)
-    c11, c22, c23 = kalker_coefficients(a_s / b_s, config.poisson_ratio)
+    patch = _static_patch(pair, config, r0, load, wheel, rail)
+    _check_faces(pair, wheel, rail, patch.least, patch.y_c - e)
+    cosine = 1.0 / np.hypot(1.0, patch.tan_gamma)
+    c11, c22, c23 = kalker_coefficients(patch.a_s / patch.b_s, config.poisson_ratio)
+    fall = 0.5 * (patch.tan_gamma[1:] + patch.tan_gamma[:-1]) * config.table_step
+    fall += 0.5 * (patch.roll[1:] + patch.roll[:-1]) * np.diff(patch.y_c)
+    g0 = -np.concatenate([[0.0], np.cumsum(fall)]) - 0.6 * patch.penetration
     return ContactTable(
         dy_min=-config.half_nodes * config.table_step,
         step=config.table_step,
-        delta_r=delta_r,
-        g0=g0,
-        y_c=y_c,
-        tan_gamma=tan_gamma,
+        load=load,
+        delta_r=patch.delta_r,
+        g0=g0 - g0[config.half_nodes],
+        y_c=patch.y_c,
+        tan_gamma=patch.tan_gamma,
         cos_gamma=cosine,
-        sin_gamma=tan_gamma * cosine,
-        c_hertz=c_hertz,
-        a_s=a_s,
-        b_s=b_s,
+        sin_gamma=patch.tan_gamma * cosine,
+        compliance=patch.penetration / load ** (2.0 / 3.0),
+        a_s=patch.a_s,
+        b_s=patch.b_s,
         c11=c11,
         c22=c22,
         c23=c23,
-        spin_gain=polach_spin_gain(a_s / b_s),
-        phi_k=roll,
+        spin_gain=polach_spin_gain(patch.a_s / patch.b_s),
+        phi_k=patch.roll,
     )
 
 
@@ -238,7 +282,7 @@ def rigid_contact(
     """
     e = wheel.half_distance if e is None else e
     pair = _pair(wheel, rail, gauge, e, step, round(half_width / step))
-    roll = _kinematic_roll(pair, 0.0, wheel, rail)
+    roll = _kinematic_roll(pair, wheel, rail)
     least, position = _lowest(pair.p, pair.h, pair.arm, pair.shifts, roll)
     s = pair.arm[0] - e + position * step
     _check_faces(pair, wheel, rail, least, s)
@@ -288,11 +332,12 @@ def linearised(table: ContactTable, amplitude: float) -> ContactTable:
     cosine = 1.0 / np.sqrt(1.0 + tan_gamma**2)
     constant = {
         name: np.full_like(dy, mean(getattr(table, name)))
-        for name in ("y_c", "c_hertz", "a_s", "b_s", "c11", "c22", "c23", "spin_gain")
+        for name in ("y_c", "compliance", "a_s", "b_s", "c11", "c22", "c23", "spin_gain")
     }
     return ContactTable(
         dy_min=table.dy_min,
         step=table.step,
+        load=table.load,
         delta_r=mean(table.delta_r) + slope(table.delta_r) * dy,
         g0=-(tan_mean * dy + 0.5 * tan_slope * dy**2),
         tan_gamma=tan_gamma,
@@ -333,16 +378,73 @@ def _pair(wheel: Profile, rail: Profile, gauge: float, e: float, step: float, ha
     )
 
 
-def _kinematic_roll(pair: _Pair, eps: float, wheel: Profile, rail: Profile) -> Array:
-    """Roll at each shift at which both wheels have the same gap; antisymmetric over the shifts."""
+class _Patch(NamedTuple):
+    """Patches under the static load, shape (n,) each; as in `ContactTable` where the names are the same."""
+
+    roll: Array
+    least: Array  # least gap at z = 0 (m)
+    y_c: Array
+    tan_gamma: Array
+    delta_r: Array
+    a_s: Array
+    b_s: Array
+    penetration: Array  # vertical (m)
+
+
+def _static_patch(
+    pair: _Pair, config: ContactConfig, r0: float, load: float, wheel: Profile, rail: Profile
+) -> _Patch:
+    """Smoothing depth, patch and roll at each shift, together: each follows from the others.
+
+    A deeper smoothing widens the patch, which lowers the penetration and so the depth: one solution at each
+    node, found by the secant method on the depth's logarithm. Over the roll nodes hardly know each other: it
+    changes by about a hundredth of what it changes in its own slopes, so that it settles on the way.
+    """
+    roll = _kinematic_roll(pair, wheel, rail)
+    first, last = _windows(pair.p, pair.h, pair.arm, pair.shifts, roll)
+    log_eps = np.full(len(roll), np.log(config.regularisation * _FIRST_PENETRATION))
+    excess, move, slope = np.zeros_like(roll), np.zeros_like(roll), np.full_like(roll, -1.0)
+    stride = _COARSE
+    for _ in range(_STATIC_ITERATIONS):
+        eps = np.exp(log_eps)
+        least, moments = _moments(
+            pair.p, pair.h, pair.slope, pair.arm, pair.shifts, first, last, roll, eps, stride
+        )
+        y_c, variance, tangent, delta_r = moments.T
+        variance = np.maximum(variance, config.table_step**2 / 12.0)  # a patch is no narrower than a sample
+        cosine = 1.0 / np.hypot(1.0, tangent)
+        # The gap is vertical and its argument horizontal; along the inclined patch both shrink by the cosine.
+        lateral = np.maximum(0.5 * eps / variance * cosine**3, _FLATTEST)
+        rolling = 0.5 * cosine / (r0 + delta_r)
+        c, a, b = hertz_coefficients(rolling, lateral, config.youngs_modulus, config.poisson_ratio)
+        normal = load / cosine
+        penetration = (normal / c) ** (2.0 / 3.0) / cosine
+        before, excess = excess, np.log(config.regularisation * penetration) - log_eps
+        # Moved sideways under their loads, both wheels climb by their slopes, less what they sink in: the
+        # roll levels them.
+        climb = 0.5 * config.table_step * (tangent[1:] + tangent[:-1]) - 0.4 * np.diff(penetration)
+        arms = 0.5 * (y_c[1:] + y_c[:-1])
+        old, roll = roll, np.concatenate([[0.0], np.cumsum((climb + climb[::-1]) / (arms + arms[::-1]))])
+        roll = 0.5 * (roll - roll[::-1])
+        change = max(np.max(np.abs(roll - old)), np.max(np.abs(excess)))
+        if stride == 1 and change < _STATIC_TOLERANCE:
+            break
+        moved = np.abs(move) > _STATIC_TOLERANCE
+        slope[moved] = np.clip((excess - before)[moved] / move[moved], *_DEPTH_SLOPES)
+        move = -excess / slope
+        log_eps = log_eps + move
+        if stride > 1 and change < _COARSE_TOLERANCE:
+            stride, move = 1, np.zeros_like(roll)  # no secant across the change of samples
+    per_force = np.sqrt(penetration * cosine) / np.cbrt(load)
+    return _Patch(roll, least, y_c, tangent, delta_r, a * per_force, b * per_force, penetration)
+
+
+def _kinematic_roll(pair: _Pair, wheel: Profile, rail: Profile) -> Array:
+    """Roll at each shift at which both rigid wheels have the same gap; antisymmetric over the shifts."""
     roll = np.zeros(len(pair.shifts))
     for _ in range(_ROLL_ITERATIONS):
-        if eps > 0.0:
-            least, moments = _moments(pair.p, pair.h, pair.slope, pair.arm, pair.shifts, roll, eps)
-            gap, arm = least - eps * moments[:, 4], moments[:, 0]
-        else:
-            gap, position = _lowest(pair.p, pair.h, pair.arm, pair.shifts, roll)
-            arm = pair.arm[0] + position * (pair.arm[1] - pair.arm[0])
+        gap, position = _lowest(pair.p, pair.h, pair.arm, pair.shifts, roll)
+        arm = pair.arm[0] + position * (pair.arm[1] - pair.arm[0])
         # The right wheel of a wheelset at y with roll phi is a left wheel at -y with roll -phi.
         difference = gap - gap[::-1]
         if np.max(np.abs(difference)) > 0.5 * _FAR:
@@ -395,28 +497,57 @@ def _lowest(
 
 
 @kernel
-def _moments(
-    p: Array, h: Array, slope: Array, arm: Array, shifts: NDArray[np.int64], roll: Array, eps: float
-) -> tuple[Array, Array]:  # pragma: no cover
-    """Least gap (z = 0) and weighted means of each node.
-
-    The columns of the second array: mean arm, variance of the arm, mean rail slope, mean wheel curve, and the
-    log of the integral of exp(-(gap - least)/eps) over the lateral position (in m).
-    """
+def _windows(
+    p: Array, h: Array, arm: Array, shifts: NDArray[np.int64], roll: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # pragma: no cover
+    """First and last sample of each node that comes near its least gap: within `_NEAR` at a roll."""
     nodes, count = len(shifts), len(p)
-    step = arm[1] - arm[0]
-    least, out = np.empty(nodes), np.empty((nodes, 5))
+    first, last = np.empty(nodes, dtype=np.int64), np.empty(nodes, dtype=np.int64)
     for node in range(nodes):
         shift, phi = shifts[node], roll[node]
         best = 1e9
         for j in range(count):
             best = min(best, phi * arm[j] - p[j] - h[shift + j])
-        total, first, second, rise, radius = 0.0, 0.0, 0.0, 0.0, 0.0
+        low, high = count, 0
         for j in range(count):
-            depth = (phi * arm[j] - p[j] - h[shift + j] - best) / eps
-            if depth < 40.0:
-                weight = np.exp(-depth)
-                x = arm[j] - arm[0]
+            if phi * arm[j] - p[j] - h[shift + j] < best + _NEAR:
+                low = min(low, j)
+                high = j
+        first[node], last[node] = low, high
+    return first, last
+
+
+@kernel
+def _moments(
+    p: Array,
+    h: Array,
+    slope: Array,
+    arm: Array,
+    shifts: NDArray[np.int64],
+    first_sample: NDArray[np.int64],
+    last_sample: NDArray[np.int64],
+    roll: Array,
+    eps: Array,
+    stride: int,
+) -> tuple[Array, Array]:  # pragma: no cover
+    """Least gap (z = 0) and weighted means of each node, over every so many samples of its window.
+
+    The columns of the second array: mean arm, variance of the arm, mean rail slope, mean wheel curve.
+    """
+    nodes = len(shifts)
+    least, out = np.empty(nodes), np.empty((nodes, 4))
+    for node in range(nodes):
+        shift, phi, depth = shifts[node], roll[node], eps[node]
+        low, high = first_sample[node], last_sample[node] + 1
+        best = 1e9
+        for j in range(low, high, stride):
+            best = min(best, phi * arm[j] - p[j] - h[shift + j])
+        total, first, second, rise, radius = 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(low, high, stride):
+            height = (phi * arm[j] - p[j] - h[shift + j] - best) / depth
+            if height < _DEEPEST:
+                weight = np.exp(-height)
+                x = arm[j] - arm[low]
                 total += weight
                 first += weight * x
                 second += weight * x * x
@@ -424,9 +555,8 @@ def _moments(
                 radius += weight * p[j]
         mean = first / total
         least[node] = best
-        out[node, 0] = arm[0] + mean
+        out[node, 0] = arm[low] + mean
         out[node, 1] = second / total - mean * mean
         out[node, 2] = rise / total
         out[node, 3] = radius / total
-        out[node, 4] = np.log(total * step)
     return least, out

@@ -1,0 +1,164 @@
+"""Frictionless contact of a displaced, rolled and yawed wheelset: forces are the gradient of the rigid gap.
+
+A wheel without friction has the generalised forces N dg/dq, with the vertical contact force N and the least
+vertical gap g between the wheel, a surface of revolution about the wheelset's axis, and its rail. Here g is
+found in space, by rotation matrices and a search over the wheel's surface, and differentiated by differences.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from sayd_env.config.contact import ContactConfig
+from sayd_env.config.scenario import load_scenario
+from sayd_env.physics import step as kernels
+from sayd_env.physics.contact.geometry import contact_table
+from sayd_env.physics.plant import LANES
+from sayd_env.physics.profiles import Profile
+from sayd_env.physics.simulator import Simulator, VehicleModel
+
+Array = npt.NDArray[np.float64]
+
+RADIUS, HALF, CONE, CROWN, LOAD = 0.46, 0.75, 0.05, 0.3, 75e3
+OUT = {
+    "x": kernels.FORCE_X,
+    "y": kernels.FORCE_Y,
+    "z": kernels.FORCE_Z,
+    "roll": kernels.MOMENT_ROLL,
+    "pitch": kernels.MOMENT_PITCH,
+    "yaw": kernels.MOMENT_YAW,
+}
+
+
+class Track(NamedTuple):
+    """Attitude of the rails, rad."""
+
+    yaw: float = 0.0
+    cant: float = 0.0
+
+
+def gap(surface: Array, pose: dict[str, float], side: float, track: Track) -> float:
+    """Gap below the point (s, theta) of a conical wheel, over a circular rail, upright to the track plane."""
+    s, theta = surface
+    radius = RADIUS - CONE * s
+    theta += pose["pitch"]
+    point = np.array([radius * np.sin(theta), side * (HALF + s), -radius * np.cos(theta)])
+    x, y, z = about_z(pose["yaw"]) @ about_x(pose["roll"]) @ point
+    centre = np.array([x + pose["x"], y + pose["y"], z + RADIUS + pose["z"]])
+    _, y, z = about_x(-track.cant) @ about_z(-track.yaw) @ centre
+    t = side * y - HALF
+    return float(z - (np.sqrt(CROWN**2 - t**2) - CROWN))
+
+
+def about_x(angle: float) -> Array:
+    """Rotation by a roll."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def about_z(angle: float) -> Array:
+    """Rotation by a yaw."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def lowest_point(pose: dict[str, float], side: float, track: Track) -> Array:
+    """Point (s, theta) of least gap, by Newton's method on differences; the gap is nearly quadratic."""
+    point, h = np.array([-CROWN * CONE, -pose["pitch"]]), 1e-4 * np.eye(2)
+    for _ in range(6):
+        at = {
+            (i, j): gap(point + i * h[0] + j * h[1], pose, side, track)
+            for i in range(-1, 2)
+            for j in range(-1, 2)
+        }
+        slope = np.array([at[1, 0] - at[-1, 0], at[0, 1] - at[0, -1]]) / 2e-4
+        cross = (at[1, 1] - at[1, -1] - at[-1, 1] + at[-1, -1]) / 4e-8
+        second = [at[1, 0] - 2.0 * at[0, 0] + at[-1, 0], at[0, 1] - 2.0 * at[0, 0] + at[0, -1]]
+        point -= np.linalg.solve([[second[0] / 1e-8, cross], [cross, second[1] / 1e-8]], slope)
+    return point
+
+
+def gradient(pose: dict[str, float], side: float, track: Track) -> dict[str, float]:
+    """Derivatives of the least gap: those at the point where it is least (envelope theorem)."""
+    least = lowest_point(pose, side, track)
+    h = 1e-6
+    return {
+        k: (
+            gap(least, pose | {k: pose[k] + h}, side, track)
+            - gap(least, pose | {k: pose[k] - h}, side, track)
+        )
+        / (2.0 * h)
+        for k in pose
+    }
+
+
+@pytest.fixture(scope="module")
+def simulator() -> Simulator:
+    s = np.arange(-1000, 1001) * 5e-5
+    wheel = Profile("cone", "wheel", s, -CONE * s, half_distance=HALF)
+    t = np.arange(-2100, 2101) * 5e-5
+    rail = Profile("arc", "rail", t, np.sqrt(CROWN**2 - t**2) - CROWN, gauge_depth=0.014)
+    gauge = 2.0 * (HALF - np.sqrt(2.0 * CROWN * 0.014 - 0.014**2))
+    config = ContactConfig(
+        youngs_modulus=2.1e11,
+        poisson_ratio=0.28,
+        regularisation=0.01,
+        table_step=5e-5,
+        table_half_width=12e-3,
+    )
+    table = contact_table(wheel, rail, gauge, config, RADIUS, LOAD, HALF)
+    overrides = ["track=smooth", "friction=1e-9", "contact_damping=0"]
+    return Simulator(VehicleModel(load_scenario(overrides=overrides)), 80.0, table=table)
+
+
+def contact_forces(simulator: Simulator, pose: dict[str, float], track: Track) -> Array:
+    """Rows of the wheels' outputs for the first wheelset in a pose, shape (rows, LANES)."""
+    plant, work, state = simulator.plant, simulator.work, simulator.state
+    q = np.zeros_like(state.q)
+    q[plant.wheelset_dofs[0]] = list(pose.values())
+    work.rail[:] = 0.0
+    work.rail[0, kernels.SLOPE + kernels.ALIGNMENT] = track.yaw
+    work.rail[0, kernels.CROSS_LEVEL] = track.cant
+    kernels.wheel_kinematics(plant, q, np.zeros_like(q), work)
+    kernels.wheel_forces(plant, work)
+    return work.lane_out.reshape(-1, LANES)
+
+
+@pytest.mark.parametrize(
+    ("y", "roll", "yaw", "track"),
+    [
+        (0.0, 0.0, 0.0, Track()),
+        (3e-3, 0.0, 0.0, Track()),
+        (1e-3, 1e-3, 0.0, Track()),
+        (2e-3, 10e-3, 0.0, Track(cant=10e-3)),
+        (-2e-3, 0.0, 10e-3, Track()),
+        (2e-3, 0.0, 4e-3, Track(yaw=-6e-3)),
+    ],
+)
+def test_forces_are_the_gradient_of_the_gap(
+    simulator: Simulator, y: float, roll: float, yaw: float, track: Track
+) -> None:
+    """Lateral force, roll and yaw moment over the vertical force, in poses with a wheel at its static depth.
+
+    Left out, and so allowed for: roll over the track moves a contact (0.3 m times roll here) and turns its
+    height over rail level (arm times roll times slope); a rail at an angle has a force along the track.
+    """
+    centred = dict.fromkeys(OUT, 0.0)
+    for wheel, side in enumerate((1.0, -1.0)):
+        pose = centred | {"y": y - RADIUS * roll, "roll": roll, "yaw": yaw}
+        pose["z"] = gap(lowest_point(centred, side, Track()), centred, side, Track())
+        pose["z"] -= gap(lowest_point(pose, side, track), pose | {"z": 0.0}, side, track)
+        expected = gradient(pose, side, track)
+        out = contact_forces(simulator, pose, track)
+        force = {k: out[row, wheel] / out[kernels.FORCE_Z, wheel] for k, row in OUT.items()}
+        tilt = abs(roll - track.cant)
+        assert out[kernels.FORCE_Z, wheel] == pytest.approx(LOAD, rel=0.01)
+        assert force["y"] == pytest.approx(expected["y"], abs=2e-5 + 0.02 * tilt)
+        assert force["roll"] == pytest.approx(expected["roll"], abs=1e-4 + (CROWN + HALF * CONE) * tilt)
+        assert force["pitch"] == pytest.approx(expected["pitch"], abs=1e-8)
+        assert force["yaw"] == pytest.approx(expected["yaw"], abs=1e-6)
+        assert force["x"] == pytest.approx(expected["x"], abs=1e-8 + 0.06 * abs(track.yaw))
