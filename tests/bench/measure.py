@@ -145,8 +145,8 @@ def draw() -> dict[str, float]:
 def training(algorithm: str, strides: int) -> dict[str, float]:
     """Control steps of vehicles a second of a packaged training, and the environment's share of the time.
 
-    Of PPO whole iterations: steps, resets and updates as configured. Of SAC so many steps of all vehicles
-    within an episode, learning from the first; a reset counts by its share of an episode.
+    Of PPO so many whole iterations, steps and updates as configured; of SAC so many steps of all vehicles,
+    learning from the first. Resets count as often as over whole episodes.
     """
     import torch  # noqa: PLC0415
 
@@ -157,32 +157,31 @@ def training(algorithm: str, strides: int) -> dict[str, float]:
     config: Any = load_train(algorithm, ["learning.learning_starts=0"] if algorithm == "sac" else [])
     torch.set_num_threads(config.torch_threads)
     env: Any = make_learning_env(config)[0]
-    model, lanes = make_model(config, env), config.environment.lanes
-    spent, episode = [0.0], round(config.environment.episode_s / config.environment.control_period)
+    model, settings = make_model(config, env), config.environment
+    spent, episode = {"step": 0.0, "reset": 0.0}, round(settings.episode_s / settings.control_period)
 
-    def timed(function: Callable[..., Any]) -> Callable[..., Any]:
+    def timed(name: str) -> Callable[..., Any]:
+        function = getattr(env, name)
+
         def call(*arguments: Any) -> Any:
             begin = time.perf_counter()
             result = function(*arguments)
-            spent[0] += time.perf_counter() - begin
+            spent[name] += time.perf_counter() - begin
             return result
 
         return call
 
     env.reset()  # compiles
     env.step(np.zeros((env.num_envs, *env.action_space.shape), np.float32))
-    env.step, env.reset = timed(env.step), timed(env.reset)
-    env.reset()
-    reset_s = spent[0] if algorithm == "sac" else 0.0
-    spent[0] = 0.0
+    env.step, env.reset = timed("step"), timed("reset")
     calls = strides * (config.learning.n_steps if algorithm == "ppo" else 1)
     begin = time.perf_counter()
     model.learn(calls * env.num_envs, log_interval=None)
     elapsed = time.perf_counter() - begin
-    if algorithm == "sac":  # `learn` begins with a reset, which serves a whole episode
-        extra = reset_s * (calls / episode - 1.0)
-        elapsed, spent[0] = elapsed + extra, spent[0] + extra
-    return {"value": calls * lanes / elapsed, "share": spent[0] / elapsed}
+    # `learn` begins with a reset, which counts by what the steps hold beyond whole episodes.
+    resets = spent["reset"] * (calls / episode - calls // episode)
+    elapsed += resets - spent["reset"]
+    return {"value": calls * settings.lanes / elapsed, "share": (spent["step"] + resets) / elapsed}
 
 
 def start(cache: str) -> dict[str, float]:
