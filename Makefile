@@ -16,20 +16,26 @@ RUN_JOB = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyh
 SHORT = --speeds 300 --seeds 1 --set assessment.length=600 --json > /dev/null
 WARM_UP = $(BIN)/sayd critical-speed $(SHORT) && $(BIN)/sayd evaluate --policies passive,mppt2 $(SHORT)
 
-# Options for both test passes, for example `make test PYTEST_OPTIONS="-k contact"`.
+# Options for the tests, for example `make test PYTEST_OPTIONS="-k contact"`.
 PYTEST_OPTIONS =
 
-.PHONY: run test lint clean
+# The commit beside which `make bench-check` measures, and options such as --only sayd-batch,ppo --rounds 5 --json.
+BASE = 7a16f1b
+BENCH_OPTIONS =
+
+.PHONY: run test bench-check lint clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
 	$(RUN_JOB)
 
-# Tests that measure time run alone, after the others.
 test: $(VENV)/.installed $(VENV)/.learning
 	$(WARM_UP)
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not timing" $(PYTEST_OPTIONS)
-	$(BIN)/python -m pytest -m timing $(PYTEST_OPTIONS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=20 $(PYTEST_OPTIONS)
+
+# Speed beside an earlier commit, in turn on this machine: some ten minutes with nothing else running.
+bench-check: $(VENV)/.installed $(VENV)/.learning
+	$(BIN)/python tests/bench/check.py --base $(BASE) $(BENCH_OPTIONS)
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

@@ -178,7 +178,8 @@ class RandomisationConfig(Model):
 class DerailmentConfig(Model):
     """When a run is about to derail (a wheel that leaves the contact table has derailed)."""
 
-    quotient: float = quantity("-", "Limit of Y/Q of a wheel, sliding mean", gt=0.0, le=5.0)
+    quotient: float = quantity("-", "Y/Q of a wheel, sliding mean, at which a run ends", gt=0.0, le=5.0)
+    safe_quotient: float = quantity("-", "Limit of the same for safety", gt=0.0, le=5.0)
     averaging: float = quantity(
         "m", "Distance of the sliding means of Y/Q and of the track shift force", gt=0.0, le=100.0
     )

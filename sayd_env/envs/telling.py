@@ -95,7 +95,7 @@ def of_the_vehicle(fleet: Fleet, i: int, running: RunningValues) -> dict[str, An
     return finite | {
         "limit_acceleration": limits.acceleration,
         "limit_track_shift": limits.track_shift_force,
-        "limit_quotient": fleet.config.derailment.quotient,
+        "limit_quotient": fleet.config.derailment.safe_quotient,
         # The RMS has half of Prud'homme's limit, which holds for the mean.
         "limit_mean_track_shift": 2.0 * limits.track_shift_force,
     }

@@ -112,14 +112,14 @@ from sayd_env.physics.plant import (
     Work,
 )
 from sayd_env.physics.rows import SINGLE, Lanes, add_product, multiply
-from sayd_env.physics.track.spline import spline_weights
+from sayd_env.physics.track.spline import spline_weights, weighted_rows
 
 # Rows of `Work.rail`: values and slopes of the irregularities.
 ALIGNMENT, VERTICAL, CROSS_LEVEL, GAUGE = 0, 1, 2, 3
 SLOPE = 4
 
 
-@kernel(distinct=True, allocates=False)
+@kernel(inline=True, distinct=True, allocates=False)
 def _predict(
     h: float,
     q: Array,
@@ -143,7 +143,7 @@ def _predict(
         present[i] = v[i]
 
 
-@kernel(distinct=True, allocates=False)
+@kernel(inline=True, distinct=True, allocates=False)
 def _correct(h: float, f: Array, mobility: Array, v: Array, a: Array) -> None:
     """Accelerations from forces, velocities at the end of the step."""
     for i in range(f.shape[0]):
@@ -152,7 +152,7 @@ def _correct(h: float, f: Array, mobility: Array, v: Array, a: Array) -> None:
         a[i] = new
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def read_track(
     lanes: Lanes, number: Array, wheelset_x: Array, irregularity: Array, clock: Array, rail: Array
 ) -> None:
@@ -167,15 +167,11 @@ def read_track(
             )
             first = int(number[RAIL_BASE * w + k]) + SLOPE * i
             place = j * w + k
-            for m in range(SLOPE):
-                p = first + m
-                c0, c1 = irregularity[p], irregularity[p + SLOPE]
-                c2, c3 = irregularity[p + 2 * SLOPE], irregularity[p + 3 * SLOPE]
-                rail[m * block + place] = w0 * c0 + w1 * c1 + w2 * c2 + w3 * c3
-                rail[(SLOPE + m) * block + place] = d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3
+            weighted_rows(irregularity, first, (w0, w1, w2, w3), rail, place, block)
+            weighted_rows(irregularity, first, (d0, d1, d2, d3), rail, SLOPE * block + place, block)
 
 
-@kernel(distinct=True, allocates=False)
+@kernel(inline=True, distinct=True, allocates=False)
 def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Array) -> None:
     """Position and velocity of each wheel against its rail, into `Work.lane_in`, from those of its wheelset."""
     n = LANES * len(lanes)
@@ -226,7 +222,7 @@ def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Ar
         lane[PLANE * n + e], lane[PLANE * n + right] = plane, plane
 
 
-@kernel(distinct=True, allocates=False)
+@kernel(inline=True, distinct=True, allocates=False)
 def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch: Array, out: Array) -> None:
     """Contact geometry, normal force and creepages of all wheels, from `Work.lane_in`.
 
@@ -345,7 +341,7 @@ def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch
         out[STORED * n + i] = 0.4 * elastic * pressed
 
 
-@kernel(distinct=True, allocates=False)
+@kernel(inline=True, distinct=True, allocates=False)
 def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, law: Array, out: Array) -> None:
     """What the wheels' forces do to the wheelsets (about their centres) and to the track sections."""
     n = LANES * len(lanes)
@@ -388,7 +384,7 @@ def _creep(which: int, x: Array, out: Array, scratch: Array, table: Array, shear
         creep.fastsim_rows(x, out, scratch, table, shear_modulus)
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def step_stops(w: int, stretch: Array, shift: Array, force: Array, out: Array) -> None:
     """Forces of the lateral stops at their elongations."""
     for i in range(stretch.shape[0]):
@@ -408,7 +404,7 @@ def _curve(x: Array, y: Array, at: float) -> float:
     return float(y[p] + (at - x[p]) * (y[p + 1] - y[p]) / (x[p + 1] - x[p]))
 
 
-@kernel(distinct=True, allocates=False)
+@kernel(inline=True, distinct=True, allocates=False)
 def step_dampers(
     h: float,
     shift: Array,
@@ -453,7 +449,7 @@ def step_dampers(
         force[k] -= 0.5 * h * stiffness[k] * speed
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def _copy(values: Array, row: Array) -> None:
     for i in range(values.shape[0]):
         row[i] = values[i]

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
@@ -37,14 +36,12 @@ Refused = Callable[..., str]
 def refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Iterator[Refused]:
-    """Run a command in an empty directory; it must refuse within three seconds, in one line."""
+    """Run a command in an empty directory; it must refuse in one line."""
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments: str, status: int = 2) -> str:
-        start = time.perf_counter()
         assert main(arguments) == status
-        assert time.perf_counter() - start < 3.0
         out, err = capsys.readouterr()
         assert out == ""
         assert err.startswith("sayd: error: ")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,7 +27,6 @@ from sayd_env.studies.bench_environment import (
     EnvironmentEffort,
     StepTimer,
     make_yardstick,
-    measure_environments,
     whole_episodes,
 )
 from sayd_env.studies.bench_spread import Spread
@@ -236,35 +233,37 @@ def test_rate_over_whole_episodes() -> None:
     assert whole_episodes(10_000.0, 2000, 0.05) == pytest.approx(8000.0)
 
 
-def _busy(seconds: float) -> None:
-    end = time.perf_counter() + seconds
-    while time.perf_counter() < end:
-        pass
+def test_overhead_is_what_is_outside_the_compiled_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An environment that spends 2 ms in its compiled loop and 1 ms around it, by a clock that it moves."""
+    now = 0.0
 
+    def busy(seconds: float) -> None:
+        nonlocal now
+        now += seconds
 
-def test_overhead_is_what_is_outside_the_compiled_call() -> None:
-    """An environment that spends 2 ms in its compiled loop and 1 ms around it."""
+    clock = SimpleNamespace(perf_counter_ns=lambda: round(1e9 * now), perf_counter=lambda: now)
+    monkeypatch.setattr(bench_environment, "time", clock)
 
     class Known:
         def __init__(self) -> None:
-            self.lanes = SimpleNamespace(_compiled=lambda: _busy(2e-3))
+            self.lanes = SimpleNamespace(_compiled=lambda: busy(2e-3))
             self.fleet = SimpleNamespace(steps=1000, lanes=self.lanes)
-            self.action_space = SimpleNamespace(sample=lambda: _busy(3e-3))
+            self.action_space = SimpleNamespace(sample=lambda: busy(3e-3))
             self.unwrapped = self
 
         def reset(self) -> None:
-            _busy(5e-3)
+            busy(5e-3)
 
         def step(self, _: Any) -> None:
-            _busy(0.5e-3)
+            busy(0.5e-3)
             self.lanes._compiled()
-            _busy(0.5e-3)
+            busy(0.5e-3)
 
     env = Known()
     loop = env.lanes._compiled
     timer = StepTimer(env, 15)
-    assert timer.overhead() == pytest.approx(1000.0, rel=0.1)
-    assert timer.compiled == pytest.approx(2000.0, rel=0.1)
+    assert timer.overhead() == pytest.approx(1000.0)
+    assert timer.compiled == pytest.approx(2000.0)
     assert env.lanes._compiled is loop
 
 
@@ -284,48 +283,3 @@ def test_a_start_that_fails(tmp_path: Path) -> None:
 def test_a_speed_out_of_range() -> None:
     with pytest.raises(ConfigError, match="outside the range"):
         bench(load_scenario(), 1000.0)
-
-
-@pytest.mark.timing
-def test_at_least_150_times_real_time(model: VehicleModel) -> None:
-    """The required speed of one vehicle on one core; the best run counts, as others may use the machine."""
-    simulator = Simulator(model, SPEED)
-    simulator.advance(1000)
-    best = math.inf
-    for _ in range(5):
-        begin = time.perf_counter()
-        simulator.advance(4000)
-        best = min(best, time.perf_counter() - begin)
-    assert 4.0 / best > 150.0
-
-
-@pytest.mark.timing
-def test_at_least_100_times_real_time_with_semi_active_dampers(sayd_model: VehicleModel) -> None:
-    """The required speed with eight of them, of one vehicle on one core; the best run counts."""
-    simulator = Simulator(sayd_model, SPEED)
-    simulator.advance(1000)
-    best = math.inf
-    for _ in range(5):
-        begin = time.perf_counter()
-        simulator.advance(4000)
-        best = min(best, time.perf_counter() - begin)
-    assert 4.0 / best > 100.0
-
-
-@pytest.mark.timing
-def test_required_control_steps() -> None:
-    """4,000 steps/s of one environment, 15,000 of a batch of 64 on two cores, 30 us around the kernel."""
-    control = measure_environments(EnvironmentEffort(3, 0.5, 1000), threads=2)
-    assert control.rates["single"].maximum >= 4000.0
-    assert control.rates["batch"].maximum >= 15_000.0
-    assert control.overhead_us.minimum < 30.0
-
-
-@pytest.mark.timing
-def test_starts_of_the_program() -> None:
-    """The first start, which compiles, takes at most 60 s, later ones at most 3 s (best of three)."""
-    startup, memory = bench_start.measure_starts(load_scenario(), SPEED, 1, 3, lambda _: None)
-    assert startup["first"].minimum < 60.0
-    assert startup["later"].minimum < 3.0
-    assert startup["later"].maximum < startup["first"].minimum
-    assert memory is None or memory["later"] < 1000.0

@@ -278,7 +278,6 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> SoakResult:
 
 
 @pytest.mark.slow
-@pytest.mark.timing  # it takes all cores for some ten seconds, so it runs while nothing else does
 def test_a_hundred_thousand_steps_give_nothing_but_numbers(long: SoakResult) -> None:
     assert long.failures == ""
     assert long.steps >= 100_000

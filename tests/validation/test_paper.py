@@ -13,7 +13,6 @@ OPEN = ("P2", "P5", "M7", "S3", "S4")
 
 
 @pytest.mark.slow
-@pytest.mark.timing  # alone, for it keeps all cores busy
 def test_rows_that_hold_go_on_holding(capsys: pytest.CaptureFixture[str]) -> None:
     """Statements of Wang et al. (2022), judged as the README says."""
     status = main(["reproduce", "--quick", "--strict", "--allow", ",".join(OPEN), "--json"])
