@@ -29,7 +29,7 @@ WHEELSETS = 4
     SUBSTEPS,  # steps of the semi-active dampers in a time step; likewise
     SPEED,  # V, m/s
     RAIL_START,  # position of the first knot of the irregularities, m
-    RAIL_STEP,  # distance of knots, m
+    PER_RAIL_STEP,  # 1 / distance of knots, 1/m
     RAIL_COUNT,  # number of their coefficients
     RAIL_BASE,  # place of the vehicle's first coefficient, counted from `Plant.irregularity`
     WIDEST,  # lateral shift at the end of the contact table, m

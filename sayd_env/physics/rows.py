@@ -117,7 +117,7 @@ _add_row_of_all = _row_product(each=False, accumulate=True)
 _add_row_of_each = _row_product(each=True, accumulate=True)
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def multiply(lanes: Lanes, start: Column, column: Column, value: Array, x: Array, out: Array) -> None:
     """Write the product of a matrix (`Rows`) with x (columns * W,) into out (rows * W,)."""
     rows = start.shape[0] - 1
@@ -129,7 +129,7 @@ def multiply(lanes: Lanes, start: Column, column: Column, value: Array, x: Array
             _row_of_each(lanes, column, value, np.int64(start[i]), np.int64(start[i + 1]), x, out, i)
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def add_product(lanes: Lanes, start: Column, column: Column, value: Array, x: Array, out: Array) -> None:
     """Add the product of a matrix (`Rows`) with x (columns * W,) to out (rows * W,)."""
     rows = start.shape[0] - 1

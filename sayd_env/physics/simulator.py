@@ -47,12 +47,12 @@ from sayd_env.physics.plant import (
     NUMBERS,
     PATCH_ROWS,
     PER_RADIUS,
+    PER_RAIL_STEP,
     PER_SPEED,
     PER_TABLE_STEP,
     RADIUS,
     RAIL_COUNT,
     RAIL_START,
-    RAIL_STEP,
     ROWS_IN,
     ROWS_OUT,
     SHEAR_MODULUS,
@@ -287,7 +287,7 @@ class VehicleModel:
     def _numbers(self, speed: float, track: TrackRealisation, table: ContactTable, substeps: int) -> Array:
         number = np.zeros(NUMBERS)
         number[STEP], number[SUBSTEPS], number[SPEED] = self.step(speed)[0], substeps, speed
-        number[RAIL_START], number[RAIL_STEP] = track.x0, track.step
+        number[RAIL_START], number[PER_RAIL_STEP] = track.x0, 1.0 / track.step
         number[RAIL_COUNT] = len(track.coefficients)
         number[WIDEST] = table.dy[-1]
         number[CREEP_LAW] = creep.LAWS.index(self.scenario.contact.creep_law)

@@ -61,6 +61,7 @@ from sayd_env.physics.plant import (
     OFFSET,
     PENETRATION,
     PER_RADIUS,
+    PER_RAIL_STEP,
     PER_SPEED,
     PER_TABLE_STEP,
     PLANE,
@@ -72,7 +73,6 @@ from sayd_env.physics.plant import (
     RAIL_BASE,
     RAIL_COUNT,
     RAIL_START,
-    RAIL_STEP,
     RAISED,
     REACH,
     ROLL_RATE,
@@ -163,7 +163,7 @@ def read_track(
         for k in range(w):
             x = clock[w + k] + wheelset_x[j * w + k]
             i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(
-                int(number[RAIL_COUNT * w + k]), number[RAIL_START * w + k], number[RAIL_STEP * w + k], x
+                int(number[RAIL_COUNT * w + k]), number[RAIL_START * w + k], number[PER_RAIL_STEP * w + k], x
             )
             first = int(number[RAIL_BASE * w + k]) + SLOPE * i
             place = j * w + k

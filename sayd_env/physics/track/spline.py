@@ -44,7 +44,7 @@ def interpolation_coefficients(samples: Array) -> Array:
 
 @kernel(inline=True)
 def spline_weights(
-    count: int, x0: float, step: float, x: float
+    count: int, x0: float, per_step: float, x: float
 ) -> tuple[int, float, float, float, float, float, float, float, float]:
     """Weights of the four coefficients that matter at one position.
 
@@ -52,8 +52,8 @@ def spline_weights(
     ----------
     count : int
         Number of coefficients.
-    x0, step : float
-        Position of the first sample, distance of the samples (m).
+    x0, per_step : float
+        Position of the first sample (m), 1 / distance of the samples (1/m).
     x : float
         Position (m). Outside the table the value at its end holds and the slope is zero.
 
@@ -64,8 +64,8 @@ def spline_weights(
     """
     last = count - 4
     end = last + 1.0
-    u = (x - x0) / step
-    slope_scale = 1.0 / step
+    u = (x - x0) * per_step
+    slope_scale = per_step
     # Written so that NaN, too, ends at the table's start: an index out of bounds is never formed.
     if not 0.0 <= u <= end:
         slope_scale = 0.0
@@ -148,7 +148,7 @@ def spline_value_slope(
     out_value, out_slope : ndarray, shape (4,)
         Filled with the values (m, m, rad, m) and their derivatives over x.
     """
-    i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(coefficients.shape[0], x0, step, x)
+    i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(coefficients.shape[0], x0, 1.0 / step, x)
     for j in range(4):
         c0 = coefficients[i, j]
         c1 = coefficients[i + 1, j]
