@@ -498,7 +498,7 @@ def contact(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
     _resultants(lanes, plant.wheel, work.lane_in, work.patch, work.creep_out, out)
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int) -> None:
     """Advance vehicles by a number of the plant's time steps."""
     w = len(lanes)
