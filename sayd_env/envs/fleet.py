@@ -30,7 +30,8 @@ from sayd_env.envs.interface import ACTIONS, BOGIES, Interface, RunIn, Signal
 from sayd_env.envs.interface import DAMPERS as OF_A_BOGIE
 from sayd_env.envs.interface import POINTS as OF_A_FRAME
 from sayd_env.envs.lanes import Lanes, LaneState
-from sayd_env.envs.loop import CLIMBED, DAMPERS, NOT_FINITE, OVERLOADED, RUNNING
+from sayd_env.envs.loop import CLIMBED, NOT_FINITE, OVERLOADED, RUNNING
+from sayd_env.envs.trace import DAMPERS
 from sayd_env.envs.vehicle import Lane, LoopSettings, SensorErrors, make_lane, model_limits, on_line_band
 from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.simulator import RUN_OUT, VehicleModel

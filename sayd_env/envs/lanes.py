@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from sayd_env.config import ConfigError
 from sayd_env.envs.loop import (
-    DAMPERS,
     FEATURES,
     LOG,
     RUNNING,
@@ -30,7 +29,7 @@ from sayd_env.envs.loop import (
     run_units,
     run_units_in_parallel,
 )
-from sayd_env.envs.trace import TRACE
+from sayd_env.envs.trace import DAMPERS, TRACE
 from sayd_env.envs.vehicle import Lane, LoopSettings
 from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.formation import Formation

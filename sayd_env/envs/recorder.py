@@ -19,7 +19,8 @@ from sayd_env.config.track import NoIrregularityConfig, SpectrumConfig
 from sayd_env.envs import trace
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.fleet import Fleet
-from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, DAMPERS, NOT_FINITE, RUNNING
+from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, NOT_FINITE, RUNNING
+from sayd_env.envs.trace import DAMPERS
 from sayd_env.physics import sayd
 from sayd_env.physics.multibody import Instance, Multibody
 from sayd_env.physics.plant import LANES

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.envs.canvas import Align, Canvas, Colour, Picture, Window
-from sayd_env.envs.loop import BOGIES, DAMPERS
+from sayd_env.envs.loop import BOGIES
 from sayd_env.envs.recorder import AHEAD, BEHIND, WINDOW, Frame, Recorder
 from sayd_env.envs.scene import CYLINDER, PAIR_OFFSET, RAIL_HEAD, ROD, Placement, View, make_plan
+from sayd_env.envs.trace import DAMPERS
 
 Array = npt.NDArray[np.float64]
 

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config.vehicle import Attachment, VehicleConfig, YawDamper
-from sayd_env.envs.loop import BOGIES, DAMPERS
+from sayd_env.envs.loop import BOGIES
 from sayd_env.envs.recorder import Frame, Pose
+from sayd_env.envs.trace import DAMPERS
 from sayd_env.physics.multibody import Multibody
 
 Array = npt.NDArray[np.float64]

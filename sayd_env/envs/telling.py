@@ -14,14 +14,13 @@ from sayd_env.envs.loop import (
     BOGIES,
     COST_ACCELERATION,
     COST_FORCE,
-    DAMPERS,
     NOT_FINITE,
-    POINTS,
     QUOTIENT,
     RUNNING,
     TRACK_SHIFT,
 )
 from sayd_env.envs.running import RunningValues
+from sayd_env.envs.trace import DAMPERS, POINTS
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES
 

@@ -96,12 +96,9 @@ def _joined(tables: Sequence[Array]) -> tuple[Array, list[int]]:
 
 def kind(plant: Plant) -> tuple[Any, ...]:
     """What vehicles side by side must have in common."""
-    structure = (
-        value.tobytes() for name, value in zip(Plant._fields, plant, strict=True) if name.endswith(SHARED)
-    )
-    lengths = (
-        value.shape for name, value in zip(Plant._fields, plant, strict=True) if name not in _OF_ANY_LENGTH
-    )
+    fields = plant._asdict()
+    structure = (value.tobytes() for name, value in fields.items() if name.endswith(SHARED))
+    lengths = (value.shape for name, value in fields.items() if name not in _OF_ANY_LENGTH)
     common = (*plant.number[[STEP, SUBSTEPS, CREEP_LAW]], plant.wheel[SHEAR_MODULUS * LANES], id(plant.creep))
     return *common, *lengths, *structure
 

@@ -7,25 +7,25 @@ import numpy.typing as npt
 
 from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import Plant, State, Work
+from sayd_env.physics.plant import LANES, Plant, State, Work
+from sayd_env.physics.rows import SINGLE
 from sayd_env.physics.step import (
-    add_contact,
-    add_dampers,
-    add_sayds,
-    add_stops,
-    add_suspension,
-    damper_elongations,
+    contact_at,
+    dampers,
+    forces,
+    motions,
     read_track,
-    step_dampers,
-    step_sayds,
-    wheel_forces,
-    wheel_kinematics,
+    sayds,
+    sections,
+    stops,
+    wheels,
 )
 
 Array = npt.NDArray[np.float64]
 
 PARTS = ("track", "contact", "suspension", "dampers")
-"""Parts that `repeat` knows, in the order of a step; integration is what else a step does."""
+"""Parts that `repeat` knows, in the order of a step; integration is what else a step does. The suspension is all
+sums over the unknowns: what moves elements, and what their forces do to the vehicle."""
 SAYD_PARTS = ("valves", "semi-active dampers")
 """Parts of semi-active dampers that `repeat_sayds` knows; the second one contains the first."""
 
@@ -43,26 +43,31 @@ def repeat(part: int, count: int, plant: Plant, state: State, work: Work, q: Arr
     plant, state, work
         One vehicle that has run for a while; its dampers and scratch memory change.
     q, v : ndarray, shape (2, n)
-        Displacements and velocities at two instants, taken in turn: dampers at rest would let their forces
-        decay into denormal numbers, whose arithmetic takes many times as long.
+        Displacements and velocities at two instants, taken in turn. (Dampers move to and fro: at rest their
+        forces would decay into denormal numbers, whose arithmetic takes many times as long.)
     """
+    n = q.shape[1]
+    contact_at(plant, q[0], v[0], state.clock[1], work)
     if part == 0:
-        for i in range(count):
-            read_track(plant, state.clock[1] + i * plant.step * plant.speed, work)
+        for _ in range(count):
+            read_track(SINGLE, plant.number, plant.wheelset_x, plant.irregularity, state.clock, work.rail)
     elif part == 1:
-        for i in range(count):
-            wheel_kinematics(plant, q[i & 1], v[i & 1], work)
-            wheel_forces(plant, work)
-            add_contact(plant, work)
+        for _ in range(count):
+            wheels(SINGLE, plant, work)
     elif part == 2:
         for i in range(count):
-            add_suspension(plant, q[i & 1], v[i & 1], work)
-            add_stops(plant, q[i & 1], work.f)
+            for j in range(n):
+                work.x[j] = q[i & 1, j]
+                work.x[n + j] = v[i & 1, j]
+            motions(SINGLE, plant, work)
+            stops(SINGLE, plant, work)
+            forces(SINGLE, plant, work)
     else:
+        _, _, _, first, last = sections(SINGLE, plant, work)
         for i in range(count):
-            damper_elongations(plant, q[i & 1], work.shift)
-            step_dampers(plant, state, work)
-            add_dampers(plant, state.force, work.f)
+            for k in range(first, last):
+                work.y[k] = -work.y[k]
+            dampers(SINGLE, plant, state, work)
 
 
 @kernel
@@ -80,12 +85,14 @@ def repeat_sayds(part: int, count: int, plant: Plant, state: State, work: Work, 
     q : ndarray, shape (2, n)
         Displacements at two instants, taken in turn. The dampers' mounts are stiff: a sample apart, not more.
     """
+    n = q.shape[1]
+    inputs = work.y[-sayd.INPUTS * LANES :]
     if part == 0:
         for _ in range(count):
-            sayd.move_valves((0,), plant.sayd_constant, state.sayd_line, work.sayd_inputs, state.sayd)
+            sayd.move_valves(SINGLE, plant.sayd_constant, state.sayd_line, inputs, state.sayd)
     else:
         for i in range(count):
-            for j in range(q.shape[1]):
-                state.q[j] = q[i & 1, j]
-            step_sayds(plant, state, work)
-            add_sayds(plant, state, work.f)
+            for j in range(n):
+                work.x[j] = q[i & 1, j]
+            motions(SINGLE, plant, work)
+            sayds(SINGLE, plant, state, work)

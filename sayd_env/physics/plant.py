@@ -120,6 +120,11 @@ class Plant(NamedTuple):
         """Speed V of the first vehicle (m/s)."""
         return float(self.number[SPEED * len(self.number) // NUMBERS])
 
+    @property
+    def radius(self) -> float:
+        """Nominal rolling radius r_0 of the first vehicle (m)."""
+        return float(self.wheel[RADIUS * len(self.wheel) // WHEEL_ROWS])
+
 
 class State(NamedTuple):
     """State of W vehicles; the compiled functions change it in place. All arrays are flat."""

@@ -15,8 +15,7 @@ import numpy.typing as npt
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
-from numba.np import numpy_support
-from numba.np.arrayobj import make_array, populate_array
+from numba.np import arrayobj, numpy_support
 
 from sayd_env.config import ConfigError
 
@@ -27,6 +26,9 @@ Matrix = Annotated[Array, 2]
 Cube = Annotated[Array, 3]
 IndexMatrix = Annotated[Index, 2]
 Fields = TypeVar("Fields", bound=NamedTuple)
+
+_make_array: Any = arrayobj.make_array  # without annotations
+_populate_array: Any = arrayobj.populate_array
 
 _COLUMNS = 4  # address and up to three lengths
 _NUMBER = 8  # bytes
@@ -140,7 +142,7 @@ def vehicle_from(kind: Any) -> Any:
         result: Any = types.BaseTuple.from_types(parts, kind)  # type: ignore[no-untyped-call]
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            entries = make_array(signature.args[0])(context, builder, arguments[0]).data
+            entries = _make_array(signature.args[0])(context, builder, arguments[0]).data
             index = context.get_value_type(types.intp)
 
             def constant(value: int) -> Any:
@@ -176,11 +178,11 @@ def _item(part: Any) -> Any:
 
 def _array(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
     """A contiguous array at an address, which somebody else keeps alive."""
-    array = make_array(kind)(context, builder)
+    array = _make_array(kind)(context, builder)
     index = context.get_value_type(types.intp)
     size = ir.Constant(index, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
     strides = [size]
     for length in reversed(shape[1:]):
         strides.insert(0, builder.mul(strides[0], length))
-    populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
+    _populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
     return array._getvalue()

@@ -15,7 +15,8 @@ from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.multibody import ForceElement
 from sayd_env.physics.plant import LANES
-from sayd_env.physics.simulator import damper_curves
+from sayd_env.physics.rows import SINGLE
+from sayd_env.physics.simulator import DamperCurves, damper_curves
 from sayd_env.physics.step import step_dampers
 
 Array = npt.NDArray[np.float64]
@@ -23,30 +24,6 @@ Array = npt.NDArray[np.float64]
 _MAX_CYCLES = 1000
 _STEADY = 1e-9  # change of the force from cycle to cycle over its peak
 _STEADY_SAYD = 1e-6  # the same of the semi-active damper, whose valves open and close
-
-
-class Rig(NamedTuple):
-    """The part of a `sayd_env.physics.plant.Plant` that `step_dampers` reads, for one damper."""
-
-    step: float
-    damper_velocity: Array
-    damper_knot: Array
-    damper_slope: Array
-    damper_stiffness: Array
-
-
-class RigState(NamedTuple):
-    """The part of a `sayd_env.physics.plant.State` that `step_dampers` advances; shapes (1,)."""
-
-    elongation: Array
-    piston: Array
-    force: Array
-
-
-class RigWork(NamedTuple):
-    """The part of a `sayd_env.physics.plant.Work` that `step_dampers` reads; shape (1,)."""
-
-    shift: Array
 
 
 class Cycle(NamedTuple):
@@ -59,12 +36,21 @@ class Cycle(NamedTuple):
 
 
 @kernel
-def _drive(rig: Rig, state: RigState, work: RigWork, elongation: Array, force: Array) -> None:
-    """Force at each of the elongations, one time step apart."""
+def _drive(h: float, curves: DamperCurves, elongation: Array, state: Array, force: Array) -> None:
+    """Force at each of the elongations, one time step h apart; the damper's state is elongation, piston, force."""
     for t in range(elongation.shape[0]):
-        work.shift[0] = elongation[t]
-        step_dampers(rig, state, work)
-        force[t] = state.force[0]
+        step_dampers(
+            h,
+            elongation[t : t + 1],
+            curves.velocity,
+            curves.knot,
+            curves.slope,
+            curves.stiffness,
+            state[:1],
+            state[1:2],
+            state[2:],
+        )
+        force[t] = state[2]
 
 
 def steady_cycle(law: MaxwellLaw, amplitude: float, frequency: float, points: int) -> Cycle:
@@ -88,12 +74,11 @@ def steady_cycle(law: MaxwellLaw, amplitude: float, frequency: float, points: in
     """
     h = 1.0 / (frequency * points)
     curves = damper_curves((ForceElement("rig", np.ones(1), np.array(law.curve), law.series_stiffness),), h)
-    rig = Rig(h, curves.velocity, curves.knot, curves.slope, curves.stiffness)
-    state, work = RigState(np.zeros(1), np.zeros(1), np.zeros(1)), RigWork(np.zeros(1))
+    state = np.zeros(3)
     elongation = amplitude * np.sin(2.0 * np.pi * np.arange(1, points + 1) / points)
     force, before = np.zeros(points), np.full(points, np.inf)
     for _ in range(_MAX_CYCLES):
-        _drive(rig, state, work, elongation, force)
+        _drive(h, curves, elongation, state, force)
         if np.max(np.abs(force - before)) <= _STEADY * np.max(np.abs(force)):
             return Cycle(np.r_[elongation[-1], elongation], np.r_[force[-1], force])
         before = force.copy()
@@ -117,7 +102,7 @@ def _drive_sayds(
             inputs[sayd.OLD_RATE_1 * LANES + i] = inputs[sayd.RATE_1 * LANES + i]
             inputs[sayd.END_1 * LANES + i] = motion[t, 0]
             inputs[sayd.RATE_1 * LANES + i] = motion[t, 1]
-        sayd.integrate((0,), step, substeps, constant, table, inputs, state)
+        sayd.integrate(SINGLE, step, substeps, constant, table, inputs, state)
         for i in range(LANES):
             force[t, i] = state[sayd.FORCE_1 * LANES + i]
 

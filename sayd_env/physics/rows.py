@@ -30,6 +30,9 @@ ABREAST: Lanes = (0,) * 8
 """As many vehicles as a 512-bit register has numbers; two 256-bit registers serve as well."""
 
 
+_alloca: Any = cgutils.alloca_once  # without annotations
+
+
 class Rows(NamedTuple):
     """A sparse matrix by rows."""
 
@@ -91,7 +94,7 @@ def _row_product(each: bool, accumulate: bool) -> Any:
                 return builder.shuffle_vector(one, empty, mask)
 
             where = place(target, arguments[7])
-            total = cgutils.alloca_once(builder, vector)
+            total = _alloca(builder, vector)
             initial = builder.load(where, align=8) if accumulate else ir.Constant(vector, None)
             builder.store(initial, total)
             one = ir.Constant(index, 1)

@@ -385,7 +385,7 @@ def _creep(which: int, x: Array, out: Array, scratch: Array, table: Array, shear
 
 
 @kernel(inline=True, allocates=False)
-def step_stops(w: int, stretch: Array, shift: Array, force: Array, out: Array) -> None:
+def step_stops(stretch: Array, shift: Array, force: Array, out: Array) -> None:
     """Forces of the lateral stops at their elongations."""
     for i in range(stretch.shape[0]):
         size = abs(stretch[i])
@@ -483,75 +483,151 @@ def _sayd_forces(n: int, state: Array, forces: Array) -> None:
 
 
 @kernel(inline=True, allocates=False)
-def contact(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
-    """Track and contact: from the motion in `Work.x` and the kinematics in `Work.y` to the wheels' forces."""
-    w = len(lanes)
+def wheels(lanes: Lanes, plant: Plant, work: Work) -> None:
+    """Contact: from the kinematics in `Work.y` and the irregularities in `Work.rail` to the wheels' forces."""
+    n = LANES * len(lanes)
     first = 3 * work.f.shape[0]
-    out = work.x[first : first + ROWS_OUT * LANES * w]
-    read_track(lanes, plant.number, plant.wheelset_x, plant.irregularity, clock, work.rail)
+    out = work.x[first : first + ROWS_OUT * n]
     wheel_kinematics(lanes, plant.wheel, work.y, work.rail, work.lane_in)
     _touch(lanes, plant.wheel, work.lane_in, plant.table, work.creep_in, work.patch, out)
-    n = LANES * w
     scratch = work.creep_scratch[: creep.SCRATCH_ROWS * n + creep.WIDTH]
-    which, shear_modulus = int(plant.number[CREEP_LAW * w]), plant.wheel[SHEAR_MODULUS * n]
+    which, shear_modulus = int(plant.number[CREEP_LAW * len(lanes)]), plant.wheel[SHEAR_MODULUS * n]
     _creep(which, work.creep_in, work.creep_out, scratch, plant.creep, shear_modulus)
     _resultants(lanes, plant.wheel, work.lane_in, work.patch, work.creep_out, out)
 
 
 @kernel(inline=True, allocates=False)
+def contact(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
+    """Track and contact."""
+    read_track(lanes, plant.number, plant.wheelset_x, plant.irregularity, clock, work.rail)
+    wheels(lanes, plant, work)
+
+
+@kernel(inline=True, allocates=False)
+def motions(lanes: Lanes, plant: Plant, work: Work) -> None:
+    """Kinematics of wheelsets, dampers and stops in `Work.y`, from the motion in `Work.x`."""
+    multiply(lanes, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
+
+
+@kernel(inline=True, allocates=False)
+def forces(lanes: Lanes, plant: Plant, work: Work) -> None:
+    """Add suspension, contact, dampers and stops to the generalised forces, all from `Work.x`."""
+    add_product(lanes, plant.force_start, plant.force_column, plant.force_value, work.x, work.f)
+
+
+@kernel(inline=True, allocates=False)
+def sections(lanes: Lanes, plant: Plant, work: Work) -> tuple[int, int, int, int, int]:
+    """Where Maxwell dampers, semi-active dampers and stops begin in `Work.x`, Maxwell dampers and stops in y."""
+    w = len(lanes)
+    m = plant.damper_stiffness.shape[0]
+    x_dampers = 3 * work.f.shape[0] + ROWS_OUT * LANES * w
+    x_sayds = x_dampers + m
+    x_stops = x_sayds + (2 * LANES * w if plant.sayd_constant.shape[0] > 0 else 0)
+    y_dampers = MOTIONS * WHEELSETS * w
+    return x_dampers, x_sayds, x_stops, y_dampers, y_dampers + m
+
+
+@kernel(inline=True, allocates=False)
+def dampers(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
+    """Advance the Maxwell dampers."""
+    x_dampers, x_sayds, _, y_dampers, y_stops = sections(lanes, plant, work)
+    step_dampers(
+        plant.number[STEP * len(lanes)],
+        work.y[y_dampers:y_stops],
+        plant.damper_velocity,
+        plant.damper_knot,
+        plant.damper_slope,
+        plant.damper_stiffness,
+        state.elongation,
+        state.piston,
+        state.force,
+    )
+    _copy(state.force, work.x[x_dampers:x_sayds])
+
+
+@kernel(inline=True, allocates=False)
+def stops(lanes: Lanes, plant: Plant, work: Work) -> None:
+    """Press the lateral stops."""
+    _, _, x_stops, _, y_stops = sections(lanes, plant, work)
+    count = plant.stop_shift.shape[1]
+    stretch = work.y[y_stops : y_stops + count]
+    step_stops(stretch, plant.stop_shift, plant.stop_force, work.x[x_stops:])
+
+
+@kernel(inline=True, allocates=False)
+def sayds(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
+    """Advance the semi-active dampers over the step that ends with the motion in `Work.y`."""
+    w = len(lanes)
+    _, x_sayds, x_stops, _, y_stops = sections(lanes, plant, work)
+    inputs = work.y[y_stops + plant.stop_shift.shape[1] :]
+    h, substeps = plant.number[STEP * w], int(plant.number[SUBSTEPS * w])
+    _follow_lost_ends(LANES * w, state.sayd, inputs)
+    sayd.move_valves(lanes, plant.sayd_constant, state.sayd_line, inputs, state.sayd)
+    sayd.integrate(lanes, h, substeps, plant.sayd_constant, plant.sayd_table, inputs, state.sayd)
+    _sayd_forces(LANES * w, state.sayd, work.x[x_sayds:x_stops])
+
+
+@kernel(inline=True, allocates=False)
+def predict(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
+    """Begin a step: move displacements and clock, and predict the velocities."""
+    w, n = len(lanes), state.q.shape[0]
+    h = plant.number[STEP * w]
+    _predict(
+        h,
+        state.q,
+        state.v,
+        state.a,
+        plant.load,
+        plant.damping_diagonal,
+        work.x[:n],
+        work.x[n : 2 * n],
+        work.x[2 * n : 3 * n],
+        work.f,
+    )
+    for k in range(w):
+        state.clock[k] += h
+        state.clock[w + k] += h * plant.number[SPEED * w + k]
+
+
+@kernel(inline=True, allocates=False)
 def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int) -> None:
     """Advance vehicles by a number of the plant's time steps."""
-    w = len(lanes)
-    h = plant.number[STEP * w]
-    n, m, s = state.q.shape[0], state.force.shape[0], plant.stop_shift.shape[1]
-    d = LANES * w if state.sayd.shape[0] > 0 else 0
-    # Sections of x and y.
-    x_dampers = 3 * n + ROWS_OUT * LANES * w
-    x_sayds = x_dampers + m
-    x_stops = x_sayds + 2 * d
-    y_dampers = MOTIONS * WHEELSETS * w
-    y_stops = y_dampers + m
-    shift, stretch = work.y[y_dampers:y_stops], work.y[y_stops : y_stops + s]
-    inputs = work.y[y_stops + s :]
     for _ in range(count):
-        _predict(
-            h,
-            state.q,
-            state.v,
-            state.a,
-            plant.load,
-            plant.damping_diagonal,
-            work.x[:n],
-            work.x[n : 2 * n],
-            work.x[2 * n : 3 * n],
-            work.f,
-        )
-        for k in range(w):
-            state.clock[k] += h
-            state.clock[w + k] += h * plant.number[SPEED * w + k]
-        multiply(lanes, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
+        predict(lanes, plant, state, work)
+        motions(lanes, plant, work)
         contact(lanes, plant, state.clock, work)
-        step_dampers(
-            h,
-            shift,
-            plant.damper_velocity,
-            plant.damper_knot,
-            plant.damper_slope,
-            plant.damper_stiffness,
-            state.elongation,
-            state.piston,
-            state.force,
-        )
-        _copy(state.force, work.x[x_dampers:x_sayds])
-        if d > 0:
-            _follow_lost_ends(d, state.sayd, inputs)
-            sayd.move_valves(lanes, plant.sayd_constant, state.sayd_line, inputs, state.sayd)
-            substeps = int(plant.number[SUBSTEPS * w])
-            sayd.integrate(lanes, h, substeps, plant.sayd_constant, plant.sayd_table, inputs, state.sayd)
-            _sayd_forces(d, state.sayd, work.x[x_sayds:x_stops])
-        step_stops(w, stretch, plant.stop_shift, plant.stop_force, work.x[x_stops:])
-        add_product(lanes, plant.force_start, plant.force_column, plant.force_value, work.x, work.f)
-        _correct(h, work.f, plant.mobility, state.v, state.a)
+        dampers(lanes, plant, state, work)
+        if state.sayd.shape[0] > 0:
+            sayds(lanes, plant, state, work)
+        stops(lanes, plant, work)
+        forces(lanes, plant, work)
+        _correct(plant.number[STEP * len(lanes)], work.f, plant.mobility, state.v, state.a)
+
+
+@kernel(allocates=False)
+def step(plant: Plant, state: State, work: Work) -> None:
+    """Advance one vehicle by the plant's time step."""
+    steps(SINGLE, plant, state, work, 1)
+
+
+@kernel(allocates=False)
+def _set_motion(q: Array, v: Array, x: Array) -> None:
+    """Write one vehicle's displacements and velocities into `Work.x`."""
+    n = q.shape[0]
+    for i in range(n):
+        x[i] = q[i]
+        x[n + i] = v[i]
+        x[2 * n + i] = v[i]
+
+
+@kernel(allocates=False)
+def contact_at(plant: Plant, q: Array, v: Array, position: float, work: Work) -> None:
+    """Contact of one vehicle at displacements and velocities (n,) and a position of its centre on the track, m."""
+    _set_motion(q, v, work.x)
+    motions(SINGLE, plant, work)
+    clock = work.measured  # scratch
+    clock[0], clock[1] = 0.0, position
+    contact(SINGLE, plant, clock, work)
 
 
 @kernel(allocates=False)
@@ -572,37 +648,22 @@ def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work:
     out : ndarray, shape (2 n + m,)
         The derivative.
     """
-    n, m, s = q.shape[0], force.shape[0], plant.stop_shift.shape[1]
-    x_dampers = 3 * n + ROWS_OUT * LANES
-    y_dampers = MOTIONS * WHEELSETS
-    for i in range(n):
-        work.f[i] = plant.load[i] - plant.damping_diagonal[i] * v[i]
-        # Rates of the dampers' elongations: their rows act on displacements.
-        work.x[i] = v[i]
-        work.x[n + i] = 0.0
-        work.x[2 * n + i] = 0.0
-    multiply(SINGLE, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
-    for k in range(m):
+    n = q.shape[0]
+    x_dampers, x_sayds, x_stops, y_dampers, _ = sections(SINGLE, plant, work)
+    # Rates of the dampers' elongations: their rows act on displacements.
+    _set_motion(v, v, work.x)
+    motions(SINGLE, plant, work)
+    for k in range(force.shape[0]):
         size = _curve(plant.damper_force[:, k], plant.damper_velocity[:, k], abs(force[k]))
         piston = math.copysign(size, force[k])
         out[2 * n + k] = plant.damper_stiffness[k] * (work.y[y_dampers + k] - piston)
-        work.x[x_dampers + k] = force[k]
+    work.x[x_sayds:x_stops] = 0.0
+    contact_at(plant, q, v, position, work)
+    _copy(force, work.x[x_dampers:x_sayds])
+    stops(SINGLE, plant, work)
     for i in range(n):
-        work.x[i] = q[i]
-        work.x[n + i] = v[i]
-        work.x[2 * n + i] = v[i]
-    multiply(SINGLE, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
-    clock = work.measured  # scratch
-    clock[0], clock[1] = 0.0, position
-    contact(SINGLE, plant, clock, work)
-    step_stops(
-        1,
-        work.y[y_dampers + m : y_dampers + m + s],
-        plant.stop_shift,
-        plant.stop_force,
-        work.x[x_dampers + m :],
-    )
-    add_product(SINGLE, plant.force_start, plant.force_column, plant.force_value, work.x, work.f)
+        work.f[i] = plant.load[i] - plant.damping_diagonal[i] * v[i]
+    forces(SINGLE, plant, work)
     for i in range(n):
         out[i] = v[i]
         out[n + i] = work.f[i] / plant.mass[i]
@@ -663,7 +724,7 @@ def largest_shift(lanes: Lanes, k: int, plant: Plant, work: Work) -> float:
     largest = 0.0
     for i in range(LANES):
         largest = max(largest, work.lane_in[(SHIFT * LANES + i) * w + k])
-    return largest / plant.number[WIDEST * w + k]
+    return float(largest / plant.number[WIDEST * w + k])
 
 
 @kernel(allocates=False, announce="the simulator (first start, about 10 s)")

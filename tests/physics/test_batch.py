@@ -6,6 +6,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 import pytest
+from sayd_env.physics.stack import Stack
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.scenario import load_scenario
@@ -13,7 +14,6 @@ from sayd_env.physics import kernel as kernel_module
 from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.kernel import announced_compilation, kernel
 from sayd_env.physics.simulator import Simulator, VehicleModel
-from sayd_env.physics.stack import Stack
 
 Array = npt.NDArray[np.float64]
 SAMPLES = 400

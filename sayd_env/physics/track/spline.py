@@ -8,7 +8,6 @@ import numpy as np
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
@@ -86,8 +85,7 @@ def spline_weights(
     )
 
 
-@intrinsic
-def weighted_rows(
+def _weighted_rows(
     _context: Any,
     coefficients: Any,
     first: Any,
@@ -105,7 +103,7 @@ def weighted_rows(
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         def data(k: int) -> Any:
-            return make_array(signature.args[k])(context, builder, arguments[k]).data
+            return context.make_array(signature.args[k])(context, builder, arguments[k]).data
 
         def integer(k: int) -> Any:
             return context.cast(builder, arguments[k], signature.args[k], types.intp)
@@ -129,6 +127,9 @@ def weighted_rows(
         return context.get_dummy_value()
 
     return types.void(coefficients, first, weights, out, place, stride), codegen
+
+
+weighted_rows: Any = intrinsic(_weighted_rows)
 
 
 @kernel
