@@ -1,10 +1,11 @@
 """One compiled control period: physics, true signals, cost, sensors, in this order.
 
-Time steps are shorter than samples (1 ms), samples shorter than control periods. The physics of several vehicles
-runs side by side and writes down each sample's true signals (`sayd_env.envs.trace`); then they are looked at for
-one vehicle after another. The cost counts them through the on-line filter, the sensors make their readings of them.
-What an observer gets is the mean of the readings over the period: integrating sampling, which keeps the
-multiples of the control rate out, and by which accelerations add up to exact changes of velocity.
+Time steps are shorter than samples (1 ms), samples shorter than control periods. The physics of several
+vehicles runs side by side and writes down each sample's true signals (`sayd_env.envs.trace`); then they
+are looked at for one vehicle after another. The cost counts them through the on-line filter, the sensors
+make their readings of them. What an observer gets is the mean of the readings over the period: integrating
+sampling, which keeps the multiples of the control rate out, and by which accelerations add up to exact
+changes of velocity.
 """
 
 from __future__ import annotations

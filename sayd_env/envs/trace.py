@@ -1,4 +1,4 @@
-"""What the simulator writes down of its vehicles at each sample: all that sensors, cost and limits are made of."""
+"""What the simulator writes down of its vehicles at each sample, for sensors, cost and limits."""
 
 from __future__ import annotations
 

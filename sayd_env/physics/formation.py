@@ -1,9 +1,9 @@
-"""Vehicles of a batch arranged so that as many as possible run side by side, in the lanes of vector registers.
+"""Vehicles of a batch, arranged so that as many as possible run side by side in vector registers.
 
 Vehicles of one structure and one time step form groups of eight. A group has its own constants, interleaved
-once, and its own state and scratch memory; a compiled call interleaves the members' states, runs the group and
-puts the states back. Who does not find seven others of his kind runs alone. A vehicle's results do not depend
-on that.
+once, and its own state and scratch memory; a compiled call interleaves the members' states, runs the group
+and puts the states back. Who does not find seven others of his kind runs alone. A vehicle's results do not
+depend on that.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ from sayd_env.physics.step import (
 Array = npt.NDArray[np.float64]
 
 PARTS = ("track", "contact", "suspension", "dampers")
-"""Parts that `repeat` knows, in the order of a step; integration is what else a step does. The suspension is all
-sums over the unknowns: what moves elements, and what their forces do to the vehicle."""
+"""Parts that `repeat` knows, in the order of a step; integration is what else a step does. The suspension
+is all sums over the unknowns: what moves elements, and what their forces do to the vehicle."""
 SAYD_PARTS = ("valves", "semi-active dampers")
 """Parts of semi-active dampers that `repeat_sayds` knows; the second one contains the first."""
 
@@ -64,7 +64,7 @@ def repeat(part: int, count: int, plant: Plant, state: State, work: Work, q: Arr
             forces(SINGLE, plant, work)
     else:
         _, _, _, first, last = sections(SINGLE, plant, work)
-        for i in range(count):
+        for _ in range(count):
             for k in range(first, last):
                 work.y[k] = -work.y[k]
             dampers(SINGLE, plant, state, work)

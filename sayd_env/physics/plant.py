@@ -1,11 +1,11 @@
 """What the compiled step works on: constants, state and scratch memory of vehicles side by side.
 
 All arrays of W vehicles are flat: element ``row * W + vehicle``. One vehicle is the case W = 1. What there is
-eight of in a vehicle, wheels and yaw dampers, stands in rows of eight: element ``(row * 8 + i) * W + vehicle``.
+eight of in a vehicle, wheels and yaw dampers, has rows of eight: element ``(row * 8 + i) * W + vehicle``.
 Wheels come side by side: those on the left of the four wheelsets first, then those on the right.
 
-A `Plant` holds constants, a `State` what changes, a `Work` scratch memory and outputs. They are named tuples of
-arrays, so that compiled code reads `plant.mobility` as its caller in Python does.
+A `Plant` holds constants, a `State` what changes, a `Work` scratch memory and outputs. They are named
+tuples of arrays, so that compiled code reads `plant.mobility` as its caller in Python does.
 """
 
 from __future__ import annotations
@@ -155,11 +155,11 @@ class Work(NamedTuple):
     f: Array
     """(n * W,) generalised forces."""
     x: Array
-    """Displacements, predicted and present velocities (3 n * W); then the wheels' forces (ROWS_OUT * 8 * W) and
-    those of Maxwell dampers (m * W), semi-active dampers' ends (2 * 8 * W) and stops (s * W), N."""
+    """Displacements, predicted and present velocities (3 n * W); then the wheels' forces (ROWS_OUT * 8 *
+    W) and those of Maxwell dampers (m * W), semi-active dampers' ends (2 * 8 * W) and stops (s * W), N."""
     y: Array
-    """Kinematics of the wheelsets (MOTIONS * 4 * W), elongations of Maxwell dampers (m * W) and stops (s * W),
-    inputs of the semi-active dampers (`sayd.INPUTS` * 8 * W)."""
+    """Kinematics of the wheelsets (MOTIONS * 4 * W), elongations of Maxwell dampers (m * W) and stops (s *
+    W), inputs of the semi-active dampers (`sayd.INPUTS` * 8 * W)."""
     rail: Array
     """(8 * 4 * W,) irregularity under each wheelset: four values, then their four slopes."""
     lane_in: Array
@@ -177,7 +177,7 @@ class Work(NamedTuple):
 
     @property
     def lane_out(self) -> Array:
-        """The part of x that holds what the contact does, (ROWS_OUT * 8 * W,), by the rows of `physics.step`."""
+        """The part of x that holds what the contact does, (ROWS_OUT * 8 * W,)."""
         first = 3 * len(self.f)
         return self.x[first : first + ROWS_OUT * LANES * len(self.rail) // (8 * WHEELSETS)]
 

@@ -1,8 +1,8 @@
 """Many vehicles in one compiled call, each with arrays of its own: a ragged batch of named tuples.
 
 Compiled code gets the addresses and shapes of all arrays in one table and makes one vehicle's named tuple of
-them. So a loop over vehicles takes a handful of arguments, whatever a vehicle consists of; arrays may differ in
-length from vehicle to vehicle, several vehicles may share one, and none is copied.
+them. So a loop over vehicles takes a handful of arguments, whatever a vehicle consists of; arrays may
+differ in length from vehicle to vehicle, several vehicles may share one, and none is copied.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class RaggedBatch(Generic[Fields]):
         Of the named tuples; its annotations say which fields are numbers (float) and how many dimensions the
         arrays have.
     vehicles : sequence of named tuples
-        Contiguous arrays of these types. They stay the vehicles' own: whoever changes them in place changes the
-        batch.
+        Contiguous arrays of these types. They stay the vehicles' own: whoever changes them in place
+        changes the batch.
 
     Raises
     ------
@@ -110,8 +110,8 @@ class RaggedBatch(Generic[Fields]):
     def _checked(self, fields: Any, k: int, value: Any, kind: np.dtype[Any], dimensions: int) -> Any:
         if value.dtype != kind or value.ndim != dimensions or not value.flags.c_contiguous:
             raise ConfigError(
-                f"{type(fields).__name__}.{fields._fields[k]}: found {value.dtype} with {value.ndim} dimensions, "
-                f"expected contiguous {kind} with {dimensions}"
+                f"{type(fields).__name__}.{fields._fields[k]}: found {value.dtype} of {value.ndim} dimensions, "
+                f"expected contiguous {kind} of {dimensions}"
             )
         return value
 

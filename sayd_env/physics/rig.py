@@ -37,7 +37,7 @@ class Cycle(NamedTuple):
 
 @kernel
 def _drive(h: float, curves: DamperCurves, elongation: Array, state: Array, force: Array) -> None:
-    """Force at each of the elongations, one time step h apart; the damper's state is elongation, piston, force."""
+    """Force at each of the elongations, a time step h apart; the state is elongation, piston, force."""
     for t in range(elongation.shape[0]):
         step_dampers(
             h,

@@ -53,7 +53,7 @@ def sparse_rows(matrix: Array, pattern: Array | None = None) -> Rows:
 
 
 def _row_product(each: bool, accumulate: bool) -> Any:
-    """Intrinsic: one row of a product, with values of `each` vehicle or of all, added to what is there or not.
+    """Intrinsic: one row of a product, with values of `each` vehicle or of all, added or written.
 
     Called as ``f(lanes, column, value, first, last, x, out, row)``.
     """

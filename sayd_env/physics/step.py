@@ -11,11 +11,12 @@ sections) is treated implicitly, which costs a division. Maxwell dampers use the
 exactly on their piecewise-linear curves; semi-active dampers take steps of their own between the same
 instants (`sayd_env.physics.sayd`). All of it is second order in h.
 
-How W vehicles stand side by side is said in `sayd_env.physics.plant`. Loops run over what is alike: all wheels of
-all vehicles, all dampers. They have no branches, and their bounds come from arrays' lengths, so that the compiler
-makes vector instructions of them (of a loop whose length it knows it makes a long straight line instead). Sums
-over a vehicle's unknowns are sparse products (`sayd_env.physics.rows`). A vehicle's results are the same bits
-alone and beside others: what is done to its numbers, and in which order, does not depend on W.
+How W vehicles stand side by side is said in `sayd_env.physics.plant`. Loops run over what is alike: all
+wheels of all vehicles, all dampers. They have no branches, and their bounds come from arrays' lengths, so
+that the compiler makes vector instructions of them (of a loop whose length it knows it makes a long
+straight line instead). Sums over a vehicle's unknowns are sparse products (`sayd_env.physics.rows`). A
+vehicle's results are the same bits alone and beside others: what is done to its numbers, and in which
+order, does not depend on W.
 """
 
 from __future__ import annotations
@@ -132,7 +133,7 @@ def _predict(
     present: Array,
     f: Array,
 ) -> None:
-    """Displacements at the end of the step, the motion that forces are computed from, and their first terms."""
+    """Displacements at the end of the step, the motion that makes the forces, and their first terms."""
     for i in range(f.shape[0]):
         half = v[i] + 0.5 * h * a[i]
         moved = q[i] + h * half
@@ -173,7 +174,7 @@ def read_track(
 
 @kernel(inline=True, distinct=True, allocates=False)
 def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Array) -> None:
-    """Position and velocity of each wheel against its rail, into `Work.lane_in`, from those of its wheelset."""
+    """Position and velocity of each wheel against its rail, into `Work.lane_in`, from its wheelset's."""
     n = LANES * len(lanes)
     block = n // 2
     for e in range(rail.shape[0] // (2 * SLOPE)):
@@ -226,8 +227,9 @@ def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Ar
 def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch: Array, out: Array) -> None:
     """Contact geometry, normal force and creepages of all wheels, from `Work.lane_in`.
 
-    Normal force: the gradient of the contact's potential (`sayd_env.physics.contact.geometry`), with Hunt-Crossley
-    damping, zero when the wheel lifts off. Creepages: slip over V (Kalker), spin from yaw rate and contact angle.
+    Normal force: the gradient of the contact's potential (`sayd_env.physics.contact.geometry`), with
+    Hunt-Crossley damping, zero when the wheel lifts off. Creepages: slip over V (Kalker), spin from yaw
+    rate and contact angle.
 
     Forces are the transposes of the velocities on which they work, also in what is of second order:
 
@@ -475,7 +477,7 @@ def _follow_lost_ends(n: int, state: Array, inputs: Array) -> None:
 
 @kernel(distinct=True, allocates=False)
 def _sayd_forces(n: int, state: Array, forces: Array) -> None:
-    """What the semi-active dampers do to the vehicle: F_1 on bogies, F_2 on the carbody, none if they are lost."""
+    """What the semi-active dampers do: F_1 on bogies, F_2 on the carbody, nothing if they are lost."""
     for k in range(n):
         attached = state[sayd.ATTACHED * n + k]
         forces[k] = attached * state[sayd.FORCE_1 * n + k]
@@ -484,7 +486,7 @@ def _sayd_forces(n: int, state: Array, forces: Array) -> None:
 
 @kernel(inline=True, allocates=False)
 def wheels(lanes: Lanes, plant: Plant, work: Work) -> None:
-    """Contact: from the kinematics in `Work.y` and the irregularities in `Work.rail` to the wheels' forces."""
+    """Contact: from kinematics in `Work.y` and irregularities in `Work.rail` to the wheels' forces."""
     n = LANES * len(lanes)
     first = 3 * work.f.shape[0]
     out = work.x[first : first + ROWS_OUT * n]
@@ -517,7 +519,7 @@ def forces(lanes: Lanes, plant: Plant, work: Work) -> None:
 
 @kernel(inline=True, allocates=False)
 def sections(lanes: Lanes, plant: Plant, work: Work) -> tuple[int, int, int, int, int]:
-    """Where Maxwell dampers, semi-active dampers and stops begin in `Work.x`, Maxwell dampers and stops in y."""
+    """Where Maxwell, semi-active dampers and stops begin in `Work.x`, Maxwell dampers and stops in y."""
     w = len(lanes)
     m = plant.damper_stiffness.shape[0]
     x_dampers = 3 * work.f.shape[0] + ROWS_OUT * LANES * w
@@ -622,7 +624,7 @@ def _set_motion(q: Array, v: Array, x: Array) -> None:
 
 @kernel(allocates=False)
 def contact_at(plant: Plant, q: Array, v: Array, position: float, work: Work) -> None:
-    """Contact of one vehicle at displacements and velocities (n,) and a position of its centre on the track, m."""
+    """Contact of one vehicle at displacements and velocities (n,) and a position on the track (m)."""
     _set_motion(q, v, work.x)
     motions(SINGLE, plant, work)
     clock = work.measured  # scratch

@@ -285,7 +285,7 @@ def fastsim_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modul
 
 @lru_cache(maxsize=8)
 def law_table(law: str, poisson_ratio: float) -> Array:
-    """Return what a law of `LAWS` reads as its table, one array for all vehicles; nothing for Polach's law."""
+    """Return what a law of `LAWS` reads as its table, one array for all; nothing for Polach's law."""
     if law == "table":
         return creep_table(poisson_ratio)
     return np.array([float(_MARCH_ELEMENTS)] if law == "fastsim" else [])
