@@ -8,6 +8,7 @@ differ in length from vehicle to vehicle, several vehicles may share one, and no
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import Annotated, Any, Generic, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -44,9 +45,10 @@ def _field(hint: Any) -> tuple[np.dtype[Any], int]:
     return np.dtype(get_args(get_args(hint)[1])[0]), dimensions
 
 
-def _fields(kind: Any) -> list[tuple[np.dtype[Any], int]]:
+@cache
+def _fields(kind: Any) -> tuple[tuple[np.dtype[Any], int], ...]:
     hints = get_type_hints(kind, include_extras=True)
-    return [_field(hints[name]) for name in kind._fields]
+    return tuple(_field(hints[name]) for name in kind._fields)
 
 
 class RaggedBatch(Generic[Fields]):

@@ -23,12 +23,12 @@ The flat arrays hold ``n = LANES * W`` dampers of W vehicles: element ``row * n 
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 from scipy.optimize import elementwise
 
 from sayd_env.config.damper import SaydDamperConfig, SpringValve, ValveDynamics
@@ -131,6 +131,7 @@ Array = npt.NDArray[np.float64]
 
 _GAMMA = 1.0 - math.sqrt(0.5)
 _PER_GAMMA = 1.0 / _GAMMA
+_CRITICAL = 1e-6  # a spool is damped critically if its roots are nearer over a step
 _SMALL = 1e-6  # Pa, keeps a reciprocal finite: no valve is wide open near it
 _TEARING = 1e6  # stiffness of oil that tears at vapour pressure, over that of the chamber
 _PER_ROOT_STEP = 1.0 / ROOT_STEP
@@ -592,10 +593,23 @@ def _valve_column(valve: SpringValve) -> tuple[float, float, float, float]:
 
 
 def _spool_column(valve: ValveDynamics, step: float) -> tuple[float, float, float, float]:
-    """Exact solution of y'' + 2 zeta omega y' + omega^2 (y - target) = 0 over a step, the target constant."""
+    """Exact solution of y'' + 2 zeta omega y' + omega^2 (y - target) = 0 over a step with a constant target.
+
+    With sigma = zeta omega and d = sigma^2 - omega^2 the exponential of the system's matrix A is
+    ``exp(-sigma h) (C + (A + sigma) S)``, C = cosh(sqrt(d) h) and S = sinh(sqrt(d) h) / sqrt(d).
+    """
     omega = 2.0 * math.pi * valve.natural_frequency
-    solution = expm(np.array([[0.0, 1.0], [-(omega**2), -2.0 * valve.damping_ratio * omega]]) * step)
-    return solution[0, 0] - 1.0, solution[0, 1], solution[1, 0], solution[1, 1]
+    sigma = valve.damping_ratio * omega
+    root = cmath.sqrt(sigma**2 - omega**2)
+    even = cmath.cosh(root * step).real
+    odd = (cmath.sinh(root * step) / root).real if abs(root) * step > _CRITICAL else step
+    decay = math.exp(-sigma * step)
+    return (
+        decay * (even + sigma * odd) - 1.0,
+        decay * odd,
+        -decay * omega**2 * odd,
+        decay * (even - sigma * odd),
+    )
 
 
 def rest(config: SaydDamperConfig, current: float | None = None) -> Array:
