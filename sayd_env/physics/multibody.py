@@ -293,7 +293,8 @@ class _Builder:
             if "z" in i.columns:
                 weight[i.columns["z"]] = -GRAVITY * i.body.mass
         for g, k, *_ in self.carriers:
-            vertical += k * np.outer(g, g)
+            place = np.flatnonzero(g)
+            vertical[np.ix_(place, place)] += k * np.outer(g[place], g[place])
         support = [w.columns["z"] for w in wheelsets if "z" in w.columns]
         stiff = 1e3 * max(float(np.max(np.diag(vertical))), 1.0)
         vertical[support, support] += stiff
@@ -352,9 +353,10 @@ class _Builder:
         return np.zeros(self.n) if instance is None else _rotation(instance, axis, self.n)
 
     def _add_linear(self, g: Array, stiffness: float, damping: float) -> None:
-        outer = np.outer(g, g)
-        self.stiffness += stiffness * outer
-        self.damping += damping * outer
+        place = np.flatnonzero(g)
+        block, outer = np.ix_(place, place), np.outer(g[place], g[place])
+        self.stiffness[block] += stiffness * outer
+        self.damping[block] += damping * outer
 
 
 def _mass(instances: dict[str, Instance], n: int) -> Array:
