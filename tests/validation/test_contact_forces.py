@@ -231,9 +231,12 @@ def fastsim_forces(x: NDArray[np.float64], shear_modulus: float, elements: int) 
     return np.asarray(out.reshape(creep.ROWS_OUT, n)[:2] / x[creep.BOUND])
 
 
-@pytest.mark.parametrize("ratio", [0.12, 0.2, 0.3, 0.7, 1.3, 2.0, 3.0, 4.0, 5.0, 7.0])
+@pytest.mark.parametrize("ratio", [0.07, 0.12, 0.2, 0.3, 0.7, 1.3, 2.0, 3.0, 4.0, 5.0, 7.0])
 def test_table_against_fastsim_at_other_ratios(ratio: float) -> None:
-    """Random creepages, spin to 1 1/m, and FASTSIM on 128 x 128 elements: mean 2 %, largest 6 % of mu N."""
+    """Random creepages, spin to 1 1/m, and FASTSIM on 128 x 128 elements: mean 2 %, largest 6 % of mu N.
+
+    Below a/b 1/10, where Kalker's own table ends, largest 9 %.
+    """
     rng = np.random.default_rng(7)
     n, c = 3000, contact(ratio)
     xi = 10.0 ** rng.uniform(-5.0, -2.0, (2, n)) * rng.choice((-1.0, 1.0), (2, n))
@@ -247,15 +250,15 @@ def test_table_against_fastsim_at_other_ratios(ratio: float) -> None:
     error = np.hypot(*(found[:2] / x[creep.BOUND] - exact))
     print(f"table against FASTSIM, a/b {ratio}: mean {error.mean():.4f}, largest {error.max():.4f} mu N")
     assert error.mean() <= 0.02
-    assert error.max() <= 0.06
+    assert error.max() <= (0.06 if ratio >= 0.1 else 0.09)
 
 
 @pytest.mark.parametrize("wear", [0.0, 1.0])
 def test_table_along_runs(wear: float) -> None:
     """The contacts of the packaged vehicle at 200 to 400 km/h: mean 2 %, largest 6 % of mu N.
 
-    Measured: 0.03 % in the mean on new and 0.08 % on worn wheels, 2.9 % at most; the regression on FASTSIM's
-    forces is right to 0.5 % (measured 0.1 %). Polach's law errs by 1.2 % and 3.9 % in the mean, 46 % at most.
+    Measured: 0.03 % in the mean on new and 0.07 % on worn wheels, 1.4 % at most; the regression on FASTSIM's
+    forces is right to 0.5 % (measured 0.1 %). Polach's law errs by 1.2 % and 3.9 % in the mean, 57 % at most.
     """
     model = VehicleModel(load_scenario(None, [f"wear={wear}", "contact.creep_law=table"]))
     shear, poisson = model.scenario.contact.shear_modulus, model.scenario.contact.poisson_ratio
