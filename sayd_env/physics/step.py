@@ -627,7 +627,7 @@ def contact_at(plant: Plant, q: Array, v: Array, position: float, work: Work) ->
     """Contact of one vehicle at displacements and velocities (n,) and a position on the track (m)."""
     _set_motion(q, v, work.x)
     motions(SINGLE, plant, work)
-    clock = work.measured  # scratch
+    clock = work.f  # scratch, and never shorter
     clock[0], clock[1] = 0.0, position
     contact(SINGLE, plant, clock, work)
 
