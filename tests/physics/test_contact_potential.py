@@ -17,20 +17,29 @@ from sayd_env.config.contact import ContactConfig
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics import step as kernels
 from sayd_env.physics.contact.geometry import contact_table
-from sayd_env.physics.plant import LANES
+from sayd_env.physics.plant import (
+    FORCE_X,
+    FORCE_Y,
+    FORCE_Z,
+    MOMENT_PITCH,
+    MOMENT_ROLL,
+    MOMENT_YAW,
+    WHEELSETS,
+)
 from sayd_env.physics.profiles import Profile
+from sayd_env.physics.rows import SINGLE
 from sayd_env.physics.simulator import Simulator, VehicleModel
 
 Array = npt.NDArray[np.float64]
 
 RADIUS, HALF, CONE, CROWN, LOAD = 0.46, 0.75, 0.05, 0.3, 75e3
 OUT = {
-    "x": kernels.FORCE_X,
-    "y": kernels.FORCE_Y,
-    "z": kernels.FORCE_Z,
-    "roll": kernels.MOMENT_ROLL,
-    "pitch": kernels.MOMENT_PITCH,
-    "yaw": kernels.MOMENT_YAW,
+    "x": FORCE_X,
+    "y": FORCE_Y,
+    "z": FORCE_Z,
+    "roll": MOMENT_ROLL,
+    "pitch": MOMENT_PITCH,
+    "yaw": MOMENT_YAW,
 }
 
 
@@ -116,16 +125,17 @@ def simulator() -> Simulator:
 
 
 def contact_forces(simulator: Simulator, pose: dict[str, float], track: Track) -> Array:
-    """Rows of the wheels' outputs for the first wheelset in a pose, shape (rows, LANES)."""
-    plant, work, state = simulator.plant, simulator.work, simulator.state
-    q = np.zeros_like(state.q)
-    q[plant.wheelset_dofs[0]] = list(pose.values())
-    work.rail[:] = 0.0
-    work.rail[0, kernels.SLOPE + kernels.ALIGNMENT] = track.yaw
-    work.rail[0, kernels.CROSS_LEVEL] = track.cant
-    kernels.wheel_kinematics(plant, q, np.zeros_like(q), work)
-    kernels.wheel_forces(plant, work)
-    return work.lane_out.reshape(-1, LANES)
+    """What the wheels of the first wheelset, left and right, do in a pose: shape (rows, 2)."""
+    plant, work = simulator.plant, simulator.work
+    work.x[:] = 0.0
+    work.x[simulator.model.multibody.wheelset_dofs[0]] = list(pose.values())
+    rail = work.rail.reshape(-1, WHEELSETS)
+    rail[:] = 0.0
+    rail[kernels.SLOPE + kernels.ALIGNMENT, 0] = track.yaw
+    rail[kernels.CROSS_LEVEL, 0] = track.cant
+    kernels.motions(SINGLE, plant, work)
+    kernels.wheels(SINGLE, plant, work)
+    return work.lane_out.reshape(-1, 2, WHEELSETS)[:, :, 0]
 
 
 @pytest.mark.parametrize(
@@ -154,9 +164,9 @@ def test_forces_are_the_gradient_of_the_gap(
         pose["z"] -= gap(lowest_point(pose, side, track), pose | {"z": 0.0}, side, track)
         expected = gradient(pose, side, track)
         out = contact_forces(simulator, pose, track)
-        force = {k: out[row, wheel] / out[kernels.FORCE_Z, wheel] for k, row in OUT.items()}
+        force = {k: out[row, wheel] / out[FORCE_Z, wheel] for k, row in OUT.items()}
         tilt = abs(roll - track.cant)
-        assert out[kernels.FORCE_Z, wheel] == pytest.approx(LOAD, rel=0.01)
+        assert out[FORCE_Z, wheel] == pytest.approx(LOAD, rel=0.01)
         assert force["y"] == pytest.approx(expected["y"], abs=2e-5 + 0.02 * tilt)
         assert force["roll"] == pytest.approx(expected["roll"], abs=1e-4 + (CROWN + HALF * CONE) * tilt)
         assert force["pitch"] == pytest.approx(expected["pitch"], abs=1e-8)

@@ -16,6 +16,7 @@ from sayd_env.physics import step as kernels
 from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.linear import linearise
 from sayd_env.physics.plant import LANES
+from sayd_env.physics.rows import SINGLE
 from sayd_env.physics.simulator import Simulator, VehicleModel
 
 SPEED = 350.0 / 3.6
@@ -35,9 +36,12 @@ def test_reactions_act_at_both_ends(model: VehicleModel) -> None:
     """-F_1 along the bogie's connection vector, -F_2 along the carbody's, by the assembled model's rows."""
     simulator = Simulator(model, SPEED, 1)
     simulator.advance(400)
-    state, f = simulator.state, np.zeros(model.multibody.n)
-    kernels.add_sayds(simulator.plant, state, f)
-    forces = state.sayd.reshape(-1, LANES)
+    plant, state, work = simulator.plant, simulator.state, simulator.work
+    _, first, end, _, _ = kernels.sections(SINGLE, plant, work)
+    work.x[:first], work.x[end:] = 0.0, 0.0  # only the dampers' forces are left
+    work.f[:] = 0.0
+    kernels.forces(SINGLE, plant, work)
+    f, forces = work.f, state.sayd.reshape(-1, LANES)
     assert np.min(np.abs(forces[sayd.FORCE_1])) > 1.0
     rows = enumerate(model.multibody.yaw_dampers)
     parts = [-b * forces[sayd.FORCE_1, k] - c * forces[sayd.FORCE_2, k] for k, (_, b, c) in rows]

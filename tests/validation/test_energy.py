@@ -19,15 +19,27 @@ from sayd_env.config.scenario import NumericsConfig, Scenario, load_scenario
 from sayd_env.config.vehicle import VehicleConfig
 from sayd_env.physics import step as kernels
 from sayd_env.physics.multibody import GRAVITY
-from sayd_env.physics.plant import LANES
+from sayd_env.physics.plant import (
+    APPROACH,
+    FORCE_X,
+    FORCE_Y,
+    LANES,
+    NORMAL,
+    POWER_DAMPING,
+    POWER_SLIP,
+    ROWS_OUT,
+    STORED,
+    WHEEL_ROWS,
+    WHEELSETS,
+)
 from sayd_env.physics.simulator import Simulator, VehicleModel
 
 Array = npt.NDArray[np.float64]
 
 
-def row(lanes: Array, index: int, wheels: int) -> Array:
-    """One row of a lane array over time, shape (t, wheels)."""
-    return lanes[:, index * LANES : index * LANES + wheels]
+def row(lanes: Array, index: int) -> Array:
+    """One row of the contact's outputs over time, shape (t, LANES): four left wheels, then four right."""
+    return lanes.reshape(-1, ROWS_OUT, LANES)[:, index]
 
 
 def march(simulator: Simulator, steps: int) -> dict[str, Array]:
@@ -37,13 +49,13 @@ def march(simulator: Simulator, steps: int) -> dict[str, Array]:
     for k in range(steps + 1):
         if k > 0:
             kernels.step(plant, state, work)
-        kernels.contact(plant, state.q, state.v, state.clock[1], work)
+        kernels.contact_at(plant, state.q, state.v, state.clock[1], work)
         q.append(state.q.copy())
         v.append(state.v.copy())
         force.append(state.force.copy())
         position.append(state.clock[1])
         lanes.append(work.lane_out.copy())
-        rail.append(work.rail.copy())
+        rail.append(work.rail.reshape(-1, WHEELSETS).copy())
     names = ("q", "v", "force", "position", "lanes", "rail")
     return {n: np.array(x) for n, x in zip(names, (q, v, force, position, lanes, rail), strict=True)}
 
@@ -75,7 +87,6 @@ def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[st
     """Energy (J) and powers (W) over time, shape (t,) each."""
     body, table = model.multibody, model.table
     q, v, force, lanes = run["q"], run["v"], run["force"], run["lanes"]
-    wheels = 2 * len(body.wheelset_x)
     radius = model.scenario.vehicle.wheel_radius
 
     # Stored energy. The static load of each wheelset is a constant force between wheelset and track.
@@ -85,23 +96,23 @@ def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[st
     maxwell = sum(0.5 * force[:, k] ** 2 / e.series_stiffness for k, e in enumerate(model.dampers))
     dofs, section = body.wheelset_dofs, body.section_dofs
     static = 2.0 * (q[:, dofs[:, 2]] - q[:, section[:, 1]]) @ body.wheel_load
-    stored = row(lanes, kernels.STORED, wheels).sum(axis=1)
+    stored = row(lanes, STORED).sum(axis=1)
 
     # Heat.
     linear = np.einsum("ti,ij,tj->t", v, body.damping, v)
     pistons = sum(force[:, k] * inverse_curve(force[:, k], e.curve) for k, e in enumerate(model.dampers))
-    slip = row(lanes, kernels.POWER_SLIP, wheels).sum(axis=1)
-    contact = row(lanes, kernels.POWER_DAMPING, wheels).sum(axis=1)
+    slip = row(lanes, POWER_SLIP).sum(axis=1)
+    contact = row(lanes, POWER_DAMPING).sum(axis=1)
 
-    # What holds the speed. Left and right wheels in turn: columns 0, 2, ... are left.
-    side = np.tile([1.0, -1.0], wheels // 2)
-    of = np.repeat(np.arange(wheels // 2), 2)
-    values, slopes = run["rail"][:, of, :4], run["rail"][:, of, 4:]
-    align, vertical, cross, gauge = (speed * slopes[:, :, i] for i in range(4))
+    # What holds the speed.
+    side = np.repeat([1.0, -1.0], WHEELSETS)
+    of = np.tile(np.arange(WHEELSETS), 2)
+    values, slopes = run["rail"][:, :4, of], run["rail"][:, 4:, of]
+    align, vertical, cross, gauge = (speed * slopes[:, i] for i in range(4))
     y, roll, yaw = (q[:, dofs[of, i]] for i in (1, 3, 5))
-    plane = values[:, :, 2] + q[:, section[of, 2]]
-    offset = y + radius * roll - values[:, :, 0] - q[:, section[of, 0]]
-    shift = side * offset - 0.5 * values[:, :, 3]
+    plane = values[:, 2] + q[:, section[of, 2]]
+    offset = y + radius * roll - values[:, 0] - q[:, section[of, 0]]
+    shift = side * offset - 0.5 * values[:, 3]
     node = np.clip(np.floor((shift - table.dy[0]) / table.step).astype(int), 0, len(table.dy) - 2)
 
     def at_shift(values: Array) -> Array:
@@ -113,20 +124,20 @@ def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[st
     delta_r, arm, tilt_0 = at_shift(table.delta_r), at_shift(table.y_c), at_shift(table.phi_k)
     # Stored is (2/5) N d, with the elastic force N and the penetration d = m N^(2/3).
     compliance, rest = at_shift(table.compliance), table.load ** (2.0 / 3.0)
-    power = (2.5 * row(lanes, kernels.STORED, wheels) / compliance) ** 0.4
+    power = (2.5 * row(lanes, STORED) / compliance) ** 0.4
     slant = at_shift(table.tan_gamma) + (tilt_0 - side * (roll - plane)) * slope(table.y_c)
     tangent = slant - 0.6 * at_shift(table.compliance_slope) * (power - rest)
     cosine = 1.0 / np.hypot(1.0, tangent)
-    up = row(lanes, kernels.NORMAL, wheels) * cosine
-    creep_y = row(lanes, kernels.FORCE_Y, wheels) + up * (side * tangent + plane)
+    up = row(lanes, NORMAL) * cosine
+    creep_y = row(lanes, FORCE_Y) + up * (side * tangent + plane)
     rise = vertical + cross * (side * arm + offset)  # of the rail's surface below the wheel
     # A wheel of radius r0 + dr that spins with V / r0, and rolls along its yawed plane over the rail's line.
-    across = yaw - slopes[:, :, 0]
+    across = yaw - slopes[:, 0]
     more = delta_r / radius
-    hold = speed * row(lanes, kernels.FORCE_X, wheels) * more
+    hold = speed * row(lanes, FORCE_X) * more
     hold += speed * creep_y * (yaw + across * (tangent**2 + more / cosine**2))
     # A bent rail yaws below the wheel, which raises it.
-    bend = np.gradient(slopes[:, :, 0], np.asarray(run["position"]) / speed, axis=0)
+    bend = np.gradient(slopes[:, 0], np.asarray(run["position"]) / speed, axis=0)
     hold += up * across * slant * (arm - radius * slant) * bend
     # The rail's surface lifts the wheel and shifts it sideways as it runs by.
     hold += creep_y * side * tangent * rise
@@ -224,11 +235,12 @@ def test_bounce_on_hertz_springs() -> None:
     section = model.scenario.track.section
     simulator = Simulator(model, 50.0)
     state, plant = simulator.state, simulator.plant
-    axle_z, track_z = plant.wheelset_dofs[0, 2], plant.section_dofs[0, 1]
-    contact = 2.0 * 1.5 * 0.5 * MASS * GRAVITY / plant.approach[0]
+    axle_z, track_z = model.multibody.wheelset_dofs[0, 2], model.multibody.section_dofs[0, 1]
+    approach = plant.wheel.reshape(WHEEL_ROWS, LANES)[APPROACH, 0]
+    contact = 2.0 * 1.5 * 0.5 * MASS * GRAVITY / approach
     k = np.array([[contact, -contact], [-contact, contact + 2.0 * section.vertical_stiffness]])
     squared, shapes = eigh(k, np.diag([MASS, section.mass]))
-    amplitude = 1e-3 * plant.approach[0]
+    amplitude = 1e-3 * approach
     state.q[axle_z] = amplitude
     state.a[[axle_z, track_z]] = -amplitude * k[:, 0] / [MASS, section.mass]
     start = shapes.T @ np.diag([MASS, section.mass]) @ [amplitude, 0.0]
@@ -242,14 +254,13 @@ def test_free_flight() -> None:
     """A wheelset thrown upwards leaves the rail, feels no force, and falls with g."""
     simulator = Simulator(wheelset_alone(), 50.0)
     state, plant, work = simulator.state, simulator.plant, simulator.work
-    axle_z = plant.wheelset_dofs[0, 2]
+    axle_z = simulator.model.multibody.wheelset_dofs[0, 2]
     state.v[axle_z] = 0.5
     flight = []
     for _ in range(1600):
         kernels.step(plant, state, work)
         if state.q[axle_z] > 1e-3:
-            assert np.all(work.lane_out[:2] == 0.0)
-            assert work.lane_out[kernels.NORMAL * LANES] == work.lane_out[kernels.NORMAL * LANES + 1] == 0.0
+            assert np.all(work.lane_out.reshape(ROWS_OUT, LANES)[[FORCE_X, NORMAL]] == 0.0)
             flight.append((state.clock[0], state.q[axle_z]))
     t, z = np.array(flight).T
     assert len(t) > 1000
