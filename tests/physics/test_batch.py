@@ -2,162 +2,378 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from typing import NamedTuple
+
 import numba
 import numpy as np
 import numpy.typing as npt
 import pytest
-from sayd_env.physics.stack import Stack
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics import kernel as kernel_module
-from sayd_env.physics.batch import BatchSimulator
+from sayd_env.physics.batch import BatchSimulator, advance_batch
+from sayd_env.physics.formation import FEWEST, WIDTH, Formation
 from sayd_env.physics.kernel import announced_compilation, kernel
+from sayd_env.physics.plant import Plant, State
+from sayd_env.physics.ragged import Matrix, RaggedBatch, vehicle_from
 from sayd_env.physics.simulator import Simulator, VehicleModel
 
 Array = npt.NDArray[np.float64]
-SAMPLES = 400
+Flags = npt.NDArray[np.bool_]
+SAMPLES = 250
 KMH = 3.6
+
+MODELS = {
+    "new": ["wear=0"],
+    "worn": ["wear=1", "assessment.length=1000"],
+    "half worn": ["wear=0.5", "friction=0.2", "contact.table_half_width=0.010"],
+    "light": ["wear=1", "vehicle.bodies.carbody.mass=40000"],
+    "smooth": ["track=smooth", "friction=0.2"],
+    "other curve": ["wear=1", "damper.curve=[[0, 0], [0.1, 8000], [0.2, 9000], [0.4, 10000]]"],
+    "closed": ["damper=sayd", "damper.current=0.05"],
+    "slow valve": ["damper=sayd", "damper.current=0.4", "damper.valve.delay=0.012", "wear=1"],
+    "leaking": ["damper=sayd", "damper.throttle.closed_area=4e-7", "damper.valve.delay=0.0021"],
+}
+"""Wheels, tracks of other lengths, masses, curves, valves, throttle tables: what `load_scenario` changes."""
+FLEET = [
+    ("new", 350, 0),
+    ("closed", 320, 1),
+    ("worn", 400, 1),
+    ("new", 60, 2),
+    ("half worn", 300, 3),
+    ("slow valve", 350, 2),
+    ("light", 380, 4),
+    ("leaking", 300, 5),
+    ("worn", 290, 6),
+    ("smooth", 400, 0),
+    ("closed", 400, 3),
+    ("other curve", 300, 7),
+    ("new", 300, 8),
+    ("slow valve", 280, 4),
+    ("half worn", 330, 5),
+    ("leaking", 350, 6),
+    ("worn", 60, 3),
+    ("worn", 350, 9),
+    ("new", 400, 4),
+    ("slow valve", 400, 0),
+]
+"""Model, speed (km/h), seed: ten passive vehicles of one structure and step are a group and two more, seven
+with semi-active dampers a group with an idle lane; the other three are of kinds of their own."""
 
 
 @pytest.fixture(scope="module")
-def models() -> tuple[VehicleModel, VehicleModel, VehicleModel]:
-    """New wheels; worn wheels, another damper and a shorter track; lengths of all tables differ."""
-    return (
-        VehicleModel(load_scenario()),
-        VehicleModel(
-            load_scenario(
-                None,
-                [
-                    "wear=1",
-                    "damper.curve=[[0, 0], [0.1, 8000], [0.2, 9000], [0.4, 10000]]",
-                    "assessment.length=1000",
-                    "contact.table_half_width=0.010",
-                ],
-            )
-        ),
-        VehicleModel(load_scenario(None, ["friction=0.2", "track=smooth"])),
-    )
+def models() -> dict[str, VehicleModel]:
+    return {name: VehicleModel(load_scenario(None, overrides)) for name, overrides in MODELS.items()}
 
 
-@pytest.fixture
-def fleet(models: tuple[VehicleModel, ...]) -> list[Simulator]:
-    """Vehicles of different speeds (and so different numbers of substeps), tracks, wheels and dampers."""
-    return vehicles(models)
+class Fleet:
+    """The vehicles of `FLEET`, made anew as often as wanted, and what each of them does alone."""
+
+    def __init__(self, models: dict[str, VehicleModel]) -> None:
+        self.models = models
+        self.tracks = [models[name].realisation(seed) for name, _, seed in FLEET]
+        self.alone = [alone(simulator) for simulator in self.vehicles()]
+
+    def vehicles(self, which: range | list[int] = range(len(FLEET))) -> list[Simulator]:  # noqa: B008
+        return [self.vehicle(i) for i in which]
+
+    def vehicle(self, i: int) -> Simulator:
+        name, speed, _ = FLEET[i]
+        simulator = Simulator(self.models[name], speed / KMH, track=self.tracks[i])
+        simulator.state.v[simulator.model.multibody.wheelset_dofs[:, 1]] = 0.01 * (i + 1)
+        return simulator
 
 
-def vehicles(models: tuple[VehicleModel, ...]) -> list[Simulator]:
-    cases = [(0, 350, 0), (1, 400, 1), (0, 60, 2), (2, 120, 0), (1, 300, 3)]
-    fleet = [Simulator(models[m], speed / KMH, seed) for m, speed, seed in cases]
-    for k, simulator in enumerate(fleet):
-        simulator.state.v[simulator.plant.wheelset_dofs[:, 1]] = 0.01 * (k + 1)
-    return fleet
+@pytest.fixture(scope="module")
+def fleet(models: dict[str, VehicleModel]) -> Fleet:
+    return Fleet(models)
 
 
-def alone(simulator: Simulator, samples: int = SAMPLES) -> Array:
+def alone(simulator: Simulator, samples: int = SAMPLES) -> tuple[Array, State]:
+    """Signals of a simulator of its own, and its state at the end."""
     run = simulator.advance(samples)
-    return np.hstack([run.acceleration, run.track_shift, run.damper_force])
+    return np.hstack([run.acceleration, run.track_shift, run.damper_force]), simulator.state
 
 
-def test_the_fleet_is_diverse(fleet: list[Simulator]) -> None:
-    assert len({s.model.step(s.speed)[1] for s in fleet}) > 2
-    for name in ("table", "irregularity", "damper_velocity"):
-        assert len({len(getattr(s.plant, name)) for s in fleet}) > 1, name
+def formation(simulators: list[Simulator]) -> Formation:
+    plants, states, works = zip(*((s.plant, s.state, s.work) for s in simulators), strict=True)
+    return Formation(plants, states, works)
 
 
-def test_batch_equals_single_runs(models: tuple[VehicleModel, ...], fleet: list[Simulator]) -> None:
-    together = BatchSimulator(fleet).advance(SAMPLES)
-    for i, simulator in enumerate(vehicles(models)):
-        np.testing.assert_array_equal(together[i], alone(simulator))
-        np.testing.assert_array_equal(fleet[i].state.q, simulator.state.q)
+def advance(formation: Formation, substeps: list[int], active: Flags | None = None) -> Array:
+    """Signals (vehicles, samples, 16) of the vehicles that are active; the others' stay zero."""
+    signals, done = np.zeros((len(formation), SAMPLES, 16)), np.zeros(len(formation), dtype=np.int64)
+    units = formation.units(active)
+    advance_batch(units, *formation.arguments(), np.array(substeps), signals, done)
+    return signals
+
+
+def substeps(simulators: list[Simulator]) -> list[int]:
+    return [s.model.step(s.speed)[1] for s in simulators]
+
+
+def assert_same_state(found: State, expected: State) -> None:
+    for name in State._fields:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
+
+
+def test_the_fleet_is_diverse(fleet: Fleet) -> None:
+    simulators = fleet.vehicles()
+    assert len(set(substeps(simulators))) > 2
+    for name in ("table", "irregularity", "damper_velocity", "sayd_constant"):
+        assert len({len(getattr(s.plant, name)) for s in simulators}) > 1, name
+    assert len({len(s.state.sayd_line) for s in simulators}) > 2
+    units = formation(simulators).units()
+    assert sorted(np.count_nonzero(units.members >= 0, axis=1)) == [WIDTH - 1, WIDTH]
+    assert sorted([*units.members[units.members >= 0], *units.alone]) == list(range(len(FLEET)))
+
+
+@pytest.mark.parametrize("size", range(1, len(FLEET) + 1))
+def test_a_batch_of_any_size_equals_single_runs(fleet: Fleet, size: int) -> None:
+    simulators = fleet.vehicles(range(size))
+    together = BatchSimulator(simulators).advance(SAMPLES)
+    for i, (signals, state) in enumerate(fleet.alone[:size]):
+        np.testing.assert_array_equal(together[i], signals)
+        assert_same_state(simulators[i].state, state)
+
+
+@pytest.mark.parametrize("size", range(1, 2 * WIDTH + 5))
+def test_equal_vehicles_in_a_batch_of_any_size(fleet: Fleet, size: int) -> None:
+    """One structure: alone, a group with idle lanes, a full one, several, and what is left over."""
+    which = [
+        i for i, (name, speed, _) in enumerate(FLEET) if name in ("new", "worn", "light") and speed > 200
+    ]
+    order = [which[i % len(which)] for i in range(size)]
+    together = BatchSimulator(fleet.vehicles(order)).advance(SAMPLES)
+    for k, i in enumerate(order):
+        np.testing.assert_array_equal(together[k], fleet.alone[i][0])
 
 
 @pytest.mark.parametrize("threads", range(1, numba.config.NUMBA_NUM_THREADS + 1))
-def test_threads_change_nothing(models: tuple[VehicleModel, ...], threads: int) -> None:
-    reference = BatchSimulator(vehicles(models), 1).advance(SAMPLES)
-    np.testing.assert_array_equal(BatchSimulator(vehicles(models), threads).advance(SAMPLES), reference)
+def test_threads_change_nothing(fleet: Fleet, threads: int) -> None:
+    together = BatchSimulator(fleet.vehicles(), threads).advance(SAMPLES)
+    np.testing.assert_array_equal(together, [signals for signals, _ in fleet.alone])
 
 
-def test_company_changes_nothing(models: tuple[VehicleModel, ...], fleet: list[Simulator]) -> None:
-    reference = BatchSimulator(vehicles(models)).advance(SAMPLES)
-    backwards = BatchSimulator(fleet[::-1]).advance(SAMPLES)
-    np.testing.assert_array_equal(backwards[::-1], reference)
-    few = BatchSimulator(vehicles(models)[1:3]).advance(SAMPLES)
-    np.testing.assert_array_equal(few, reference[1:3])
+def test_company_changes_nothing(fleet: Fleet) -> None:
+    order = [int(i) for i in np.random.default_rng(3).permutation(len(FLEET))]
+    together = BatchSimulator(fleet.vehicles(order)).advance(SAMPLES)
+    for k, i in enumerate(order):
+        np.testing.assert_array_equal(together[k], fleet.alone[i][0])
 
 
-def test_two_halves_are_a_whole(models: tuple[VehicleModel, ...], fleet: list[Simulator]) -> None:
+def test_two_halves_are_a_whole(fleet: Fleet) -> None:
     """A batch goes on where it was, and a vehicle may run on alone: both see one state."""
-    whole = BatchSimulator(vehicles(models)).advance(SAMPLES)
-    batch = BatchSimulator(fleet)
-    first = batch.advance(SAMPLES // 2)
-    np.testing.assert_array_equal(first, whole[:, : SAMPLES // 2])
-    np.testing.assert_array_equal(alone(fleet[1], SAMPLES // 2), whole[1, SAMPLES // 2 :])
-    assert fleet[1].state.clock[0] > fleet[0].state.clock[0]
+    simulators = fleet.vehicles()
+    first = BatchSimulator(simulators).advance(SAMPLES // 2)
+    for i, simulator in enumerate(simulators):
+        np.testing.assert_array_equal(first[i], fleet.alone[i][0][: SAMPLES // 2])
+        signals, state = alone(simulator, SAMPLES - SAMPLES // 2)
+        np.testing.assert_array_equal(signals, fleet.alone[i][0][SAMPLES // 2 :])
+        assert_same_state(state, fleet.alone[i][1])
 
 
-def test_the_number_of_threads_is_given_back(fleet: list[Simulator]) -> None:
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_some_run_while_others_wait(fleet: Fleet, share: float, seed: int) -> None:
+    """Whoever is active does what it does alone; the others' states stay as they are."""
+    active = np.random.default_rng(seed).random(len(FLEET)) < share
+    simulators, waiting = fleet.vehicles(), fleet.vehicles()
+    batch = formation(simulators)
+    signals = advance(batch, substeps(simulators), active)
+    for i, runs in enumerate(active):
+        np.testing.assert_array_equal(signals[i], fleet.alone[i][0] if runs else 0.0)
+        assert_same_state(simulators[i].state, fleet.alone[i][1] if runs else waiting[i].state)
+
+
+def test_few_of_a_group_run_alone(fleet: Fleet) -> None:
+    simulators = fleet.vehicles()
+    batch = formation(simulators)
+    team = batch.units().members[0]
+    for count in range(WIDTH + 1):
+        active = np.zeros(len(FLEET), dtype=bool)
+        active[team[:count]] = True
+        units = batch.units(active)
+        run = sorted([*units.members[units.members >= 0], *units.alone])
+        assert run == sorted(team[:count])
+        assert len(units.groups) == (1 if count >= FEWEST else 0)
+
+
+def test_a_vehicle_can_be_replaced(fleet: Fleet) -> None:
+    """Another one takes its place in the batch, of another kind even, and the groups form anew."""
+    order = list(range(len(FLEET) - 1))
+    simulators = fleet.vehicles(order)
+    batch = formation(simulators)
+    advance(batch, substeps(simulators))
+    assert len(batch.units().alone) == 5
+    new = [*order]
+    new[1], new[3], new[5] = 19, 2, 0
+    replaced = fleet.vehicles(new)
+    for i, simulator in enumerate(replaced):
+        batch.put(i, simulator.plant, simulator.state, simulator.work)
+    signals = advance(batch, substeps(replaced))
+    for k, i in enumerate(new):
+        np.testing.assert_array_equal(signals[k], fleet.alone[i][0])
+
+
+def test_constants_can_change(fleet: Fleet) -> None:
+    """New constants act from the next call on: here those of another friction, on the same state."""
+    which = [0, 2, 4, 6, 8, 9, 12, 14]
+    simulators, expected = fleet.vehicles(which), fleet.vehicles(which)
+    batch = formation(simulators)
+    assert len(batch.units().groups) == 1
+    other = VehicleModel(load_scenario(None, ["wear=0", "friction=0.1"]))
+    plant = other.plant(simulators[0].speed, simulators[0].track)
+    batch.change(0, plant)
+    expected[0].plant = plant
+    signals = advance(batch, substeps(simulators))
+    assert len(batch.units().groups) == 1
+    for k, simulator in enumerate(expected):
+        np.testing.assert_array_equal(signals[k], alone(simulator)[0])
+    assert np.any(signals[0] != fleet.alone[0][0])
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_a_copy_runs_on_its_own(fleet: Fleet, copied: object) -> None:
+    """A copy of a batch that has run goes on to the same bits, and the original stays where it is."""
+    assert callable(copied)
+    simulators = fleet.vehicles()
+    batch = formation(simulators)
+    advance(batch, substeps(simulators))
+    before = copy.deepcopy([s.state for s in simulators])
+    other = copied(batch)
+    for mine, its in zip(batch.state, other.state, strict=True):
+        for a, b in zip(mine, its, strict=True):
+            assert a.size == 0 or not np.shares_memory(a, b)
+    ran = advance(other, substeps(simulators))
+    for simulator, state in zip(simulators, before, strict=True):
+        assert_same_state(simulator.state, state)
+    np.testing.assert_array_equal(advance(batch, substeps(simulators)), ran)
+    for simulator, state in zip(simulators, other.state, strict=True):
+        assert_same_state(simulator.state, state)
+
+
+def test_the_number_of_threads_is_given_back(fleet: Fleet) -> None:
+    simulators = fleet.vehicles(range(5))
     before = numba.get_num_threads()
-    BatchSimulator(fleet, 1).advance(1)
+    BatchSimulator(simulators, 1).advance(1)
     assert numba.get_num_threads() == before
-    fleet[0].state.q[:] = np.nan
+    simulators[0].state.q[:] = np.nan
     with pytest.raises(StudyError, match="350 km/h diverged"):
-        BatchSimulator(fleet, 1).advance(1)
+        BatchSimulator(simulators, 1).advance(1)
     assert numba.get_num_threads() == before
 
 
-def test_one_diverging_vehicle_leaves_the_others_alone(
-    models: tuple[VehicleModel, ...], fleet: list[Simulator]
-) -> None:
-    fleet[0].state.q[:] = np.nan
+def test_one_diverging_vehicle_leaves_the_others_alone(fleet: Fleet) -> None:
+    """Also those in its group, whose lanes stand beside its own."""
+    simulators = fleet.vehicles()
+    broken = next(int(i) for i in formation(simulators).units().members[0])
+    simulators[broken].state.q[:] = np.nan
     with pytest.raises(StudyError):
-        BatchSimulator(fleet).advance(SAMPLES)
-    other = vehicles(models)[1]
-    other.advance(SAMPLES)
-    np.testing.assert_array_equal(fleet[1].state.q, other.state.q)
+        BatchSimulator(simulators).advance(SAMPLES)
+    for i, simulator in enumerate(simulators):
+        if i != broken:
+            assert_same_state(simulator.state, fleet.alone[i][1])
 
 
 @pytest.mark.parametrize("threads", [0, -1, 10_000])
-def test_impossible_threads(fleet: list[Simulator], threads: int) -> None:
+def test_impossible_threads(fleet: Fleet, threads: int) -> None:
     with pytest.raises(ConfigError, match=r"num_threads: found .*; expected a whole number from 1 to"):
-        BatchSimulator(fleet, threads)
+        BatchSimulator(fleet.vehicles(range(2)), threads)
 
 
-def test_vehicles_that_do_not_fit(fleet: list[Simulator]) -> None:
+def test_vehicles_that_do_not_fit(fleet: Fleet) -> None:
     with pytest.raises(ConfigError, match="at least one"):
         BatchSimulator([])
     other = Simulator(VehicleModel(load_scenario(None, ["vehicle=manchester"])), 150 / KMH)
     with pytest.raises(ConfigError, match="a batch needs"):
-        BatchSimulator([fleet[0], other])
+        BatchSimulator([fleet.vehicle(0), other])
     slow = Simulator(VehicleModel(load_scenario(None, ["assessment.sample_rate=500"])), 300 / KMH)
     with pytest.raises(ConfigError, match="sample rate"):
-        BatchSimulator([fleet[0], slow])
+        BatchSimulator([fleet.vehicle(0), slow])
 
 
-def test_stack_and_back(fleet: list[Simulator]) -> None:
-    states = [s.state for s in fleet]
-    stack = Stack(states)
-    for i, state in enumerate(states):
-        view = stack.view(i)
-        for name in state._fields:
-            np.testing.assert_array_equal(getattr(view, name), getattr(state, name))
-            # Passive dampers leave the semi-active ones' arrays empty, and nothing is shared there.
-            shared = np.shares_memory(getattr(view, name), getattr(stack.values, name))
-            assert shared or getattr(stack.values, name).size == 0
+class Parts(NamedTuple):
+    """A named tuple of all that a batch takes: a number, arrays of one and two dimensions."""
+
+    number: float
+    row: Array
+    matrix: Matrix
 
 
-@pytest.mark.parametrize("change", [-300, 0, 300], ids=["shorter", "as long", "longer"])
-def test_putting_one_vehicle_leaves_the_others(fleet: list[Simulator], change: int) -> None:
-    stack = Stack([s.plant for s in fleet])
-    before = [s.plant for s in fleet]
-    track = fleet[0].plant.irregularity
-    rows = np.vstack([track, track[:change]]) if change > 0 else track[: len(track) + change]
-    new = fleet[1].plant._replace(irregularity=rows + 1.0, speed=33.0)
-    stack.put(1, new)
-    stack.put(0, before[0])
-    for i, expected in enumerate([before[0], new, *before[2:]]):
-        for name in expected._fields:
-            np.testing.assert_array_equal(getattr(stack.view(i), name), getattr(expected, name))
+parts_of = vehicle_from(Parts)
+
+
+@kernel(allocates=False)
+def _double(table: npt.NDArray[np.int64], i: int) -> float:
+    """Change one vehicle's arrays by their addresses; return its number and the sum of its lengths."""
+    one = parts_of(table, i)
+    for k in range(one.row.shape[0]):
+        one.row[k] *= 2.0
+    for k in range(1, one.matrix.shape[0]):
+        one.matrix[k, 0] *= 2.0
+    return float(one.number + one.row.shape[0] + 10 * one.matrix.shape[0] + 100 * one.matrix.shape[1])
+
+
+def parts(number: float, length: int, shape: tuple[int, int]) -> Parts:
+    return Parts(number, np.arange(float(length)), np.ones(shape))
+
+
+def test_compiled_code_works_on_the_vehicles_own_arrays() -> None:
+    """By their addresses: no copies, any lengths, an array shared by two vehicles too."""
+    vehicles = [parts(0.5, 3, (2, 4)), parts(0.25, 7, (3, 2))]
+    vehicles.append(vehicles[0]._replace(number=0.125))
+    batch = RaggedBatch(Parts, vehicles)
+    assert [batch.view(i) is vehicle for i, vehicle in enumerate(vehicles)] == [True, True, True]
+    assert list(batch) == vehicles
+    np.testing.assert_array_equal(batch.table[:, 1, 0], [v.row.ctypes.data for v in vehicles])
+    assert [_double(batch.table, i) for i in range(3)] == [423.5, 237.25, 423.125]
+    np.testing.assert_array_equal(vehicles[0].row, 4.0 * np.arange(3.0))
+    np.testing.assert_array_equal(vehicles[1].row, 2.0 * np.arange(7.0))
+    np.testing.assert_array_equal(vehicles[1].matrix, [[1, 1], [2, 1], [2, 1]])
+    batch.put(1, parts(1.0, 1, (2, 2)))
+    assert _double(batch.table, 1) == 222.0
+    np.testing.assert_array_equal(vehicles[1].row, 2.0 * np.arange(7.0))
+
+
+def test_a_copied_batch_has_its_own_addresses() -> None:
+    batch = RaggedBatch(Parts, [parts(0.5, 3, (2, 4)), parts(0.25, 7, (3, 2))])
+    for other in (copy.deepcopy(batch), pickle.loads(pickle.dumps(batch))):
+        assert _double(other.table, 1) == 237.25
+        np.testing.assert_array_equal(other.view(1).row, 2.0 * np.arange(7.0))
+        np.testing.assert_array_equal(batch.view(1).row, np.arange(7.0))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        (
+            "row",
+            np.zeros(3, dtype=np.float32),
+            "found float32 of 1 dimensions, expected contiguous float64 of 1",
+        ),
+        ("row", np.zeros(3, dtype=np.int64), "found int64 of 1 dimensions"),
+        ("row", np.zeros((3, 1)), "found float64 of 2 dimensions"),
+        ("row", np.zeros(6)[::2], "expected contiguous"),
+        ("matrix", np.zeros(4), "found float64 of 1 dimensions, expected contiguous float64 of 2"),
+        ("matrix", np.zeros((2, 3)).T, "expected contiguous"),
+    ],
+)
+def test_arrays_that_compiled_code_would_misread_are_refused(field: str, value: Array, message: str) -> None:
+    wrong = parts(0.5, 3, (2, 4))._replace(**{field: value})
+    batch = RaggedBatch(Parts, [parts(0.5, 3, (2, 4))])
+    for act in (lambda: RaggedBatch(Parts, [wrong]), lambda: batch.put(0, wrong)):
+        with pytest.raises(ConfigError, match=rf"Parts\.{field}: .*{message}"):
+            act()
+
+
+def test_a_plant_s_arrays_are_checked(fleet: Fleet) -> None:
+    plant = fleet.vehicle(0).plant
+    with pytest.raises(ConfigError, match=r"Plant\.motion_column: found int64"):
+        RaggedBatch(Plant, [plant._replace(motion_column=plant.motion_column.astype(np.int64))])
 
 
 @pytest.fixture
