@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from llvmlite import binding
-from numba import types
 
 from sayd_env.config.damper import OrificeThrottle, SaydDamperConfig, load_sayd
-from sayd_env.physics import kernel as kernels
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.rig import steady_sayd_cycles
@@ -316,23 +313,6 @@ def test_vehicles_side_by_side_do_not_see_one_another() -> None:
         sayd.integrate((0,) * w, STEP, arrays[0].substeps, constant, table, inputs, state)
     for k in range(w):
         np.testing.assert_array_equal(state.reshape(-1, LANES, w)[:, :, k].ravel(), states[k])
-
-
-def test_the_hydraulics_are_vector_instructions() -> None:
-    """Only table reads gather, four in each of three Newton steps; roots and divisions are packed."""
-    features = binding.get_host_cpu_features()
-    if not features.get("avx2", False):
-        pytest.skip("the instructions looked for need AVX2")
-    # Compiled here: code from a cache has no text.
-    loop = kernels.njit(error_model="numpy", pipeline_class=kernels._DistinctArrays, _nrt=False)(
-        sayd.integrate.py_func
-    )
-    array, lanes = types.Array(types.float64, 1, "C"), types.UniTuple(types.int64, 1)
-    loop.compile((lanes, types.float64, types.int64, array, array, array, array))
-    (text,) = loop.inspect_asm().values()
-    assert text.count("vdivpd") >= 6
-    assert text.count("vsqrtpd") >= 11
-    assert text.count("vgather") <= 12
 
 
 def test_a_command_that_is_no_number_closes_the_valve() -> None:
