@@ -112,8 +112,8 @@ class RaggedBatch(Generic[Fields]):
     def _checked(self, fields: Any, k: int, value: Any, kind: np.dtype[Any], dimensions: int) -> Any:
         if value.dtype != kind or value.ndim != dimensions or not value.flags.c_contiguous:
             raise ConfigError(
-                f"{type(fields).__name__}.{fields._fields[k]}: found {value.dtype} of {value.ndim} dimensions, "
-                f"expected contiguous {kind} of {dimensions}"
+                f"{type(fields).__name__}.{fields._fields[k]}: found {value.dtype} of {value.ndim} "
+                f"dimensions, expected contiguous {kind} of {dimensions}"
             )
         return value
 

@@ -224,7 +224,9 @@ def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Ar
 
 
 @kernel(inline=True, distinct=True, allocates=False)
-def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch: Array, out: Array) -> None:
+def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
+    lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch: Array, out: Array
+) -> None:
     """Contact geometry, normal force and creepages of all wheels, from `Work.lane_in`.
 
     Normal force: the gradient of the contact's potential (`sayd_env.physics.contact.geometry`), with
@@ -275,9 +277,6 @@ def _touch(lanes: Lanes, wheel: Array, x: Array, table: Array, law: Array, patch
         law[creep.C11 * n + i] = left * table[p + geometry.C11] + right * table[q + geometry.C11]
         law[creep.C22 * n + i] = left * table[p + geometry.C22] + right * table[q + geometry.C22]
         law[creep.C23 * n + i] = left * table[p + geometry.C23] + right * table[q + geometry.C23]
-        law[creep.SPIN_GAIN * n + i] = (
-            left * table[p + geometry.SPIN_GAIN] + right * table[q + geometry.SPIN_GAIN]
-        )
 
         # The table is made at the kinematic roll; another roll moves the contact and so the slope.
         tilt, yaw, yaw_rate = x[TILT * n + i], x[YAW * n + i], x[YAW_RATE * n + i]

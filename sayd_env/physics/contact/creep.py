@@ -52,7 +52,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sayd_env.physics.contact import fastsim, kalker
-from sayd_env.physics.contact.polach import polach, polach_spin_gain
+from sayd_env.physics.contact.polach import polach
 from sayd_env.physics.kernel import CACHE_DIRECTORY, kernel
 
 Array = NDArray[np.float64]
@@ -61,10 +61,9 @@ LAWS = ("table", "polach", "fastsim")
 """Names of the laws; compiled code knows them by their place."""
 TABLE, POLACH, FASTSIM = range(3)
 
-# Rows in: a contact's creepages, friction bound mu N (N), semi-axes (m), Kalker's coefficients and Polach's
-# constant of the spin force.
-XI_X, XI_Y, SPIN, BOUND, SEMI_A, SEMI_B, C11, C22, C23, SPIN_GAIN = range(10)
-ROWS_IN = 10
+# Rows in: a contact's creepages, friction bound mu N (N), semi-axes (m) and Kalker's coefficients.
+XI_X, XI_Y, SPIN, BOUND, SEMI_A, SEMI_B, C11, C22, C23 = range(9)
+ROWS_IN = 9
 # Rows out: forces on the wheel (N) and moment about the contact's normal (N m), which FASTSIM alone gives.
 FX, FY, MZ = range(3)
 ROWS_OUT = 3
@@ -75,10 +74,10 @@ _CORE, _SPIN_SCALE = 1.5, math.sqrt(3.0)  # c and s above
 _PEAK = _CORE * (1.0 - _CORE / 3.0)
 _SPIN_PEAK = _CORE / _SPIN_SCALE
 _RATIOS = 13
-# Ellipses: a/b from 1/15 to 10, clamped beyond, in equal steps of sqrt(a) / (sqrt(a) + _RATIO_MIDDLE sqrt(b)).
+# Ellipses: a/b from 1/15 to 10, clamped beyond, in steps of sqrt(a) / (sqrt(a) + _RATIO_MIDDLE sqrt(b)).
 # Two steps from 10 down lies 5, where Kalker's coefficients, linear between the entries of their table E.3,
-# have a strong kink. The table ends at 1/10, and the coefficients are constant beyond; forces are not: where a
-# worn wheel's contact jumps, its patch is widened to a/b 0.07.
+# have a strong kink. That table ends at 1/10, and the coefficients are constant beyond; forces are not: where
+# a worn wheel's contact jumps, its patch is widened to a/b 0.07.
 _RATIO_MIDDLE = 1.9
 _FIFTH_RATIO, _LAST_RATIO = (math.sqrt(r) / (math.sqrt(r) + _RATIO_MIDDLE) for r in (5.0, 10.0))
 _RATIO_STEP = 0.5 * (_LAST_RATIO - _FIFTH_RATIO)
@@ -225,6 +224,8 @@ def _weights(f: float) -> tuple[float, float, float]:
 def polach_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulus: float) -> None:
     """Creep forces by Polach's law, with the parameters of `table_rows`."""
     n = x.shape[0] // ROWS_IN
+    for i in range(n):  # as `polach_spin_gain`
+        scratch[i] = 1.0 - 6.3 * math.expm1(-x[SEMI_A * n + i] / (x[SEMI_B * n + i] + _NO_PATCH))
     for i in range(n):
         out[MZ * n + i] = 0.0
         out[i], out[n + i] = polach(
@@ -237,7 +238,7 @@ def polach_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modulu
             x[C11 * n + i],
             x[C22 * n + i],
             x[C23 * n + i],
-            x[SPIN_GAIN * n + i],
+            scratch[i],
             1.0,
             shear_modulus,
         )
@@ -412,7 +413,7 @@ def _forces_in_ball(place: Array, a_over_b: float, poisson_ratio: float, element
     c11, c22, c23 = kalker.kalker_coefficients(a_over_b, poisson_ratio)
     # A contact with mu N = G = a b = 1.
     a, b = math.sqrt(a_over_b), math.sqrt(1.0 / a_over_b)
-    columns = (u / c11, v / c22, w / (_SPIN_SCALE * c23), 1.0, a, b, c11, c22, c23, 0.0)
+    columns = (u / c11, v / c22, w / (_SPIN_SCALE * c23), 1.0, a, b, c11, c22, c23)
     rows = np.array([np.broadcast_to(column, n) for column in columns])
     forces = np.empty((_FORCES, n))
     for begin in range(0, n, _BLOCK):
@@ -492,7 +493,7 @@ def creep_forces(
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     coefficients = kalker.kalker_coefficients(a / b, poisson_ratio)
     bound = np.asarray(friction, dtype=float) * normal
-    columns = np.broadcast_arrays(xi_x, xi_y, spin, bound, a, b, *coefficients, polach_spin_gain(a / b))
+    columns = np.broadcast_arrays(xi_x, xi_y, spin, bound, a, b, *coefficients)
     shape = columns[0].shape
     x = np.concatenate([np.ravel(column) for column in columns]).astype(float)
     n = x.size // ROWS_IN

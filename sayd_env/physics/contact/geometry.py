@@ -48,15 +48,12 @@ from sayd_env.config import DataError
 from sayd_env.config.contact import ContactConfig
 from sayd_env.physics.contact.hertz import hertz_coefficients
 from sayd_env.physics.contact.kalker import kalker_coefficients
-from sayd_env.physics.contact.polach import polach_spin_gain
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.profiles import Profile, gauge_point
 
 Array = NDArray[np.float64]
 
-DELTA_R, G0, Y_C, TAN_GAMMA, COMPLIANCE, A_S, B_S, C11, C22, C23, SPIN_GAIN, PHI_K, COMPLIANCE_SLOPE = range(
-    13
-)
+DELTA_R, G0, Y_C, TAN_GAMMA, COMPLIANCE, A_S, B_S, C11, C22, C23, PHI_K, COMPLIANCE_SLOPE = range(12)
 """Columns of `ContactTable.packed`."""
 
 COLUMNS = (
@@ -70,7 +67,6 @@ COLUMNS = (
     "c11",
     "c22",
     "c23",
-    "spin_gain",
     "phi_k",
     "compliance_slope",
 )
@@ -122,8 +118,6 @@ class ContactTable:
         Semi-axes in rolling and lateral direction over the cube root of the vertical force (m/N^(1/3)).
     c11, c22, c23 : ndarray
         Kalker's coefficients at the patch's axis ratio.
-    spin_gain : ndarray
-        Polach's constant of the spin force.
     phi_k : ndarray
         Kinematic roll of the wheelset against the track at which the node was evaluated (rad): both wheels
         carry the static load.
@@ -144,7 +138,6 @@ class ContactTable:
     c11: Array
     c22: Array
     c23: Array
-    spin_gain: Array
     phi_k: Array
 
     @property
@@ -254,7 +247,6 @@ def contact_table(
         c11=c11,
         c22=c22,
         c23=c23,
-        spin_gain=polach_spin_gain(patch.a_s / patch.b_s),
         phi_k=patch.roll,
     )
 
@@ -332,7 +324,7 @@ def linearised(table: ContactTable, amplitude: float) -> ContactTable:
     cosine = 1.0 / np.sqrt(1.0 + tan_gamma**2)
     constant = {
         name: np.full_like(dy, mean(getattr(table, name)))
-        for name in ("y_c", "compliance", "a_s", "b_s", "c11", "c22", "c23", "spin_gain")
+        for name in ("y_c", "compliance", "a_s", "b_s", "c11", "c22", "c23")
     }
     return ContactTable(
         dy_min=table.dy_min,
