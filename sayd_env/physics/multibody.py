@@ -36,6 +36,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 GRAVITY = 9.81
 """Acceleration of gravity (m/s2), the value behind the paper's axle load."""
+_ROUNDING = 1e-14  # of a matrix's largest entry
 AXES = {"x": 0, "y": 1, "z": 2, "roll": 0, "pitch": 1, "yaw": 2}
 
 
@@ -140,8 +141,9 @@ def assemble(vehicle: VehicleConfig, section: SectionConfig | None) -> Multibody
             mass[first : first + 3] = section.mass, section.mass, section.roll_inertia
     loads = builder.add_gravity(wheelsets)
     names = _dof_names(instances, sections, n)
+    stiffness, damping = _without_rounding(builder.stiffness), _without_rounding(builder.damping)
 
-    order = _compact_order(builder.stiffness, builder.damping)
+    order = _compact_order(stiffness, damping)
     rank = np.argsort(order)
     instances = {k: _renumbered(i, rank) for k, i in instances.items()}
     dofs = np.array([[instances[w.name].columns.get(d, -1) for d in DOFS] for w in wheelsets])
@@ -150,8 +152,8 @@ def assemble(vehicle: VehicleConfig, section: SectionConfig | None) -> Multibody
     return Multibody(
         dof_names=tuple(names[i] for i in order),
         mass=mass[order],
-        damping=builder.damping[shuffle],
-        stiffness=builder.stiffness[shuffle],
+        damping=damping[shuffle],
+        stiffness=stiffness[shuffle],
         gyroscopic=_gyroscopic(instances, n),
         dampers=tuple(_permuted(e, order) for e in builder.dampers),
         stops=tuple(_permuted(e, order) for e in builder.stops),
@@ -387,6 +389,15 @@ def _dof_names(instances: dict[str, Instance], sections: dict[str, int], n: int)
     for name, first in sections.items():
         names[first : first + 3] = [f"{name}.{dof}" for dof in ("y", "z", "roll")]
     return names
+
+
+def _without_rounding(matrix: Array) -> Array:
+    """The matrix with zeros for what rounding leaves of sums that cancel.
+
+    Else its pattern, and with it the order of the unknowns, would change with any number of the vehicle, and
+    vehicles that differ in numbers alone could not stand side by side.
+    """
+    return np.where(np.abs(matrix) > _ROUNDING * np.max(np.abs(matrix), initial=0.0), matrix, 0.0)
 
 
 def _compact_order(*matrices: Array) -> Index:
