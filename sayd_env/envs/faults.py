@@ -58,9 +58,7 @@ def _strike_damper(fault: ValveStuck | PowerLost | DamperLost, lanes: Lanes, lan
     damper, state = DAMPERS.index(fault.damper), lanes.state.view(lane)
     if state.sayd.size == 0:
         if isinstance(fault, DamperLost):
-            stiffness = lanes.formation.plant.view(lane).damper_stiffness.copy()
-            stiffness[damper] = state.force[damper] = 0.0
-            lanes.set_damper_stiffness(lane, stiffness)
+            lanes.lose_damper(lane, damper)
         return
     rows = state.sayd.reshape(-1, LANES)
     match fault:

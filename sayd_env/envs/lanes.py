@@ -45,7 +45,7 @@ type_of: Any = numba.typeof  # it has no annotations
 ON_BOARD = ("loop", "memory", "passed", "felt")
 """What looks at a vehicle, in the order of the compiled loop's arguments."""
 CHANGING = ("state", *ON_BOARD)
-"""What changes while a vehicle runs; of its constants, only a damper's stiffness does."""
+"""What changes while a vehicle runs; of its constants, only the stiffness of a damper that is lost does."""
 RESULTS = ("command", "trace", "signals", "features", "terms", "rewards", "status")
 """What is known of its last control period."""
 
@@ -138,7 +138,7 @@ class Lanes:
     def put(self, i: int, lane: Lane) -> None:
         """Replace the vehicle of a lane; `run_in` must follow before it is stepped."""
         self._place(i, lane)
-        self.formation.put(i, lane.plant, lane.state, lane.work)
+        self.formation.put(i, lane.plant, lane.state, _copied(lane.work))
         for name in ON_BOARD:
             getattr(self, name).put(i, getattr(lane, name))
         self.status[i] = RUNNING
@@ -157,8 +157,13 @@ class Lanes:
         """Indices of f_0 of each vehicle's bogies, a new array of shape (v, BOGIES)."""
         return np.array([filters.choice for filters in self.passed])
 
-    def set_damper_stiffness(self, i: int, stiffness: Array) -> None:
-        """Give a vehicle's Maxwell dampers other series stiffnesses (N/m)."""
+    def lose_damper(self, i: int, damper: int) -> None:
+        """Take a vehicle's Maxwell damper away: from now on it has no stiffness and no force."""
+        stiffness = self.formation.plant.view(i).damper_stiffness.copy()
+        stiffness[damper] = self.state.view(i).force[damper] = 0.0
+        self._put_stiffness(i, stiffness)
+
+    def _put_stiffness(self, i: int, stiffness: Array) -> None:
         plant = self.formation.plant.view(i)
         if not np.array_equal(plant.damper_stiffness, stiffness):
             self.formation.change(i, plant._replace(damper_stiffness=stiffness.copy()))
@@ -183,7 +188,7 @@ class Lanes:
         lane = saved.lane
         if self._lanes[i].plant is not lane.plant:  # another vehicle or another track
             self.formation.put(i, lane.plant, lane.state, _copied(lane.work))
-        self.set_damper_stiffness(i, saved.stiffness)
+        self._put_stiffness(i, saved.stiffness)
         self._place(i, replace(lane, noise=noise))
         for name, fields in saved.fields.items():
             getattr(self, name).put(i, _copied(fields))

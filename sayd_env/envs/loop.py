@@ -66,9 +66,9 @@ FEATURES = FEATURE_SPEED + 1
 ) = range(8)
 
 # Channels of the forces on the rails that are averaged along the track.
-QUOTIENT = 0  # Y/Q of each wheel
-TRACK_SHIFT = QUOTIENT + LANES  # of each wheelset, N
-RAIL_FORCES = TRACK_SHIFT + POINTS
+RAIL_QUOTIENT = 0  # Y/Q of each wheel
+RAIL_TRACK_SHIFT = RAIL_QUOTIENT + LANES  # of each wheelset, N
+RAIL_FORCES = RAIL_TRACK_SHIFT + POINTS
 
 # Columns of the log: true values at each sample.
 LOG_ACCELERATION = 0  # lateral, of the bogie frame above each wheelset, m/s2
@@ -157,7 +157,7 @@ class LoopState(NamedTuple):
 
 
 @kernel(allocates=False)
-def measure(row: Array, loop: Loop, memory: LoopState) -> None:
+def take_signals(row: Array, loop: Loop, memory: LoopState) -> None:
     """Take the true signals from a row of the trace."""
     true = memory.true
     for k in range(POINTS):
@@ -252,14 +252,14 @@ def average_rail_forces(row: Array, loop: Loop, memory: LoopState, terms: Array)
         # Towards the flange: the left wheel presses its rail to the left.
         side = 1.0 - 2.0 * (i % 2)
         lateral = side * row[trace.WHEEL_LATERAL + i]
-        memory.rail[QUOTIENT + i] = lateral / vertical if vertical > 0.0 else 0.0
+        memory.rail[RAIL_QUOTIENT + i] = lateral / vertical if vertical > 0.0 else 0.0
     for k in range(POINTS):
-        memory.rail[TRACK_SHIFT + k] = row[trace.TRACK_SHIFT + k]
+        memory.rail[RAIL_TRACK_SHIFT + k] = row[trace.TRACK_SHIFT + k]
     slide(memory.rail, loop.averaging, memory.rail_place, memory.rail_ring, memory.rail_sum, memory.rail_mean)
     for i in range(2 * POINTS):
-        terms[PEAK_QUOTIENT] = max(terms[PEAK_QUOTIENT], memory.rail_mean[QUOTIENT + i])
+        terms[PEAK_QUOTIENT] = max(terms[PEAK_QUOTIENT], memory.rail_mean[RAIL_QUOTIENT + i])
     for k in range(POINTS):
-        terms[PEAK_TRACK_SHIFT] = max(terms[PEAK_TRACK_SHIFT], abs(memory.rail_mean[TRACK_SHIFT + k]))
+        terms[PEAK_TRACK_SHIFT] = max(terms[PEAK_TRACK_SHIFT], abs(memory.rail_mean[RAIL_TRACK_SHIFT + k]))
 
 
 @kernel(allocates=False)
@@ -326,7 +326,7 @@ def observe_period(
     Parameters
     ----------
     rows : ndarray, shape (samples, TRACE)
-        The period's true values.
+        The period's true values; the last row becomes that at which the run ended, if it did.
     loop, memory : Loop, LoopState
         The vehicle's sensors and cost.
     passed, felt : BandState
@@ -358,7 +358,7 @@ def observe_period(
     status, taken = RUNNING, 0
     for t in range(samples):
         row = rows[t]
-        measure(row, loop, memory)
+        take_signals(row, loop, memory)
         push(band, passed, row[trace.ACCELERATION : trace.ACCELERATION + POINTS], memory.passed)
         count_cost(row, loop, memory, 1.0 / per_second, terms)
         sense(loop, memory, noise, t)
@@ -373,6 +373,9 @@ def observe_period(
             break
         if memory.counter[0] >= 0 and memory.counter[0] % per_second == 0:
             begin_second(band, passed, felt, loop, memory, samples)
+    # What is told of a run that has ended is its last sample, whatever the period went on to.
+    for j in range(rows.shape[1]):
+        rows[samples - 1, j] = rows[taken - 1, j]
     for k in range(SIGNALS):
         signals[k] = memory.total[k] / taken
     if loop.features > 0.0:

@@ -15,13 +15,12 @@ from sayd_env.envs.loop import (
     COST_ACCELERATION,
     COST_FORCE,
     NOT_FINITE,
-    QUOTIENT,
+    RAIL_QUOTIENT,
+    RAIL_TRACK_SHIFT,
     RUNNING,
-    TRACK_SHIFT,
 )
 from sayd_env.envs.running import RunningValues
 from sayd_env.envs.trace import DAMPERS, POINTS
-from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES
 
 Array = npt.NDArray[np.float64]
@@ -87,8 +86,8 @@ def of_the_vehicle(fleet: Fleet, i: int, running: RunningValues) -> dict[str, An
         **_hydraulics(fleet, i, state),
         "running_acceleration": acceleration,
         "running_track_shift": shift,
-        "mean_quotient": mean[QUOTIENT:TRACK_SHIFT],
-        "mean_track_shift": mean[TRACK_SHIFT:],
+        "mean_quotient": mean[RAIL_QUOTIENT:RAIL_TRACK_SHIFT],
+        "mean_track_shift": mean[RAIL_TRACK_SHIFT:],
     }
     finite = {name: np.nan_to_num(value, posinf=0.0, neginf=0.0) for name, value in told.items()}
     return finite | {
@@ -106,10 +105,15 @@ def _hydraulics(fleet: Fleet, i: int, state: Any) -> dict[str, Array]:
         power = state.force[:DAMPERS] * state.piston[:DAMPERS]
         still = np.zeros(DAMPERS)
         return {"valve_current": still, "hydraulic_flow": still, "hydraulic_power": power}
-    rows = state.sayd.reshape(-1, LANES)
-    flow = fleet.lanes.loop.view(i).area * rows[sayd.STROKE_RATE]
+    row = fleet.lanes.trace[i, -1]
+    flow = fleet.lanes.loop.view(i).area * _of_dampers(row, trace.STROKE_RATE)
+    drop = _of_dampers(row, trace.PRESSURE_A) - _of_dampers(row, trace.PRESSURE_B)
     return {
-        "valve_current": rows[sayd.CURRENT],
+        "valve_current": _of_dampers(row, trace.VALVE_CURRENT),
         "hydraulic_flow": flow,
-        "hydraulic_power": -(rows[sayd.PRESSURE_A] - rows[sayd.PRESSURE_B]) * flow,
+        "hydraulic_power": -drop * flow,
     }
+
+
+def _of_dampers(row: Array, first: int) -> Array:
+    return row[first : first + DAMPERS]

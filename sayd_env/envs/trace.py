@@ -24,7 +24,8 @@ WHEEL_VERTICAL = WHEEL_LATERAL + LANES  # Q, N
 LONGITUDINAL = WHEEL_VERTICAL + LANES  # acceleration of the frames at the damper mounts, m/s2
 BODY = LONGITUDINAL + POINTS  # m/s2
 STROKE = BODY + BODY_ROWS  # of each damper, m
-PRESSURE_A = STROKE + DAMPERS  # Pa; 0 for passive dampers, as what follows
+STROKE_RATE = STROKE + DAMPERS  # m/s; 0 for passive dampers, as what follows
+PRESSURE_A = STROKE_RATE + DAMPERS  # Pa
 PRESSURE_B = PRESSURE_A + DAMPERS
 VALVE_CURRENT = PRESSURE_B + DAMPERS  # where the spool stands (-)
 COIL_CURRENT = VALVE_CURRENT + DAMPERS
@@ -83,6 +84,7 @@ def _write(lanes: Lanes, k: int, plant: Plant, state: State, work: Work, row: Ar
     for j in range(DAMPERS):
         place = j * w + k
         row[STROKE + j] = state.sayd[sayd.STROKE * n + place]
+        row[STROKE_RATE + j] = state.sayd[sayd.STROKE_RATE * n + place]
         row[PRESSURE_A + j] = state.sayd[sayd.PRESSURE_A * n + place]
         row[PRESSURE_B + j] = state.sayd[sayd.PRESSURE_B * n + place]
         row[VALVE_CURRENT + j] = state.sayd[sayd.CURRENT * n + place]

@@ -1,8 +1,7 @@
 """Many vehicles in one compiled call: each with its own speed, profiles, track, dampers and state.
 
-The compiled loop cuts one vehicle's `Plant`, `State` and `Work` out of their stacks and hands these to the
-same `advance` that serves a single vehicle: the results are the same bits, for any number of vehicles and
-threads.
+Vehicles of one kind run side by side (`sayd_env.physics.formation`), the others one by one. The results are
+the same bits as those of a vehicle alone, for any number of vehicles and threads.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ from sayd_env.physics.formation import (
     work_of,
 )
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import LANES, Plant, State, Work
-from sayd_env.physics.rows import ABREAST
+from sayd_env.physics.plant import Plant, State, Work
+from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
 from sayd_env.physics.simulator import Simulator
-from sayd_env.physics.step import advance, largest_shift, measure, record, steps
+from sayd_env.physics.step import largest_shift, measure, record, steps
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -39,26 +38,39 @@ numba_config: Any = config  # its settings are made at run time
 
 
 @kernel(allocates=False)
-def _advance_group(
+def _advance(
+    lanes: Lanes,
     plant: Plant,
-    state: State,
+    states: References,
+    together: State,
     work: Work,
     members: Index,
     substeps: int,
     signals: Array,
     done: Index,
 ) -> None:
-    """`sayd_env.physics.step.advance` for vehicles side by side, into the rows of the batch's arrays."""
+    """`sayd_env.physics.step.advance` for vehicles side by side, into the rows of the batch's arrays.
+
+    `members` loses those that have arrived or whose run has ended: their states are put back at once.
+    """
+    running = 0
+    for k in range(len(lanes)):
+        running += 1 if members[k] >= 0 else 0
     for t in range(signals.shape[1]):
-        steps(ABREAST, plant, state, work, substeps)
-        measure(ABREAST, plant, state, work)
-        for k in range(len(ABREAST)):
+        if running > 0:
+            steps(lanes, plant, together, work, substeps)
+            measure(lanes, plant, together, work)
+        for k in range(len(lanes)):
             i = members[k]
-            if i >= 0 and done[i] == t:
-                record(ABREAST, k, plant, state, work, signals[i, t])
-                finite = math.isfinite(signals[i, t, 0] + state.v[k])
-                if finite and largest_shift(ABREAST, k, plant, work) < 1.0:
-                    done[i] = t + 1
+            if i >= 0:
+                record(lanes, k, plant, together, work, signals[i, t])
+                finite = math.isfinite(signals[i, t, 0] + together.v[k])
+                goes_on = finite and largest_shift(lanes, k, plant, work) < 1.0
+                done[i] += 1 if goes_on else 0
+                if not goes_on or t + 1 == signals.shape[1]:
+                    put_back(lanes, k, states, i, together)
+                    members[k] = -1
+                    running -= 1
 
 
 @kernel(parallel=True, announce="the simulator of many vehicles (first use, about 15 s)")
@@ -87,40 +99,23 @@ def advance_batch(
     signals : ndarray, shape (v, samples, 2 w + d)
         Receives the signals of `sayd_env.physics.step.record`.
     done : ndarray, shape (v,)
-        Zeros; receives the number of samples taken: fewer if a state is no longer finite.
+        Zeros; receives the number of samples taken: fewer if a state is no longer finite or a wheel has
+        left the contact table.
     """
     groups = units.groups.shape[0]
     for u in numba.prange(groups + units.alone.shape[0]):
         if u < groups:
-            g, members = units.groups[u], units.members[u]
+            g, members = units.groups[u], units.members[u].copy()
             together = state_of(group_states, g)
             interleave(ABREAST, members, states, together)
-            steps_each = substeps[np.max(members)]
-            _advance_group(
-                plant_of(group_plants, g),
-                together,
-                work_of(group_works, g),
-                members,
-                steps_each,
-                signals,
-                done,
-            )
-            for k in range(len(ABREAST)):
-                if members[k] >= 0:
-                    put_back(ABREAST, k, states, members[k], together)
+            plant, work = plant_of(group_plants, g), work_of(group_works, g)
+            each = substeps[np.max(members)]
+            _advance(ABREAST, plant, states, together, work, members, each, signals, done)
         else:
-            i = units.alone[u - groups]
-            none = np.empty((0, LANES))
-            done[i] = advance(
-                plant_of(plants, i),
-                state_of(states, i),
-                work_of(works, i),
-                substeps[i],
-                signals[i],
-                none,
-                none,
-                none,
-            )
+            alone = units.alone[u - groups : u - groups + 1].copy()
+            i = alone[0]
+            plant, together, work = plant_of(plants, i), state_of(states, i), work_of(works, i)
+            _advance(SINGLE, plant, states, together, work, alone, substeps[i], signals, done)
 
 
 class BatchSimulator:
@@ -156,6 +151,8 @@ class BatchSimulator:
         self.simulators = tuple(simulators)
         if not self.simulators:
             raise ConfigError("a batch needs at least one vehicle")
+        if len({id(s.state) for s in self.simulators}) < len(self.simulators):
+            raise ConfigError("a batch needs different simulators: found one twice")
         rates = {s.model.scenario.assessment.sample_rate for s in self.simulators}
         if len(rates) > 1:
             raise ConfigError(f"a batch needs one sample rate, found {sorted(rates)} Hz")
@@ -188,7 +185,7 @@ class BatchSimulator:
         Raises
         ------
         StudyError
-            The state of a vehicle did not stay finite.
+            The state of a vehicle did not stay finite, or a wheel has left the contact table.
         """
         count = len(self.simulators)
         signals = np.empty((count, samples, self._channels))

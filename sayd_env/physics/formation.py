@@ -8,7 +8,7 @@ depend on that.
 
 from __future__ import annotations
 
-import zlib
+import hashlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -89,10 +89,11 @@ def side_by_side(plants: Sequence[Plant]) -> Plant:
 
 def _joined(tables: Sequence[Array]) -> tuple[Array, list[int]]:
     """Tables behind one another, each once, and where each vehicle's begins."""
-    distinct = list({id(table): table for table in tables}.values())
-    starts = np.cumsum([0, *(len(table) for table in distinct)])
-    place = {id(table): int(start) for table, start in zip(distinct, starts, strict=False)}
-    return np.concatenate(distinct), [place[id(table)] for table in tables]
+    keys = [table.tobytes() for table in tables]
+    distinct = dict(zip(keys, tables, strict=True))
+    starts = np.cumsum([0, *(len(table) for table in distinct.values())])
+    place = dict(zip(distinct, starts.tolist(), strict=False))
+    return np.concatenate(list(distinct.values())), [place[key] for key in keys]
 
 
 def kind(plant: Plant) -> tuple[Any, ...]:
@@ -100,7 +101,7 @@ def kind(plant: Plant) -> tuple[Any, ...]:
     fields = plant._asdict()
     structure = (value.tobytes() for name, value in fields.items() if name.endswith(SHARED))
     lengths = (value.shape for name, value in fields.items() if name not in _OF_ANY_LENGTH)
-    creep = zlib.crc32(plant.creep.data)  # copies of the table are as good
+    creep = hashlib.blake2b(plant.creep.data, digest_size=16).digest()  # copies of the table are as good
     common = (*plant.number[[STEP, SUBSTEPS, CREEP_LAW]], plant.wheel[SHEAR_MODULUS * LANES], creep)
     return *common, *lengths, *structure
 
@@ -203,13 +204,17 @@ class Formation:
     def change(self, i: int, plant: Plant) -> None:
         """Replace a vehicle's constants."""
         self.plant.put(i, plant)
-        self._kinds[i] = kind(plant)
-        self._stale = True
+        before, self._kinds[i] = self._kinds[i], kind(plant)
+        self._stale |= self._kinds[i] != before
+        self._changed.update(int(g) for g in np.flatnonzero((self._all.members == i).any(axis=1)))
 
     def units(self, active: Flags | None = None) -> Units:
         """Who runs in a call for these vehicles (by default all)."""
         if self._stale:
             self._arrange()
+        for g in self._changed:
+            self._form(g)
+        self._changed.clear()
         if active is None or active.all():
             return self._all
         groups, members, alone = [], [], list(self._all.alone[active[self._all.alone]])
@@ -223,7 +228,15 @@ class Formation:
         return _units(groups, members, alone)
 
     def arguments(self) -> tuple[Any, ...]:
-        """Vehicles and groups as a compiled call takes them, after `units`."""
+        """Vehicles and groups as a compiled call takes them, after `units`.
+
+        Raises
+        ------
+        RuntimeError
+            A vehicle has been replaced since: its group would read what may be gone.
+        """
+        if self._stale or self._changed:
+            raise RuntimeError("vehicles have been replaced: call units first")
         own = (self.plant, self.state, self.work, self._group_plant, self._group_state, self._group_work)
         return tuple(batch.table for batch in own)
 
@@ -241,13 +254,22 @@ class Formation:
                 else:
                     alone += team
         self._all = _units(range(len(teams)), [team + [-1] * (WIDTH - len(team)) for team in teams], alone)
-        full = [team + [team[0]] * (WIDTH - len(team)) for team in teams]
-        self._group_plant = RaggedBatch(
-            Plant, [side_by_side([self.plant.view(i) for i in team]) for team in full]
-        )
-        self._group_state = RaggedBatch(State, [_room(self.state, team) for team in full])
-        self._group_work = RaggedBatch(Work, [_room(self.work, team) for team in full])
+        self._teams = [team + [team[0]] * (WIDTH - len(team)) for team in teams]
+        self._group_plant = RaggedBatch(Plant, [self._constants(team) for team in self._teams])
+        self._group_state = RaggedBatch(State, [_room(self.state, team) for team in self._teams])
+        self._group_work = RaggedBatch(Work, [_room(self.work, team) for team in self._teams])
         self._stale = False
+        self._changed: set[int] = set()
+
+    def _form(self, g: int) -> None:
+        """Form a group anew in which a vehicle has been replaced; a delay line may have become longer."""
+        team = self._teams[g]
+        self._group_plant.put(g, self._constants(team))
+        self._group_state.put(g, _room(self.state, team))
+        self._group_work.put(g, _room(self.work, team))
+
+    def _constants(self, team: Sequence[int]) -> Plant:
+        return side_by_side([self.plant.view(i) for i in team])
 
 
 def _units(groups: Sequence[int] | range, members: Sequence[Any], alone: Sequence[int]) -> Units:

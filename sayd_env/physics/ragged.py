@@ -110,19 +110,21 @@ class RaggedBatch(Generic[Fields]):
         self._vehicles[vehicle] = fields
 
     def _checked(self, fields: Any, k: int, value: Any, kind: np.dtype[Any], dimensions: int) -> Any:
-        if value.dtype != kind or value.ndim != dimensions or not value.flags.c_contiguous:
+        fits = value.dtype == kind and value.ndim == dimensions
+        if not (fits and value.flags.c_contiguous and value.flags.aligned):
             raise ConfigError(
                 f"{type(fields).__name__}.{fields._fields[k]}: found {value.dtype} of {value.ndim} "
-                f"dimensions, expected contiguous {kind} of {dimensions}"
+                f"dimensions, expected contiguous, aligned {kind} of {dimensions}"
             )
         return value
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"table": None}
+        return {"types": self._types, "vehicles": list(self._vehicles)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Copies have their arrays elsewhere."""
-        self.__dict__.update(state)
+        """A copy has its arrays elsewhere, and numbers of its own."""
+        self._types, self._vehicles = state["types"], state["vehicles"]
+        self._numbers = [[] for _ in self._vehicles]
         self.table = np.zeros((len(self._vehicles), len(self._types), _COLUMNS), dtype=np.int64)
         for i, fields in enumerate(self._vehicles):
             self.put(i, fields)

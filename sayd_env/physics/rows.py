@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import cgutils, errors, types
 from numba.extending import intrinsic
 from scipy.sparse import csr_matrix
 
@@ -44,12 +44,20 @@ class Rows(NamedTuple):
     """(entries,) what they are, the same for all vehicles, or (entries * W,) for each vehicle."""
 
 
-def sparse_rows(matrix: Array, pattern: Array | None = None) -> Rows:
-    """Rows of a matrix (r, c), with entries wherever the pattern (by default the matrix) is not zero."""
-    found = csr_matrix((matrix if pattern is None else pattern) != 0.0)
+def sparse_rows(matrix: Array) -> Rows:
+    """Rows of a matrix (r, c)."""
+    found = csr_matrix(matrix != 0.0)
     row = np.repeat(np.arange(found.shape[0]), np.diff(found.indptr))
     value = np.ascontiguousarray(matrix[row, found.indices])
     return Rows(found.indptr.astype(np.uint32), found.indices.astype(np.uint32), value)
+
+
+def _check_flat(**arrays: tuple[Any, Any]) -> None:
+    """Refuse arrays that an intrinsic would misread: they must be flat, contiguous and of the right type."""
+    for name, (array, dtype) in arrays.items():
+        fits = isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C"
+        if not (fits and array.dtype == dtype):
+            raise errors.TypingError(f"{name}: found {array}, expected a flat contiguous array of {dtype}")
 
 
 def _row_product(each: bool, accumulate: bool) -> Any:
@@ -69,6 +77,8 @@ def _row_product(each: bool, accumulate: bool) -> Any:
         out: Any,
         row: Any,
     ) -> Any:
+        _check_flat(column=(column, types.uint32), value=(value, types.float64))
+        _check_flat(x=(x, types.float64), out=(out, types.float64))
         width = len(lanes)
         number = ir.DoubleType()
         vector = number if width == 1 else ir.VectorType(number, width)

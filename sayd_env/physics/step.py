@@ -113,11 +113,11 @@ from sayd_env.physics.plant import (
     Work,
 )
 from sayd_env.physics.rows import SINGLE, Lanes, add_product, multiply
-from sayd_env.physics.track.spline import spline_weights, weighted_rows
+from sayd_env.physics.track.spline import CHANNELS, spline_weights, weighted_rows
 
 # Rows of `Work.rail`: values and slopes of the irregularities.
 ALIGNMENT, VERTICAL, CROSS_LEVEL, GAUGE = 0, 1, 2, 3
-SLOPE = 4
+SLOPE = CHANNELS
 
 
 @kernel(inline=True, distinct=True, allocates=False)
@@ -166,7 +166,7 @@ def read_track(
             i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(
                 int(number[RAIL_COUNT * w + k]), number[RAIL_START * w + k], number[PER_RAIL_STEP * w + k], x
             )
-            first = int(number[RAIL_BASE * w + k]) + SLOPE * i
+            first = int(number[RAIL_BASE * w + k]) + CHANNELS * i
             place = j * w + k
             weighted_rows(irregularity, first, (w0, w1, w2, w3), rail, place, block)
             weighted_rows(irregularity, first, (d0, d1, d2, d3), rail, SLOPE * block + place, block)
@@ -255,8 +255,9 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         # Contact geometry at this shift, linear between the nodes of a fine table.
         place = (x[SHIFT * n + i] - wheel[TABLE_START * n + i]) * per_step
         place = place if place > 0.0 else 0.0
-        place = place if place < last else last
-        node = int(place)
+        place = place if place < last + 1.0 else last + 1.0
+        below = place if place < last else last
+        node = int(below)
         right = place - node
         left = 1.0 - right
         p = int(wheel[TABLE_BASE * n + i]) + node * geometry.WIDTH

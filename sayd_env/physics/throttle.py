@@ -185,9 +185,8 @@ def series_table(throttle: Throttle, check: SpringValve) -> Array:
 @lru_cache(maxsize=64)
 def _orifice_series_table(throttle: OrificeThrottle | EqualPercentageThrottle, check: SpringValve) -> Array:
     current = table_currents(throttle)
-    table = _series_table(_orifice_field(throttle, current), current, check)
-    table.setflags(write=False)  # shared by all who ask
-    return table
+    # Shared by all who ask, and yet not read-only: compiled code would take that for another type.
+    return _series_table(_orifice_field(throttle, current), current, check)
 
 
 def _series_table(field: ThrottleField, wanted: Array, check: SpringValve) -> Array:

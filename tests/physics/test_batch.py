@@ -353,12 +353,12 @@ def test_a_copied_batch_has_its_own_addresses() -> None:
         (
             "row",
             np.zeros(3, dtype=np.float32),
-            "found float32 of 1 dimensions, expected contiguous float64 of 1",
+            "found float32 of 1 dimensions, expected contiguous, aligned float64 of 1",
         ),
         ("row", np.zeros(3, dtype=np.int64), "found int64 of 1 dimensions"),
         ("row", np.zeros((3, 1)), "found float64 of 2 dimensions"),
         ("row", np.zeros(6)[::2], "expected contiguous"),
-        ("matrix", np.zeros(4), "found float64 of 1 dimensions, expected contiguous float64 of 2"),
+        ("matrix", np.zeros(4), "found float64 of 1 dimensions, expected contiguous, aligned float64 of 2"),
         ("matrix", np.zeros((2, 3)).T, "expected contiguous"),
     ],
 )

@@ -243,7 +243,7 @@ def test_table_against_fastsim_at_other_ratios(ratio: float) -> None:
     spin, normal = rng.uniform(-1.0, 1.0, n), NORMAL * rng.uniform(0.3, 1.7, n)
     size = np.cbrt(normal / NORMAL)
     a, b, friction = c.a * size, c.b * size, rng.uniform(0.2, 0.5, n)
-    rows = (*xi, spin, friction * normal, a, b, *c.coefficients, 1.0)
+    rows = (*xi, spin, friction * normal, a, b, *c.coefficients)
     x = np.array([np.broadcast_to(row, n) for row in rows])
     exact = fastsim_forces(x, SHEAR_MODULUS, 128)
     found = creep.creep_forces("table", xi[0], xi[1], spin, normal, a, b, friction, SHEAR_MODULUS, POISSON)

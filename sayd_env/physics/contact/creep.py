@@ -285,26 +285,21 @@ def fastsim_rows(x: Array, out: Array, scratch: Array, table: Array, shear_modul
             out[row * n + i] *= bound
 
 
-@lru_cache(maxsize=8)
 def law_table(law: str, poisson_ratio: float) -> Array:
-    """Return what a law of `LAWS` reads as its table, one array for all; nothing for Polach's law."""
+    """Return what a law of `LAWS` reads as its table; nothing for Polach's law."""
     if law == "table":
         return creep_table(poisson_ratio)
     return np.array([float(_MARCH_ELEMENTS)] if law == "fastsim" else [])
 
 
+@lru_cache(maxsize=8)
 def creep_table(poisson_ratio: float) -> Array:
     """Return the table of `table_rows` for a Poisson's ratio, from the disk if it has been made before.
 
-    It lies beside the compiled kernels in a file named by the hash of all that it is made from: the sources
-    of this module, of FASTSIM and of Kalker's coefficients, and Poisson's ratio. A file that is damaged is
-    made anew; without a place to write, every process makes its own table, which takes half a second.
+    It lies beside the compiled kernels in a file named by the hash of all that it is made from: sources of
+    this module, of FASTSIM and of Kalker's coefficients, and Poisson's ratio. A file that is damaged is made
+    anew; without a place to write the table is made in every process (a third of a second).
     """
-    return _creep_table(float(poisson_ratio))
-
-
-@lru_cache(maxsize=8)
-def _creep_table(poisson_ratio: float) -> Array:
     file = CACHE_DIRECTORY.parent / f"creep-{_content_hash(poisson_ratio)}.npy"
     table = _stored(file)
     if table is None:
@@ -337,8 +332,11 @@ def _store(file: Path, table: Array) -> None:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as temporary:
-            np.save(temporary, np.append(table, _checksum(table)))
-        os.replace(temporary.name, file)
+            try:
+                np.save(temporary, np.append(table, _checksum(table)))
+                os.replace(temporary.name, file)
+            finally:
+                Path(temporary.name).unlink(missing_ok=True)
     except OSError:
         return  # no place to write: the next process makes it again
 

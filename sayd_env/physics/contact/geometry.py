@@ -109,7 +109,7 @@ class ContactTable:
         Vertical gap at z = 0 and phi = 0 (m); at run time gap = z + phi * y_c + g0. g0 is 0 at dy = 0.
     y_c : ndarray
         Lateral distance of the contact from the wheelset's centre (m).
-    tan_gamma, cos_gamma, sin_gamma : ndarray
+    tan_gamma : ndarray
         Contact angle; the tangent is lateral over vertical force under the static load, positive where the
         rail pushes the wheel back towards the track centre.
     compliance : ndarray
@@ -130,8 +130,6 @@ class ContactTable:
     g0: Array
     y_c: Array
     tan_gamma: Array
-    cos_gamma: Array
-    sin_gamma: Array
     compliance: Array
     a_s: Array
     b_s: Array
@@ -226,7 +224,6 @@ def contact_table(
     pair = _pair(wheel, rail, gauge, e, config.table_step, config.half_nodes)
     patch = _static_patch(pair, config, r0, load, wheel, rail)
     _check_faces(pair, wheel, rail, patch.least, patch.y_c - e)
-    cosine = 1.0 / np.hypot(1.0, patch.tan_gamma)
     c11, c22, c23 = kalker_coefficients(patch.a_s / patch.b_s, config.poisson_ratio)
     fall = 0.5 * (patch.tan_gamma[1:] + patch.tan_gamma[:-1]) * config.table_step
     fall += 0.5 * (patch.roll[1:] + patch.roll[:-1]) * np.diff(patch.y_c)
@@ -239,8 +236,6 @@ def contact_table(
         g0=g0 - g0[config.half_nodes],
         y_c=patch.y_c,
         tan_gamma=patch.tan_gamma,
-        cos_gamma=cosine,
-        sin_gamma=patch.tan_gamma * cosine,
         compliance=patch.penetration / load ** (2.0 / 3.0),
         a_s=patch.a_s,
         b_s=patch.b_s,
@@ -321,7 +316,6 @@ def linearised(table: ContactTable, amplitude: float) -> ContactTable:
 
     tan_mean, tan_slope = mean(table.tan_gamma), slope(table.tan_gamma)
     tan_gamma = tan_mean + tan_slope * dy
-    cosine = 1.0 / np.sqrt(1.0 + tan_gamma**2)
     constant = {
         name: np.full_like(dy, mean(getattr(table, name)))
         for name in ("y_c", "compliance", "a_s", "b_s", "c11", "c22", "c23")
@@ -333,8 +327,6 @@ def linearised(table: ContactTable, amplitude: float) -> ContactTable:
         delta_r=mean(table.delta_r) + slope(table.delta_r) * dy,
         g0=-(tan_mean * dy + 0.5 * tan_slope * dy**2),
         tan_gamma=tan_gamma,
-        cos_gamma=cosine,
-        sin_gamma=tan_gamma * cosine,
         phi_k=slope(table.phi_k) * dy,
         **constant,
     )

@@ -15,7 +15,8 @@ from sayd_env.physics.kernel import kernel
 
 Array = NDArray[np.float64]
 
-_CHANNELS = 4
+CHANNELS = 4
+"""Alignment, vertical, cross-level, gauge."""
 
 
 def interpolation_coefficients(samples: Array) -> Array:
@@ -108,11 +109,11 @@ def _weighted_rows(
         def integer(k: int) -> Any:
             return context.cast(builder, arguments[k], signature.args[k], types.intp)
 
-        vector, word = ir.VectorType(ir.DoubleType(), _CHANNELS), ir.IntType(32)
-        empty, mask = ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(word, _CHANNELS), [0] * 4)
+        vector, word = ir.VectorType(ir.DoubleType(), CHANNELS), ir.IntType(32)
+        empty, mask = ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(word, CHANNELS), [0] * 4)
         base, at, total = data(0), integer(1), None
-        for k in range(_CHANNELS):
-            row = builder.gep(base, [builder.add(at, ir.Constant(at.type, k * _CHANNELS))])
+        for k in range(CHANNELS):
+            row = builder.gep(base, [builder.add(at, ir.Constant(at.type, k * CHANNELS))])
             values = builder.load(builder.bitcast(row, vector.as_pointer()), align=8)
             weight = builder.insert_element(
                 empty, builder.extract_value(arguments[2], k), ir.Constant(word, 0)
@@ -120,7 +121,7 @@ def _weighted_rows(
             product = builder.fmul(builder.shuffle_vector(weight, empty, mask), values)
             total = product if total is None else builder.fadd(total, product)
         target, where, stride_ = data(3), integer(4), integer(5)
-        for c in range(_CHANNELS):
+        for c in range(CHANNELS):
             element = builder.extract_element(total, ir.Constant(word, c))
             offset = builder.add(where, builder.mul(stride_, ir.Constant(where.type, c)))
             builder.store(element, builder.gep(target, [offset]))
@@ -150,13 +151,9 @@ def spline_value_slope(
         Filled with the values (m, m, rad, m) and their derivatives over x.
     """
     i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(coefficients.shape[0], x0, 1.0 / step, x)
-    for j in range(4):
-        c0 = coefficients[i, j]
-        c1 = coefficients[i + 1, j]
-        c2 = coefficients[i + 2, j]
-        c3 = coefficients[i + 3, j]
-        out_value[j] = w0 * c0 + w1 * c1 + w2 * c2 + w3 * c3
-        out_slope[j] = d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3
+    flat = coefficients.reshape(-1)
+    weighted_rows(flat, CHANNELS * i, (w0, w1, w2, w3), out_value, 0, 1)
+    weighted_rows(flat, CHANNELS * i, (d0, d1, d2, d3), out_slope, 0, 1)
 
 
 @kernel
