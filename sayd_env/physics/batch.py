@@ -1,7 +1,7 @@
 """Many vehicles in one compiled call: each with its own speed, profiles, track, dampers and state.
 
-The compiled loop cuts one vehicle's `Plant`, `State` and `Work` out of their stacks and hands these to the
-same `advance` that serves a single vehicle: the results are the same bits, for any number of vehicles and
+Vehicles of one kind run side by side in groups of eight, the others one by one (`physics.formation`). Both go
+through the same time step: a vehicle's results are the same bits as alone, for any number of vehicles and
 threads.
 """
 
