@@ -23,7 +23,8 @@ _HEAD = """# Ready policies
 Trained by `sayd train`, as the files themselves tell: each holds its whole configuration, the versions and
 the command. `sayd evaluate --policies ppo-s3` runs one, without torch; `ppo` alone is the first training,
 whichever is the best. J is the mean over the scenarios that judged it while it learned: no result of a
-comparison.
+comparison. They learned, and J was measured, on the former physics (Polach's creep law, a damper without
+bleed, a first-order valve).
 
 ![learning curves](learning_curves.png)
 

@@ -1,7 +1,7 @@
 """Vehicles under control, many at once: each lane is one vehicle on its track with its sensors and its cost.
 
 The Python face of the compiled control loop. A lane's results are the same bits alone and among others, for
-any number of threads.
+any number of threads. (In compiled code `lanes` are the places of vehicles side by side: `physics.rows`.)
 """
 
 from __future__ import annotations

@@ -48,8 +48,9 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     - ``SAYD/Faults-v0``: faults of valves, dampers and sensors besides.
 
     **Action.** A ``Box`` of valve commands V, float32: 0 closes a valve (strongest damping), 1 opens it. The
-    driver makes a current of it, and the current passes through the valve's delay, lag and rate, so that what
-    acts is not at once what was asked. A command holds for one control period, 10 ms.
+    driver makes a current of it after a delay, and the valve's spool follows with its own dynamics and a
+    limited rate, so that what acts is not at once what was asked. A command holds for one control period,
+    10 ms.
 
     | valves    | number | command of                         | closed | open |
     | --------- | ------ | ---------------------------------- | ------ | ---- |

@@ -52,7 +52,7 @@ def trace_period(
     lanes, plant, state, work
         The vehicles.
     members : ndarray, shape (W,)
-        Their numbers in the batch; negative for a lane whose results nobody wants.
+        Their numbers in the batch; negative for a place whose results nobody wants.
     substeps : int
         Steps in a sample.
     trace : ndarray, shape (v, samples, TRACE)

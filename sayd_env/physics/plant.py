@@ -19,7 +19,7 @@ __all__ = ["Array", "Index"]
 
 
 LANES = 8
-"""Wheels and yaw dampers of a vehicle, and the width of the loops over them."""
+"""Wheels of a vehicle, and its yaw dampers: so many elements for each vehicle has a row of theirs."""
 WHEELSETS = 4
 """Wheelsets of a vehicle; those that it does not have keep their wheels in the air."""
 

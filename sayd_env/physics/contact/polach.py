@@ -1,4 +1,4 @@
-"""Polach's creep forces with spin: the tangential contact law of the time loop.
+"""Polach's creep forces with spin: a creep law of the time loop beside the table of FASTSIM.
 
 The kernel `polach` is straight-line arithmetic without branches and is inlined into its callers, so that a
 loop over the wheels compiles to vector instructions: give that loop an end that the compiler does not know

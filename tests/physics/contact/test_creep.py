@@ -212,8 +212,8 @@ def linear_interpolation(xi_x: Array, xi_y: Array, spin: Array, ratio: Array) ->
     inside = np.minimum(radius, 1.0 - 1e-6)
     u, v, w = place * (c / (1.0 - inside)) * np.where(radius > 1.0, inside / np.maximum(radius, 1.0), 1.0)
     stiffness = G * AXIS**2 / (MU * N)
-    t, found = np.sqrt(ratio) / (np.sqrt(ratio) + 1.7), np.zeros((2, len(ratio)))
-    fifth, last = (math.sqrt(r) / (math.sqrt(r) + 1.7) for r in (5.0, 10.0))
+    t, found = np.sqrt(ratio) / (np.sqrt(ratio) + creep._RATIO_MIDDLE), np.zeros((2, len(ratio)))
+    fifth, last = (math.sqrt(r) / (math.sqrt(r) + creep._RATIO_MIDDLE) for r in (5.0, 10.0))
     nodes = last - 0.5 * (last - fifth) * np.arange(12.0, -1.0, -1.0)
     c11, c22, c23 = kalker_coefficients(ratio, POISSON)
     point = stiffness * np.array([c11 * xi_x, c22 * xi_y, s * AXIS * c23 * spin])
@@ -222,7 +222,7 @@ def linear_interpolation(xi_x: Array, xi_y: Array, spin: Array, ratio: Array) ->
     query = np.array([np.abs(point[0]), sign * point[1], np.abs(point[2])]).T
     for node in nodes:
         share = np.maximum(0.0, 1.0 - np.abs(t - node) / (nodes[1] - nodes[0]))
-        a_over_b = (1.7 * node / (1.0 - node)) ** 2
+        a_over_b = (creep._RATIO_MIDDLE * node / (1.0 - node)) ** 2
         k11, k22, k23 = (stiffness * float(k) for k in kalker_coefficients(a_over_b, POISSON))
         grid = (u / k11, v / k22, w / (s * AXIS * k23))
         values = reference(*(part.ravel() for part in grid), np.full(u.size, a_over_b), 64)

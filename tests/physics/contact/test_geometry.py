@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -112,7 +110,7 @@ def test_curvature_of_one_arc_on_another(hollow: float) -> None:
     rail, gauge = arc_rail(0.3)
     table = contact_table(arc_wheel(hollow, 0.02), rail, gauge, with_share(0.1), RADIUS, LOAD, 0.75)
     centre = np.abs(table.dy) < 5e-3
-    cosine = 1.0 / math.hypot(1.0, table.tan_gamma[centre])
+    cosine = 1.0 / np.hypot(1.0, table.tan_gamma[centre])
     # The parabola of the hollow tread has the curvature 1/R * cos^3 at a slope; the rail is a true circle.
     relative = 1.0 / 0.3 - (0.0 if np.isinf(hollow) else cosine**3 / hollow)
     rolling = 0.5 * cosine / (RADIUS + table.delta_r[centre])
