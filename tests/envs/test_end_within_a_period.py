@@ -32,15 +32,11 @@ TOLD = (
     "valve_command",
     "valve_current",
     "hydraulic_flow",
+    "hydraulic_power",
     "mean_quotient",
     "mean_track_shift",
 )
 Info = dict[str, Any]
-
-
-def told(damper: str) -> tuple[str, ...]:
-    """What is told of the last sample."""
-    return TOLD if damper == "passive" else (*TOLD, "hydraulic_power")
 
 
 def environment(folder: Path, quotient: float, control_period: float, damper: str) -> SaydEnv:
@@ -61,12 +57,12 @@ def run(env: SaydEnv, seed: int) -> list[Info]:
     return infos
 
 
-def assert_ends_alike(by_sample: list[Info], by_period: list[Info], damper: str) -> None:
+def assert_ends_alike(by_sample: list[Info], by_period: list[Info]) -> None:
     assert len(by_sample) % SAMPLES != 0
     assert len(by_period) == len(by_sample) // SAMPLES + 1
     last, end = by_sample[-1], by_period[-1]
     assert end["ending"] == last["ending"]
-    for name in told(damper):
+    for name in TOLD:
         np.testing.assert_array_equal(end[name], last[name], name)
     # The sample makes a difference.
     for name in ("damper_force", "wheel_vertical_force"):
@@ -82,7 +78,7 @@ def test_a_wheel_that_climbs(tmp_path: Path, damper: str) -> None:
             break
     else:
         pytest.fail("no wheel climbed within a period")
-    assert_ends_alike(by_sample, run(coarse, seed), damper)
+    assert_ends_alike(by_sample, run(coarse, seed))
     assert coarse.fleet.lanes.status[0] == CLIMBED
 
 
@@ -98,7 +94,7 @@ def test_a_quotient_beyond_its_limit(tmp_path: Path, damper: str) -> None:
     fine, coarse = (environment(tmp_path, limit, period, damper) for period in (0.001, 0.01))
     by_sample = run(fine, seed)
     assert len(by_sample) == last + 1
-    assert_ends_alike(by_sample, run(coarse, seed), damper)
+    assert_ends_alike(by_sample, run(coarse, seed))
     assert fine.fleet.lanes.status[0] == coarse.fleet.lanes.status[0] == OVERLOADED
 
 
@@ -115,7 +111,7 @@ def test_vehicles_side_by_side_tell_the_same(tmp_path: Path) -> None:
         for k in (int(k) for k in np.flatnonzero(terminated | truncated) if int(k) not in ended):
             ended.add(k)
             assert n + 1 == len(ends[k])
-            for name in told("sayd"):
+            for name in TOLD:
                 np.testing.assert_array_equal(infos[name][k], ends[k][-1][name], name)
     assert ended == set(range(WIDTH))
     assert len({len(each) for each in ends}) > 2
