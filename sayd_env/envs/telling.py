@@ -101,11 +101,11 @@ def of_the_vehicle(fleet: Fleet, i: int, running: RunningValues) -> dict[str, An
 
 def _hydraulics(fleet: Fleet, i: int, state: Any) -> dict[str, Array]:
     """Acting current, oil that the piston displaces (m3/s), and power that goes into it (W)."""
+    row = fleet.lanes.trace[i, -1]
     if state.sayd.size == 0:
-        power = state.force[:DAMPERS] * state.piston[:DAMPERS]
+        power = _of_dampers(row, trace.FORCE) * _of_dampers(row, trace.STROKE_RATE)
         still = np.zeros(DAMPERS)
         return {"valve_current": still, "hydraulic_flow": still, "hydraulic_power": power}
-    row = fleet.lanes.trace[i, -1]
     flow = fleet.lanes.loop.view(i).area * _of_dampers(row, trace.STROKE_RATE)
     drop = _of_dampers(row, trace.PRESSURE_A) - _of_dampers(row, trace.PRESSURE_B)
     return {

@@ -24,8 +24,8 @@ WHEEL_VERTICAL = WHEEL_LATERAL + LANES  # Q, N
 LONGITUDINAL = WHEEL_VERTICAL + LANES  # acceleration of the frames at the damper mounts, m/s2
 BODY = LONGITUDINAL + POINTS  # m/s2
 STROKE = BODY + BODY_ROWS  # of each damper, m
-STROKE_RATE = STROKE + DAMPERS  # m/s; 0 for passive dampers, as what follows
-PRESSURE_A = STROKE_RATE + DAMPERS  # Pa
+STROKE_RATE = STROKE + DAMPERS  # m/s; of a passive damper, of its viscous part
+PRESSURE_A = STROKE_RATE + DAMPERS  # Pa; 0 for passive dampers, as what follows
 PRESSURE_B = PRESSURE_A + DAMPERS
 VALVE_CURRENT = PRESSURE_B + DAMPERS  # where the spool stands (-)
 COIL_CURRENT = VALVE_CURRENT + DAMPERS
@@ -80,6 +80,7 @@ def _write(lanes: Lanes, k: int, plant: Plant, state: State, work: Work, row: Ar
     if state.sayd.shape[0] == 0:
         for j in range(DAMPERS):
             row[STROKE + j] = state.elongation[j * w + k]
+            row[STROKE_RATE + j] = state.piston[j * w + k]
         return
     for j in range(DAMPERS):
         place = j * w + k

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 import pickle
 from typing import NamedTuple
 
@@ -20,9 +21,11 @@ from sayd_env.physics.kernel import announced_compilation, kernel
 from sayd_env.physics.plant import Plant, State
 from sayd_env.physics.ragged import Matrix, RaggedBatch, vehicle_from
 from sayd_env.physics.simulator import Simulator, VehicleModel
+from sayd_env.physics.step import advance as advance_one
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.int64]
 SAMPLES = 250
 KMH = 3.6
 
@@ -105,10 +108,17 @@ def formation(simulators: list[Simulator]) -> Formation:
 
 def advance(formation: Formation, substeps: list[int], active: Flags | None = None) -> Array:
     """Signals (vehicles, samples, 16) of the vehicles that are active; the others' stay zero."""
+    return advance_to_the_end(formation, substeps, active)[0]
+
+
+def advance_to_the_end(
+    formation: Formation, substeps: list[int], active: Flags | None = None
+) -> tuple[Array, Index]:
+    """The same, and how many samples each vehicle took."""
     signals, done = np.zeros((len(formation), SAMPLES, 16)), np.zeros(len(formation), dtype=np.int64)
     units = formation.units(active)
     advance_batch(units, *formation.arguments(), np.array(substeps), signals, done)
-    return signals
+    return signals, done
 
 
 def substeps(simulators: list[Simulator]) -> list[int]:
@@ -279,6 +289,124 @@ def test_one_diverging_vehicle_leaves_the_others_alone(fleet: Fleet) -> None:
             assert_same_state(simulator.state, fleet.alone[i][1])
 
 
+def alone_to_the_end(simulator: Simulator) -> tuple[Array, int]:
+    """Signals of a simulator of its own, zeros behind its end, and how many samples it took."""
+    signals, nothing = np.zeros((SAMPLES, simulator.channels)), np.zeros((0, 0))
+    own = simulator.plant, simulator.state, simulator.work
+    return signals, advance_one(*own, *substeps([simulator]), signals, nothing, nothing, nothing)
+
+
+DERAILING = {"passive": [2, 0, 4, 6, 8, 9, 12, 14], "semi-active": [5, 1, 7, 10, 13, 15, 19, 1]}
+"""Groups of vehicles of `FLEET`; those in front have worn wheels."""
+
+
+@pytest.mark.parametrize("lateral", [5.0, 8.0, 20.0, 200.0])
+@pytest.mark.parametrize("which", DERAILING.values(), ids=DERAILING.keys())
+def test_a_vehicle_of_a_group_derails_as_it_does_alone(
+    fleet: Fleet, which: list[int], lateral: float
+) -> None:
+    """Thrown against the rails (m/s) it ends soon and stays there, while the seven others run on.
+
+    From 20 m/s on it is as good as numerically diverged, with velocities that no part of a train has.
+    """
+    simulators, single = fleet.vehicles(which), fleet.vehicle(which[0])
+    for thrown in (simulators[0], single):
+        thrown.state.v[thrown.model.multibody.wheelset_dofs[:, 1]] = lateral
+    batch = formation(simulators)
+    assert len(batch.units().groups) == 1
+    assert len(batch.units().alone) == 0
+    together, done = advance_to_the_end(batch, substeps(simulators))
+    signals, taken = alone_to_the_end(single)
+    assert taken < SAMPLES // 2
+    assert done.tolist() == [taken] + [SAMPLES] * 7
+    np.testing.assert_array_equal(together[0], signals)
+    assert_same_state(simulators[0].state, single.state)
+    message = simulators[0].divergence()
+    assert message == single.divergence()
+    assert ("a wheel has left the contact table" if lateral < 20.0 else "diverged") in message
+    for k, i in enumerate(which[1:], start=1):
+        np.testing.assert_array_equal(together[k], fleet.alone[i][0])
+        assert_same_state(simulators[k].state, fleet.alone[i][1])
+
+
+def group_of(model: VehicleModel) -> list[Simulator]:
+    """Eight vehicles of a model at different speeds on different tracks."""
+    simulators = [Simulator(model, (290 + 15 * k) / KMH, k) for k in range(WIDTH)]
+    for k, simulator in enumerate(simulators):
+        simulator.state.v[simulator.model.multibody.wheelset_dofs[:, 1]] = 0.01 * (k + 1)
+    return simulators
+
+
+def assert_group_equals_singles(model: VehicleModel, samples: int) -> None:
+    together, expected = group_of(model), group_of(model)
+    units = formation(together).units()
+    assert (len(units.groups), len(units.alone)) == (1, 0)
+    signals = BatchSimulator(together).advance(samples)
+    assert np.any(signals != signals[0])
+    for k, simulator in enumerate(expected):
+        own, state = alone(simulator, samples)
+        np.testing.assert_array_equal(signals[k], own)
+        assert_same_state(together[k].state, state)
+
+
+@pytest.mark.parametrize(("law", "samples"), [("polach", 100), ("fastsim", 10)])
+def test_every_creep_law_gives_a_group_the_bits_of_single_runs(law: str, samples: int) -> None:
+    assert_group_equals_singles(VehicleModel(load_scenario(None, [f"contact.creep_law={law}"])), samples)
+
+
+@pytest.mark.parametrize("damper", ["passive", "sayd"])
+def test_vehicles_with_one_bogie_in_a_group_equal_single_runs(damper: str) -> None:
+    overrides = ["vehicle.sets.bogie={front: {origin: [0, 0, 0]}}", "vehicle.bodies.carbody.mass=25000"]
+    model = VehicleModel(load_scenario(None, [*overrides, f"damper={damper}"]))
+    assert (len(model.multibody.wheelset_x), len(model.multibody.yaw_dampers)) == (2, 4)
+    assert_group_equals_singles(model, 100)
+
+
+def test_a_simulator_is_in_a_batch_once(fleet: Fleet) -> None:
+    simulators = fleet.vehicles(range(3))
+    with pytest.raises(ConfigError, match="different simulators: found one twice"):
+        BatchSimulator([*simulators, simulators[1]])
+
+
+def test_a_changed_vehicle_s_group_alone_is_formed_anew(fleet: Fleet) -> None:
+    """Before it is, there are no arguments for a compiled call, which would read what may be gone."""
+    which = 2 * [0, 2, 4, 6, 8, 9, 12, 14]
+    simulators, expected = fleet.vehicles(which), fleet.vehicles(which)
+    batch = formation(simulators)
+    before = [table.copy() for table in batch.arguments()[3:]]
+    assert [len(table) for table in before] == [2, 2, 2]
+    other = VehicleModel(load_scenario(None, ["wear=0", "friction=0.1"]))
+    plant = other.plant(simulators[WIDTH].speed, simulators[WIDTH].track)
+    batch.change(WIDTH, plant)
+    expected[WIDTH].plant = plant
+    with pytest.raises(RuntimeError, match="call units first"):
+        batch.arguments()
+    members = batch.units().members
+    assert (members[0] < WIDTH).all()
+    for old, new in zip(before, batch.arguments()[3:], strict=True):
+        np.testing.assert_array_equal(new[0], old[0])
+        assert np.any(new[1, :, 0] != old[1, :, 0])
+    signals = advance(batch, substeps(simulators))
+    for k, simulator in enumerate(expected):
+        own, state = alone(simulator)
+        np.testing.assert_array_equal(signals[k], own)
+        assert_same_state(simulators[k].state, state)
+    assert np.any(signals[WIDTH] != signals[0])
+
+
+def test_a_vehicle_of_another_kind_needs_new_groups(fleet: Fleet) -> None:
+    simulators = fleet.vehicles([0, 2, 4, 6, 8, 9, 12, 14])
+    batch = formation(simulators)
+    closed = fleet.vehicle(1)
+    batch.put(0, closed.plant, closed.state, closed.work)
+    with pytest.raises(RuntimeError, match="call units first"):
+        batch.arguments()
+    units = batch.units()
+    assert units.alone.tolist() == [0]
+    assert units.members.tolist() == [[1, 2, 3, 4, 5, 6, 7, -1]]
+    batch.arguments()
+
+
 @pytest.mark.parametrize("threads", [0, -1, 10_000])
 def test_impossible_threads(fleet: Fleet, threads: int) -> None:
     with pytest.raises(ConfigError, match=r"num_threads: found .*; expected a whole number from 1 to"):
@@ -345,6 +473,28 @@ def test_a_copied_batch_has_its_own_addresses() -> None:
         assert _double(other.table, 1) == 237.25
         np.testing.assert_array_equal(other.view(1).row, 2.0 * np.arange(7.0))
         np.testing.assert_array_equal(batch.view(1).row, np.arange(7.0))
+
+
+def test_a_shallow_copy_has_numbers_of_its_own() -> None:
+    """It shares the vehicles' arrays; the numbers, which a tuple holds by value, each keeps for itself."""
+    batch = RaggedBatch(Parts, [parts(0.5, 3, (2, 4)), parts(0.25, 7, (3, 2))])
+    other = copy.copy(batch)
+    np.testing.assert_array_equal(other.table[:, 1:], batch.table[:, 1:])
+    assert not np.intersect1d(other.table[:, 0, 0], batch.table[:, 0, 0]).size
+    other.put(0, parts(8.0, 1, (2, 2)))
+    assert [_double(batch.table, i) for i in range(2)] == [423.5, 237.25]
+    assert [_double(other.table, i) for i in range(2)] == [8.0 + 1 + 20 + 200, 237.25]
+    np.testing.assert_array_equal(batch.view(1).row, 4.0 * np.arange(7.0))  # doubled by both
+    del batch
+    gc.collect()
+    rubbish = [np.full(1, np.nan) for _ in range(1000)]  # takes the place of what has been freed
+    assert [_double(other.table, i) for i in range(2)] == [229.0, 237.25]
+    copies = [other, copy.copy(other)]
+    copies.pop(0)
+    del other
+    gc.collect()
+    rubbish += [np.full(1, np.nan) for _ in range(1000)]
+    assert [_double(copies[0].table, i) for i in range(2)] == [229.0, 237.25]
 
 
 @pytest.mark.parametrize(
