@@ -39,12 +39,7 @@ tables are worth.
 
 from __future__ import annotations
 
-import hashlib
-import io
 import math
-import os
-import tempfile
-import zlib
 from functools import lru_cache
 from pathlib import Path
 
@@ -53,7 +48,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from sayd_env.physics.contact import fastsim, kalker
 from sayd_env.physics.contact.polach import polach
-from sayd_env.physics.kernel import CACHE_DIRECTORY, kernel
+from sayd_env.physics.kept import kept
+from sayd_env.physics.kernel import kernel
 
 Array = NDArray[np.float64]
 
@@ -300,49 +296,9 @@ def creep_table(poisson_ratio: float) -> Array:
     this module, of FASTSIM and of Kalker's coefficients, and Poisson's ratio. A file that is damaged is made
     anew; without a place to write the table is made in every process (a third of a second).
     """
-    file = CACHE_DIRECTORY.parent / f"creep-{_content_hash(poisson_ratio)}.npy"
-    table = _stored(file)
-    if table is None:
-        table = build_table(poisson_ratio)
-        _store(file, table)
-    return table
-
-
-def _content_hash(poisson_ratio: float) -> str:
-    digest = hashlib.sha256(repr(poisson_ratio).encode())
-    for source in (__file__, fastsim.__file__, kalker.__file__):
-        digest.update(Path(source).read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _stored(file: Path) -> Array | None:
-    """The table in a file, whose last number is the checksum of the others; None if there is no good one."""
-    try:
-        content = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        return None
-    if content.shape != (_LENGTH + 1,) or content.dtype != np.float64:
-        return None
-    table = content[:-1].copy()
-    return table if content[-1] == _checksum(table) else None
-
-
-def _store(file: Path, table: Array) -> None:
-    """Write the table in one move, so that another process finds all of it or nothing."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as temporary:
-            try:
-                np.save(temporary, np.append(table, _checksum(table)))
-                os.replace(temporary.name, file)
-            finally:
-                Path(temporary.name).unlink(missing_ok=True)
-    except OSError:
-        return  # no place to write: the next process makes it again
-
-
-def _checksum(table: Array) -> float:
-    return float(zlib.crc32(table.tobytes()))
+    sources = (Path(source).read_bytes() for source in (__file__, fastsim.__file__, kalker.__file__))
+    content = (repr(float(poisson_ratio)).encode(), *sources)
+    return kept("creep", content, _LENGTH, lambda: build_table(poisson_ratio))
 
 
 def build_table(poisson_ratio: float, elements: int = _ELEMENTS) -> Array:

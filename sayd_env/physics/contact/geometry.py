@@ -36,8 +36,9 @@ with its load, and forces that are the gradient of one potential and do no net w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -46,8 +47,10 @@ from scipy.interpolate import CubicSpline
 
 from sayd_env.config import DataError
 from sayd_env.config.contact import ContactConfig
+from sayd_env.physics.contact import hertz, kalker
 from sayd_env.physics.contact.hertz import hertz_coefficients
 from sayd_env.physics.contact.kalker import kalker_coefficients
+from sayd_env.physics.kept import kept
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.profiles import Profile, gauge_point
 
@@ -244,6 +247,35 @@ def contact_table(
         c23=c23,
         phi_k=patch.roll,
     )
+
+
+def kept_contact_table(
+    wheel: Profile, rail: Profile, gauge: float, config: ContactConfig, r0: float, load: float
+) -> ContactTable:
+    """`contact_table`, from the disk if it has been made before."""
+    own = [field.name for field in fields(ContactTable) if field.name not in ("dy_min", "step", "load")]
+    nodes = 2 * config.half_nodes + 1
+
+    def make() -> Array:
+        table = contact_table(wheel, rail, gauge, config, r0, load)
+        return np.concatenate([getattr(table, name) for name in own])
+
+    sources = (Path(source).read_bytes() for source in (__file__, hertz.__file__, kalker.__file__))
+    numbers = (
+        gauge,
+        r0,
+        load,
+        wheel.half_distance,
+        rail.gauge_depth,
+        rail.name,
+        wheel.name,
+        config.model_dump(),
+    )
+    shapes = (values.tobytes() for profile in (wheel, rail) for values in (profile.y, profile.z))
+    flat = kept("contact", (repr(numbers).encode(), *shapes, *sources), len(own) * nodes, make)
+    columns = dict(zip(own, flat.reshape(len(own), nodes), strict=True))
+    first = -config.half_nodes * config.table_step
+    return ContactTable(dy_min=first, step=config.table_step, load=load, **columns)
 
 
 def rigid_contact(

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from sayd_env.config import DataError
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.profile import load_rail, load_wheel
+from sayd_env.physics import kept
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.conicity import harmonic_conicity, radius_difference
-from sayd_env.physics.contact.geometry import contact_table, linearised, rigid_contact
+from sayd_env.physics.contact.geometry import contact_table, kept_contact_table, linearised, rigid_contact
 from sayd_env.physics.contact.hertz import hertz_coefficients
 from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
 
@@ -197,3 +200,20 @@ def test_wheel_beside_its_rail(rail: Profile) -> None:
             contact_table(wheel, rail, gauge, CONFIG, RADIUS, LOAD)
         with pytest.raises(DataError, match="runs off rail 'cn60'"):
             rigid_contact(wheel, rail, gauge, 12e-3, step=5e-5)
+
+
+def test_a_kept_table_is_the_one_that_was_made(
+    rail: Profile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the disk the same bits as made anew; another wheel, load or gauge is another file."""
+    monkeypatch.setattr(kept, "CACHE_DIRECTORY", tmp_path / "kernels")
+    wheel = wheel_profile(load_wheel("s1002cn"))
+    made = contact_table(wheel, rail, GAUGE, CONFIG, RADIUS, LOAD)
+    for _ in range(2):
+        found = kept_contact_table(wheel, rail, GAUGE, CONFIG, RADIUS, LOAD)
+        np.testing.assert_array_equal(found.packed(), made.packed())
+        assert (found.dy_min, found.step, found.load) == (made.dy_min, made.step, made.load)
+    assert len(list(tmp_path.glob("contact-*.npy"))) == len(list(tmp_path.iterdir())) == 1
+    kept_contact_table(wheel, rail, GAUGE + 1e-3, CONFIG, RADIUS, LOAD)
+    kept_contact_table(wheel, rail, GAUGE, CONFIG, RADIUS, 0.9 * LOAD)
+    assert len(list(tmp_path.iterdir())) == 3
