@@ -146,9 +146,9 @@ class ValveDynamics(Model):
     """
 
     delay: float = quantity("s", "Delay of the driver", ge=0.0, le=0.2)
-    natural_frequency: float = quantity("Hz", "omega / 2 pi, undamped", gt=0.0, le=1e4)
-    damping_ratio: float = quantity("-", "zeta", gt=0.0, le=10.0)
-    rate: float = quantity("1/s", "Largest rate of the acting current", gt=0.0)
+    natural_frequency: float = quantity("Hz", "omega / 2 pi, undamped", ge=1.0, le=1e4)
+    damping_ratio: float = quantity("-", "zeta", ge=0.1, le=10.0)
+    rate: float = quantity("1/s", "Largest rate of the acting current", ge=0.1)
 
 
 class SaydDamperConfig(Model):
@@ -173,7 +173,7 @@ class SaydDamperConfig(Model):
     relief: SpringValve = Field(description="Relief valves from chamber A and B to the tank")
     suction: SpringValve = Field(description="Check valves from the tank to chamber A and B")
     bleed: float = quantity(
-        "m3/(s Pa)", "Conductance of the bleed from each chamber to the tank, laminar", ge=0.0
+        "m3/(s Pa)", "Conductance of the bleed from each chamber to the tank, laminar", ge=0.0, le=1e-9
     )
     valve: ValveDynamics
     step: float = quantity("s", "Longest step of the hydraulics' integration", gt=0.0, le=1e-3)
