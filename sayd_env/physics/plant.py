@@ -111,11 +111,6 @@ class Plant(NamedTuple):
     """What the creep law reads as its table."""
 
     @property
-    def step(self) -> float:
-        """Time step h (s)."""
-        return float(self.number[STEP * len(self.number) // NUMBERS])
-
-    @property
     def speed(self) -> float:
         """Speed V of the first vehicle (m/s)."""
         return float(self.number[SPEED * len(self.number) // NUMBERS])
