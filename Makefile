@@ -37,10 +37,13 @@ test: $(VENV)/.installed $(VENV)/.learning
 bench-check: $(VENV)/.installed $(VENV)/.learning
 	$(BIN)/python tests/bench/check.py --base $(BASE) $(BENCH_OPTIONS)
 
+# The type checker sees the packages where a wheel has them.
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	rm -rf build/typed/sayd_env && mkdir -p build/typed/sayd_env
+	ln -s "$(CURDIR)"/sayd_env/* "$(CURDIR)"/agents "$(CURDIR)"/baselines build/typed/sayd_env
+	cd build/typed && "$(CURDIR)"/$(BIN)/mypy --config-file ../../pyproject.toml
 
 clean:
 	rm -rf $(VENV) build dist sayd_env.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -8,11 +8,11 @@ from typing import Any, cast
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
+from sayd_env.agents.bogie_encoding import BogieEncoding
+from sayd_env.agents.disk import write_file
+from sayd_env.agents.encoding import FLOOR, Encoding, VehicleEncoding
+from sayd_env.agents.policy_file import LearnedPolicy, PolicyDescription, StoredPolicy, interface_like
 
-from agents.bogie_encoding import BogieEncoding
-from agents.disk import write_file
-from agents.encoding import FLOOR, Encoding, VehicleEncoding
-from agents.policy_file import LearnedPolicy, PolicyDescription, StoredPolicy, interface_like
 from sayd_env.config import StudyError
 
 OPSET = 17

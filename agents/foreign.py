@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
+from sayd_env.agents.policy_file import Layers, LearnedPolicy, StoredPolicy, describe
 
-from agents.config import InputConfig, NetworkConfig, OutputConfig
-from agents.policy_file import Layers, LearnedPolicy, StoredPolicy, describe
 from sayd_env.config import ConfigError, DataError, validate
 from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from sayd_env.agents.config import PpoConfig, TrainConfig
+from sayd_env.agents.disk import write_folder
+from sayd_env.agents.learning_env import EncodedVecEnv
+from sayd_env.agents.policy_file import Layers
 from stable_baselines3 import PPO, SAC
 
-from agents.config import PpoConfig, TrainConfig
-from agents.disk import write_folder
-from agents.learning_env import EncodedVecEnv
-from agents.policy_file import Layers
 from sayd_env.config import DataError
 
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}

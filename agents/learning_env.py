@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box
+from sayd_env.agents.bogie_encoding import make_encoding
+from sayd_env.agents.config import TrainConfig
+from sayd_env.agents.encoding import Encoding, Observation
+from sayd_env.agents.sb3_vec import SaydVecEnv, Step
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
-
-from agents.bogie_encoding import make_encoding
-from agents.config import TrainConfig
-from agents.encoding import Encoding, Observation
-from agents.sb3_vec import SaydVecEnv, Step
 
 Array = npt.NDArray[np.float64]
 Numbers = Callable[[], Array]

@@ -20,12 +20,12 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 from pydantic import Field
+from sayd_env.agents.bogie_encoding import make_encoding
+from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig, View
+from sayd_env.agents.disk import write_file
+from sayd_env.agents.encoding import Encoding, Observation
+from sayd_env.agents.products import layer
 
-from agents.bogie_encoding import make_encoding
-from agents.config import InputConfig, NetworkConfig, OutputConfig, View
-from agents.disk import write_file
-from agents.encoding import Encoding, Observation
-from agents.products import layer
 from sayd_env.config import DataError, Model, parse_yaml, quantity, validate
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.control import load_online

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from sayd_env.agents.config import EvaluationConfig, TrainConfig
+from sayd_env.agents.policy_file import StoredPolicy
 
-import baselines
-from agents.config import EvaluationConfig, TrainConfig
-from agents.policy_file import StoredPolicy
+from sayd_env import baselines
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario

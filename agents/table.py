@@ -7,7 +7,8 @@ import io
 from pathlib import Path
 from typing import Any
 
-from agents.disk import write_file
+from sayd_env.agents.disk import write_file
+
 from sayd_env.config import DataError
 
 

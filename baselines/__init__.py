@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from baselines.constant import Constant, Passive
-from baselines.mppt import Mppt
-from baselines.perturb_observe import PerturbAndObserve
-from baselines.policy import Policy
-from baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
-from baselines.source import interface_of
+from sayd_env.baselines.constant import Constant, Passive
+from sayd_env.baselines.mppt import Mppt
+from sayd_env.baselines.perturb_observe import PerturbAndObserve
+from sayd_env.baselines.policy import Policy
+from sayd_env.baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
+from sayd_env.baselines.source import interface_of
+
 from sayd_env.config import ConfigError
 from sayd_env.config.control import controller_of, load_controller
 

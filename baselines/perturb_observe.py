@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from baselines.minimiser import Minimiser
-from baselines.policy import Array
+from sayd_env.baselines.minimiser import Minimiser
+from sayd_env.baselines.policy import Array
+
 from sayd_env.config.control import PerturbObserveConfig
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from sayd_env.baselines.characteristic import Characteristic
+from sayd_env.baselines.policy import Array, BogiePolicy, of_all_dampers
 from scipy.signal import cont2discrete
 
-from baselines.characteristic import Characteristic
-from baselines.policy import Array, BogiePolicy, of_all_dampers
 from sayd_env.config import ConfigError
 from sayd_env.config.control import SkyhookConfig
 from sayd_env.config.damper import SaydDamperConfig

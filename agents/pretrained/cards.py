@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.disk import write_file
-from agents.policy_file import read_policy
-from agents.pretrained import FOLDER, groups
-from agents.pretrained.curves import PICTURE, draw
+from sayd_env.agents.disk import write_file
+from sayd_env.agents.policy_file import read_policy
+from sayd_env.agents.pretrained import FOLDER, groups
+from sayd_env.agents.pretrained.curves import PICTURE, draw
+
 from sayd_env.config import DataError
 
 README = "README.md"

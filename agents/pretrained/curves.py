@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agents.pretrained import FOLDER, groups
-from agents.table import Table
+from sayd_env.agents.pretrained import FOLDER, groups
+from sayd_env.agents.table import Table
+
 from sayd_env.config import DataError
 
 if TYPE_CHECKING:

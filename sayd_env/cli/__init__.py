@@ -8,6 +8,8 @@ import sys
 import traceback
 from collections.abc import Sequence
 
+from threadpoolctl import threadpool_limits
+
 INPUT_ERROR = 2
 FAILURE = 1
 INTERRUPTED = 130
@@ -26,9 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit status: 0, 2 for bad input, 1 for a failed study or a defect, 130 when interrupted.
     """
-    # Before NumPy is imported: on matrices as small as ours BLAS threads only wait for each other, a hundred
-    # times as long as the work takes when the cores are busy. The studies have threads of their own.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # On matrices as small as ours BLAS threads only wait for each other, a hundred times as long as the work
+    # takes when the cores are busy. The studies have threads of their own.
+    threadpool_limits(1, "blas")
     try:
         # A terminated run cleans up like an interrupted one.
         signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -59,8 +59,8 @@ def compare(
     directory: an interrupted comparison goes on where it stopped.
     """
     from sayd_env.config.comparison import HELD_OUT, load_comparison  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies.compare import compare as study  # noqa: PLC0415
-    from sayd_env.studies.contestants import contestants  # noqa: PLC0415
+    from sayd_env.studies.comparison.compare import compare as study  # noqa: PLC0415
+    from sayd_env.studies.comparison.entrants import contestants  # noqa: PLC0415
 
     given = list(assignments or ()) + ([] if seed is None else [f"bootstrap.seed={seed}"])
     conditions = load_comparison(config or HELD_OUT, given)

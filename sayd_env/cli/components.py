@@ -24,7 +24,7 @@ def conicity(
     as_json: options.Json = False,
 ) -> None:
     """Compute the equivalent conicity of wheel and rail by EN 15302."""
-    from sayd_env.studies.conicity import conicity as study  # noqa: PLC0415
+    from sayd_env.studies.components.conicity import conicity as study  # noqa: PLC0415
 
     scenario = scenario_from(config, assignments, profile=profile, wear=wear, track=track)
     job = Job("conicity", out, as_json)
@@ -72,8 +72,8 @@ def hysteresis(
     as_json: options.Json = False,
 ) -> None:
     """Move a yaw damper on a test rig: force over displacement at several amplitudes and frequencies."""
-    from sayd_env.studies.hysteresis import AMPLITUDES, FREQUENCIES  # noqa: PLC0415
-    from sayd_env.studies.hysteresis import hysteresis as study  # noqa: PLC0415
+    from sayd_env.studies.components.hysteresis import AMPLITUDES, FREQUENCIES  # noqa: PLC0415
+    from sayd_env.studies.components.hysteresis import hysteresis as study  # noqa: PLC0415
 
     chosen = [] if damper is None else [f"damper={damper.value}"]
     scenario = scenario_from(config, [*chosen, *(assignments or ())])

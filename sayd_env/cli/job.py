@@ -14,7 +14,7 @@ from rich.console import Console
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from sayd_env.studies.output import Progress, Result
+    from sayd_env.report.files import Progress, Result
 
 QUIET_SECONDS = 2.0
 LINE_SECONDS = 10.0
@@ -40,7 +40,7 @@ class Job:
     """
 
     def __init__(self, command: str, out: Path | None, as_json: bool) -> None:
-        from sayd_env.studies.output import ResultDirectory  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.report.files import ResultDirectory  # noqa: PLC0415 - keeps --help fast
 
         self.command = command
         self.as_json = as_json
@@ -52,7 +52,7 @@ class Job:
         self, result: Result, *, config: BaseModel | Mapping[str, Any] | None = None, seed: int | None = None
     ) -> None:
         """Store the result, then show it: JSON or the study's summary."""
-        from sayd_env.studies.output import document, json_text  # noqa: PLC0415
+        from sayd_env.report.files import document, json_text  # noqa: PLC0415
 
         content = document(result, config, seed)
         files = [] if self.directory is None else self.directory.save(result, content)

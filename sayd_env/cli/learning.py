@@ -74,7 +74,7 @@ def train(
     The run's directory gets the configuration, logs (CSV and TensorBoard), the best and the last policy and
     checkpoints. Ctrl-C saves and says how to go on; a run that was killed goes on from its last checkpoint.
     """
-    from agents.config import load_train  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.agents.config import load_train  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies.learning import train as study  # noqa: PLC0415
 
     if resume is not None:

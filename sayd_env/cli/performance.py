@@ -37,7 +37,7 @@ def bench(
     as_json: options.Json = False,
 ) -> None:
     """Measure simulator, environments and training here: speed, cost of a step by part, start-up, memory."""
-    from sayd_env.studies.bench import bench as study  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.bench.bench import bench as study  # noqa: PLC0415 - keeps --help fast
 
     scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)
     job = Job("bench", out, as_json)

@@ -74,9 +74,9 @@ def tune(
     stopped.
     """
     from sayd_env.config.tuning import load_tuning  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies.output import ResultDirectory  # noqa: PLC0415
-    from sayd_env.studies.tune import refuse_packaged  # noqa: PLC0415
-    from sayd_env.studies.tune import tune as study  # noqa: PLC0415
+    from sayd_env.report.files import ResultDirectory  # noqa: PLC0415
+    from sayd_env.studies.tuning.tune import refuse_packaged  # noqa: PLC0415
+    from sayd_env.studies.tuning.tune import tune as study  # noqa: PLC0415
 
     settings = load_tuning("tuning" if config is None else config, assignments or ())
     settings = settings.shortened() if quick else settings

@@ -84,7 +84,7 @@ def calibrate(
     interrupted calibration goes on where it stopped; the result is also a study file, nominal.yaml.
     """
     from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies.calibrate import calibrate as study  # noqa: PLC0415
+    from sayd_env.studies.tuning.calibrate import calibrate as study  # noqa: PLC0415
 
     settings = load_calibration("calibration" if config is None else config, tuple(assignments or ()))
     job = Job("calibrate", out, as_json)
@@ -150,8 +150,8 @@ def reproduce(
     """Measure what the paper shows, row by row: the passive vehicle, the controllers, all figures."""
     from sayd_env.config import ConfigError, StudyError  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies.creep_laws import check_laws  # noqa: PLC0415
-    from sayd_env.studies.reproduce import ROWS  # noqa: PLC0415
-    from sayd_env.studies.reproduce import reproduce as study  # noqa: PLC0415
+    from sayd_env.studies.paper.reproduce import ROWS  # noqa: PLC0415
+    from sayd_env.studies.paper.reproduce import reproduce as study  # noqa: PLC0415
 
     unknown = [row for row in allow or () if row not in ROWS]
     if unknown:

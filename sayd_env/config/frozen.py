@@ -44,5 +44,5 @@ def _digest(content: Any) -> str:
 
 
 def _file_digest(name: str) -> str:
-    file = resources.files("configs").joinpath("control", f"{name}.yaml")
+    file = resources.files("sayd_env.configs").joinpath("control", f"{name}.yaml")
     return hashlib.sha256(file.read_bytes()).hexdigest()

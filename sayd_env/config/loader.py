@@ -90,7 +90,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 def packaged_names(kind: str) -> list[str]:
     """Names of the packaged configurations of a kind (`vehicle`, `damper`, `profile`, ...)."""
-    folder = resources.files("configs").joinpath(kind)
+    folder = resources.files("sayd_env.configs").joinpath(kind)
     return sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
 
 
@@ -137,7 +137,9 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
             f"available: {', '.join(names)}, or a path to a YAML file"
         )
     source = f"configs/{kind}/{name_or_path}.yaml"
-    text = resources.files("configs").joinpath(kind, f"{name_or_path}.yaml").read_text(encoding="utf-8")
+    text = (
+        resources.files("sayd_env.configs").joinpath(kind, f"{name_or_path}.yaml").read_text(encoding="utf-8")
+    )
     return parse_yaml(text, source), source
 
 

@@ -24,7 +24,7 @@ from sayd_env.config.profile import (
     Shape,
     WheelProfileConfig,
 )
-from sayd_env.physics.profile_file import read_profile_file
+from sayd_env.measured.profiles import read_profile_file
 
 Array = NDArray[np.float64]
 

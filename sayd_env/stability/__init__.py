@@ -1,5 +1,6 @@
 """Running stability by EN 14363; usable alone on measured signals of a real train."""
 
+from sayd_env.measured.recordings import Channel, Quantity, Recording, read_recording
 from sayd_env.stability.assessment import Assessment, assess, assessed_span
 from sayd_env.stability.critical import (
     CriticalSpeed,
@@ -10,7 +11,6 @@ from sayd_env.stability.critical import (
     thinned_grids,
 )
 from sayd_env.stability.limits import Limits, limits
-from sayd_env.stability.recording import Channel, Quantity, Recording, read_recording
 from sayd_env.stability.signals import (
     averaged_spectra,
     band_pass,

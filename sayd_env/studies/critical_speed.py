@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.files import Progress, silent
+from sayd_env.runs.passive import Sweep, runs_table, simulate, sweep
 from sayd_env.stability import (
     CriticalSpeed,
     Crossing,
@@ -24,10 +26,8 @@ from sayd_env.stability import (
     limits,
     thinned_grids,
 )
-from sayd_env.studies.claims_passive import NEW_SPEEDS, WORN_SPEEDS
 from sayd_env.studies.creep_laws import CreepLawComparison, check_laws, with_law
-from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.sweep import Sweep, runs_table, simulate, sweep
+from sayd_env.studies.paper.passive_claims import NEW_SPEEDS, WORN_SPEEDS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,9 +14,9 @@ from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.keywords import REWARDS
-from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.policy_run import Row, policy_row
-from sayd_env.studies.rollouts import PASSIVE, Group, PolicySpec, for_policy, run_groups
+from sayd_env.report.files import Progress, silent
+from sayd_env.runs.metrics import Row, policy_row
+from sayd_env.runs.rollouts import PASSIVE, Group, PolicySpec, for_policy, run_groups
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
-from sayd_env.studies.output import Plot, Progress, Table, git_state, silent, versions
+from sayd_env.report.files import Plot, Progress, Table, git_state, silent, versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-    from agents.config import TrainConfig
-    from agents.policy_file import StoredPolicy
-    from agents.training import Trained
+    from sayd_env.agents.config import TrainConfig
+    from sayd_env.agents.policy_file import StoredPolicy
+    from sayd_env.agents.training import Trained
     from sayd_env.config.environment import EnvironmentConfig
-    from sayd_env.studies.rollouts import ForeignReader
+    from sayd_env.runs.rollouts import ForeignReader
 
 EXTRA = "needs torch and Stable-Baselines3: install them with pip install 'sayd-env[train]'"
 
@@ -122,7 +122,7 @@ def train(
         As `agents.training.train`.
     """
     try:
-        from agents.training import train as learn  # noqa: PLC0415 - imports torch, which may be missing
+        from sayd_env.agents.training import train as learn  # noqa: PLC0415 - imports torch, which may be missing
     except ModuleNotFoundError as error:
         raise ConfigError(f"train {EXTRA} (no module '{error.name}')") from None
     commit, modified = git_state(Path(__file__).resolve().parents[2])
@@ -160,7 +160,7 @@ def foreign_reader(
         return None
 
     def read(path: Path) -> StoredPolicy:
-        from agents.foreign import read_foreign  # noqa: PLC0415 - keeps the import of studies light
+        from sayd_env.agents.foreign import read_foreign  # noqa: PLC0415 - keeps the import of studies light
 
         try:
             return read_foreign(path, config, period)
@@ -186,8 +186,8 @@ def read_source(source: Path, foreign: ForeignReader | None = None) -> StoredPol
     DataError
         A damaged file.
     """
-    from agents import pretrained  # noqa: PLC0415 - keeps the import of studies light
-    from sayd_env.studies.rollouts import read_learned  # noqa: PLC0415
+    from sayd_env.agents import pretrained  # noqa: PLC0415 - keeps the import of studies light
+    from sayd_env.runs.rollouts import read_learned  # noqa: PLC0415
 
     if not source.exists() and str(source) in pretrained.names():
         return read_learned(pretrained.path(str(source)))
@@ -213,7 +213,7 @@ def export(stored: StoredPolicy, target: Path, *, onnx: bool) -> ExportResult:
     StudyError
         A file cannot be written.
     """
-    from agents.policy_file import save_policy  # noqa: PLC0415 - keeps the import of studies light
+    from sayd_env.agents.policy_file import save_policy  # noqa: PLC0415 - keeps the import of studies light
 
     name = stored.description.name
     files = [target / f"{name}.npz"]
@@ -224,7 +224,7 @@ def export(stored: StoredPolicy, target: Path, *, onnx: bool) -> ExportResult:
             raise ConfigError(f"{file}: exists already; nothing was written. Take another --out")
     if onnx:
         try:
-            from agents.export import export_onnx  # noqa: PLC0415 - imports onnx, which may be missing
+            from sayd_env.agents.export import export_onnx  # noqa: PLC0415 - imports onnx, which may be missing
         except ModuleNotFoundError as error:
             raise ConfigError(
                 "export --onnx needs onnx: install it with pip install 'sayd-env[onnx]' "

@@ -18,14 +18,14 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.envs.rollout import Rollout
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.throttle import overlap
+from sayd_env.report.files import Progress, silent
+from sayd_env.runs.cache import RunStore
+from sayd_env.runs.kept import constant_command, identity, identity_of_constants, run_kept
+from sayd_env.runs.metrics import policy_row
+from sayd_env.runs.passive import run_name
+from sayd_env.runs.rollouts import Group, PolicySpec, for_policy
 from sayd_env.stability import Crossing, critical_speed
-from sayd_env.studies.checkpoint import RunStore
 from sayd_env.studies.evaluate import conditions, policy_groups
-from sayd_env.studies.kept_runs import constant_command, identity, identity_of_constants, run_kept
-from sayd_env.studies.output import Progress, silent
-from sayd_env.studies.policy_run import policy_row
-from sayd_env.studies.rollouts import Group, PolicySpec, for_policy
-from sayd_env.studies.sweep import run_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

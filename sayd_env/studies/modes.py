@@ -12,14 +12,14 @@ import numpy.typing as npt
 
 from sayd_env.physics.linear import HUNTING_BAND, RootLocus, linear_critical_speed, root_locus
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.studies.output import Progress, silent
+from sayd_env.report.files import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
     from sayd_env.config.scenario import Scenario
-    from sayd_env.studies.output import Plot, Table
+    from sayd_env.report.files import Plot, Table
 
 Array = npt.NDArray[np.float64]
 

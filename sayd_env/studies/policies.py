@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-import baselines
-from agents.pretrained.cards import COLUMNS, Origin, origins
-from sayd_env.studies.output import Plot, Table
-from sayd_env.studies.rollouts import PASSIVE
+from sayd_env import baselines
+from sayd_env.agents.pretrained.cards import COLUMNS, Origin, origins
+from sayd_env.report.files import Plot, Table
+from sayd_env.runs.rollouts import PASSIVE
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -92,5 +92,5 @@ def about(name: str) -> str:
     """
     if name == PASSIVE:  # it has no parameters, and no file
         return "Passive yaw dampers, which no command reaches."
-    text = resources.files("configs").joinpath("control", f"{name}.yaml").read_text(encoding="utf-8")
+    text = resources.files("sayd_env.configs").joinpath("control", f"{name}.yaml").read_text(encoding="utf-8")
     return text.partition("\n")[0].lstrip("# ")

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from sayd_env.config import ConfigError
 from sayd_env.envs.loop import NOT_FINITE, RUNNING
 from sayd_env.envs.vector import SaydVectorEnv
-from sayd_env.studies.output import Progress, Table, silent
+from sayd_env.report.files import Progress, Table, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

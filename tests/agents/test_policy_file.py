@@ -11,10 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
+from sayd_env.agents.encoding import VehicleEncoding
+from sayd_env.agents.policy_file import (
+    StoredPolicy,
+    describe,
+    load_policy,
+    policy_bytes,
+    read_policy,
+    save_policy,
+)
 
-from agents.config import InputConfig, NetworkConfig, OutputConfig
-from agents.encoding import VehicleEncoding
-from agents.policy_file import StoredPolicy, describe, load_policy, policy_bytes, read_policy, save_policy
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.errors import StudyError
 from sayd_env.envs.interface import Interface
@@ -226,7 +233,7 @@ def test_a_full_disk_leaves_the_former_file(
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("agents.disk.os.fsync", full)
+    monkeypatch.setattr("sayd_env.agents.disk.os.fsync", full)
     with pytest.raises(StudyError, match="No space left"):
         save_policy(path, stored(interface, CHANGE))
     assert path.read_bytes() == before
@@ -240,7 +247,7 @@ def test_onnxruntime_gives_the_same_commands(
 ) -> None:
     pytest.importorskip("onnx", reason="needs the extra 'onnx'")
     runtime = pytest.importorskip("onnxruntime", reason="needs the extra 'onnx'")
-    from agents.export import export_onnx  # noqa: PLC0415
+    from sayd_env.agents.export import export_onnx  # noqa: PLC0415
 
     policy = stored(interface, output, "tanh", activation)
     export_onnx(policy, tmp_path / "policy.onnx")
@@ -257,7 +264,7 @@ def test_onnxruntime_gives_the_same_commands(
 def test_onnxruntime_gives_the_commands_of_both_bogies(tmp_path: Path) -> None:
     pytest.importorskip("onnx", reason="needs the extra 'onnx'")
     runtime = pytest.importorskip("onnxruntime", reason="needs the extra 'onnx'")
-    from agents.export import export_onnx  # noqa: PLC0415
+    from sayd_env.agents.export import export_onnx  # noqa: PLC0415
 
     names = ("yaw_force", "force_level", "lateral", "yaw_rate", "push_rate", "speed", "place")
     halves = (1e6, 1e6, 30.0, 1.0, 1.0, 50.0, 1.0)

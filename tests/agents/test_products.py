@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from agents.products import columns, layer, times
+from sayd_env.agents.products import columns, layer, times
 
 
 @pytest.mark.parametrize("shape", [(7, 5, 3), (1, 533, 220), (64, 110, 64), (3, 4, 0), (0, 4, 2)])

@@ -11,7 +11,8 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
-from agents.policy_file import read_policy
+from sayd_env.agents.policy_file import read_policy
+
 from sayd_env.cli import main
 
 FEW = {

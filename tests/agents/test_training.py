@@ -19,17 +19,17 @@ import yaml
 SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
+from sayd_env.agents.config import load_train  # noqa: E402
+from sayd_env.agents.learner import load_model, make_model  # noqa: E402
+from sayd_env.agents.learning_env import environment_keywords, make_learning_env  # noqa: E402
+from sayd_env.agents.policy_file import load_policy, read_policy  # noqa: E402
+from sayd_env.agents.scenarios import Judge  # noqa: E402
+from sayd_env.agents.table import Table  # noqa: E402
+from sayd_env.agents.training import Trained, train  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.monitor import Monitor  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv  # noqa: E402
 
-from agents.config import load_train  # noqa: E402
-from agents.learner import load_model, make_model  # noqa: E402
-from agents.learning_env import environment_keywords, make_learning_env  # noqa: E402
-from agents.policy_file import load_policy, read_policy  # noqa: E402
-from agents.scenarios import Judge  # noqa: E402
-from agents.table import Table  # noqa: E402
-from agents.training import Trained, train  # noqa: E402
 from sayd_env.cli import main  # noqa: E402
 from sayd_env.config import ConfigError, DataError  # noqa: E402
 from sayd_env.config.errors import Interrupted, StudyError  # noqa: E402
@@ -264,7 +264,7 @@ def test_ctrl_c_saves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         if done > 60:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("agents.training.REPORT_SECONDS", 0.0)
+    monkeypatch.setattr("sayd_env.agents.training.REPORT_SECONDS", 0.0)
     with pytest.raises(Interrupted, match="saved at step 56 of 200; go on with --resume"):
         train(config, tmp_path / "run", progress=interrupt)
     assert steps_on_disk(tmp_path / "run") == [56]
@@ -280,7 +280,7 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("agents.learner.np.savez", full)
+        patch.setattr("sayd_env.agents.learner.np.savez", full)
         with pytest.raises(StudyError, match="No space left"):
             train(config, tmp_path / "run", resume=True)
     assert steps_on_disk(tmp_path / "run") == kept

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-import baselines
+from sayd_env import baselines
 from sayd_env.envs.interface import RunIn
 
 LIMIT = 5.44

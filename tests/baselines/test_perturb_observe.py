@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-import baselines
+from sayd_env import baselines
 
 LIMIT = 5.44
 

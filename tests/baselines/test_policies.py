@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-import baselines
+from sayd_env import baselines
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig
 
@@ -118,7 +118,11 @@ def test_constant_and_passive_fit_every_environment(interface, valves, count, ki
 
 def test_the_tuned_constant_commands_its_number(interface):
     """The number that stands in its file, whatever the vehicle does."""
-    text = resources.files("configs").joinpath("control", "constant-tuned.yaml").read_text(encoding="utf-8")
+    text = (
+        resources.files("sayd_env.configs")
+        .joinpath("control", "constant-tuned.yaml")
+        .read_text(encoding="utf-8")
+    )
     number = yaml.safe_load(text)["current"]
     assert 0.0 < number < 1.0
     policy = baselines.make("constant-tuned", interface())
@@ -128,7 +132,7 @@ def test_the_tuned_constant_commands_its_number(interface):
 
 def test_a_file_of_parameters_stands_for_its_controller(interface, tmp_path):
     """Named after mppt2, with its text but for k_J: as mppt2 with this k_J."""
-    text = resources.files("configs").joinpath("control", "mppt2.yaml").read_text(encoding="utf-8")
+    text = resources.files("sayd_env.configs").joinpath("control", "mppt2.yaml").read_text(encoding="utf-8")
     file = tmp_path / "mppt2.yaml"
     file.write_text(text.replace("k_J: 0.03", "k_J: 0.2"))
     own, packaged = baselines.make(str(file), interface()), baselines.make("mppt2", interface(), k_J=0.2)

@@ -108,7 +108,7 @@ def overhead() -> dict[str, float]:
     import gymnasium as gym  # noqa: PLC0415
 
     import sayd_env  # noqa: F401, PLC0415
-    from sayd_env.studies.bench_environment import StepTimer  # noqa: PLC0415
+    from sayd_env.studies.bench.environment import StepTimer  # noqa: PLC0415
 
     timer = StepTimer(gym.make("SAYD/Nominal-v0"), 1000)
     return {"value": min(timer.overhead() for _ in range(3))}
@@ -149,10 +149,9 @@ def training(algorithm: str, strides: int) -> dict[str, float]:
     learning from the first. Resets count as often as over whole episodes.
     """
     import torch  # noqa: PLC0415
-
-    from agents.config import load_train  # noqa: PLC0415
-    from agents.learner import make_model  # noqa: PLC0415
-    from agents.learning_env import make_learning_env  # noqa: PLC0415
+    from sayd_env.agents.config import load_train  # noqa: PLC0415
+    from sayd_env.agents.learner import make_model  # noqa: PLC0415
+    from sayd_env.agents.learning_env import make_learning_env  # noqa: PLC0415
 
     config: Any = load_train(algorithm, ["learning.learning_starts=0"] if algorithm == "sac" else [])
     torch.set_num_threads(config.torch_threads)

@@ -52,7 +52,7 @@ def test_held_out_seeds_are_no_others(held_out: ComparisonConfig):
 
 
 def test_trainings_draw_from_seeds_beyond_the_held_out_ones(held_out: ComparisonConfig):
-    learning = pytest.importorskip("agents.learning_env", exc_type=ImportError)
+    learning = pytest.importorskip("sayd_env.agents.learning_env", exc_type=ImportError)
     assert max(*held_out.seeds, *held_out.critical_speed.seeds) < learning.SEEDS_APART
 
 

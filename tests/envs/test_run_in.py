@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-import baselines
+from sayd_env import baselines
 from sayd_env.config.environment import load_environment
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.fleet import Fleet

@@ -16,7 +16,7 @@ from sayd_env.config.profile import (
     load_rail,
     load_wheel,
 )
-from sayd_env.physics.profile_file import read_profile_file
+from sayd_env.measured.profiles import read_profile_file
 from sayd_env.physics.profiles import SAMPLING, gauge_point, rail_profile, wheel_profile
 
 RAILS = ("60e1", "cn60", "en15302_rail_a")

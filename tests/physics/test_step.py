@@ -22,7 +22,7 @@ from sayd_env.physics.plant import (
     WHEELSETS,
 )
 from sayd_env.physics.simulator import Simulator, Telemetry, VehicleModel
-from sayd_env.studies.sweep import sweep
+from sayd_env.runs.passive import sweep
 
 SPEED = 300.0 / 3.6
 

@@ -12,10 +12,10 @@ import pytest
 
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.runs.controlled import ControlledRun, ControlledRuns
+from sayd_env.runs.passive import Sweep
 from sayd_env.stability import Limits
-from sayd_env.studies.claims_controlled import required_runs
-from sayd_env.studies.controlled import ControlledRun, ControlledRuns
-from sayd_env.studies.sweep import Sweep
+from sayd_env.studies.paper.controlled_claims import required_runs
 
 SHORT = ("assessment.run_in=200", "assessment.length=600")
 """An assessed distance that holds one segment of the spectrum, for runs of a tenth of a second."""

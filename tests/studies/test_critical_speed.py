@@ -13,6 +13,8 @@ from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.files import json_text
+from sayd_env.runs.passive import Sweep, assessed_run, parallel, sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.critical_speed import (
     CriticalSpeedResult,
@@ -21,8 +23,6 @@ from sayd_env.studies.critical_speed import (
     find_critical_speed,
     model_limits,
 )
-from sayd_env.studies.output import json_text
-from sayd_env.studies.sweep import Sweep, assessed_run, parallel, sweep
 
 KMH = [320.0, 350.0, 370.0, 395.0, 420.0, 445.0]
 NAMES = ("front.leading", "front.trailing", "rear.leading", "rear.trailing")

@@ -15,18 +15,18 @@ import pytest
 from rich.console import Console
 from scipy.signal import butter, get_window, sosfiltfilt
 
-import baselines
 import sayd_env  # noqa: F401 - registers the environments
+from sayd_env import baselines
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.runs.metrics import switchings
+from sayd_env.runs.passive import run_from, simulate
+from sayd_env.runs.rollouts import policy_spec
 from sayd_env.studies.critical_speed import model_limits
 from sayd_env.studies.evaluate import AVERAGED, EvaluateResult, Row, evaluate, with_reward
-from sayd_env.studies.policy_run import switchings
-from sayd_env.studies.rollouts import policy_spec
-from sayd_env.studies.sweep import run_from, simulate
 
 Array = npt.NDArray[np.float64]
 SPEED = 360 / 3.6

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
+from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
 
-from agents.config import InputConfig, NetworkConfig, OutputConfig
-from agents.policy_file import StoredPolicy, describe, save_policy
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import load_scenario
 from sayd_env.envs.single import SaydEnv
+from sayd_env.runs.rollouts import policy_spec
 from sayd_env.studies.evaluate import evaluate
-from sayd_env.studies.rollouts import policy_spec
 
 SHORT = ["assessment.length=600", "wear=1"]
 

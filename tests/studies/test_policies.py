@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from sayd_env.agents import pretrained
+from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
+from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
+from sayd_env.agents.pretrained import cards
 
-import baselines
-from agents import pretrained
-from agents.config import InputConfig, NetworkConfig, OutputConfig
-from agents.policy_file import StoredPolicy, describe, save_policy
-from agents.pretrained import cards
+from sayd_env import baselines
 from sayd_env.cli import main
 from sayd_env.config import ConfigError, DataError
 from sayd_env.envs.single import SaydEnv
+from sayd_env.runs.rollouts import policy_spec
 from sayd_env.studies.learning import read_source
 from sayd_env.studies.policies import policies
-from sayd_env.studies.rollouts import policy_spec
 
 
 def save(path: Path, algorithm: str, seed: int) -> None:

@@ -1,6 +1,6 @@
 """Track irregularities: spectra, measured files and realisations that the time step reads as splines."""
 
-from sayd_env.physics.track.measured import MeasuredTrack, read_measured
+from sayd_env.measured.tracks import MeasuredTrack, read_measured
 from sayd_env.physics.track.realisation import FADE_IN, GRID_STEP, TrackRealisation, realise
 from sayd_env.physics.track.spectra import irregularity_psd, random_irregularity
 from sayd_env.physics.track.spline import interpolation_coefficients, spline_table, spline_value_slope

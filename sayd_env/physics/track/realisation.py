@@ -18,7 +18,7 @@ from sayd_env.config.track import (
     SineConfig,
     SpectrumConfig,
 )
-from sayd_env.physics.track.measured import read_measured
+from sayd_env.measured.tracks import read_measured
 from sayd_env.physics.track.spectra import random_irregularity
 from sayd_env.physics.track.spline import interpolation_coefficients, spline_table
 

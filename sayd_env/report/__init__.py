@@ -1,0 +1,1 @@
+"""How a result is shown and stored: columns, files, figures, pages, video."""

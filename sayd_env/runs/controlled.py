@@ -1,0 +1,325 @@
+"""Assessed runs of a controlled vehicle: what the paper's figures 11 to 18 show of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import decimate, welch
+
+from sayd_env.config import ConfigError, DataError, StudyError
+from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.envs.loop import LOG_ACCELERATION, LOG_FORCE, LOG_HYDRAULIC, LOG_TRACK_SHIFT
+from sayd_env.envs.rollout import Rollout
+from sayd_env.stability import assessed_span, distance_run
+from sayd_env.runs.passive import Array, Run, Sweep, gathered, run_from, runs_table
+
+KMH = 3.6
+
+SAYD_SPEEDS = tuple(v / KMH for v in (300, 320, 350, 375, 400))
+"""Speed grid of figures 11, 13, 15 and 17, m/s."""
+HIGH_FREQUENCY = 10.0
+"""Hz; above it lies what the paper calls the high-frequency part of the damper force."""
+FRONT, REAR = 0, 1
+"""Columns of the bogies' commands."""
+
+_REAR_DAMPER = 4  # the rear bogie's first damper, in the order of `Multibody.yaw_dampers`
+_TRACE_RATE, _TRACE_TIME = 200.0, 40.0  # Hz and s: enough for figures 12, 14, 16 and 18
+_SPECTRUM_SEGMENT = 2.0  # s, so that 10 Hz is the twentieth line and leakage across it is small
+
+Single = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class ControlledRun(Run):
+    """One assessed run with controlled dampers, of d dampers and b bogies; forces are over its 5 km."""
+
+    policy: str
+    """Name of the controller."""
+    initial_current: float
+    """Valve current of the run-in, 0 to 1, and the controller's first command where it keeps one."""
+    force_rms: float
+    """RMS of the damper force over time and dampers, N."""
+    force_peak: float
+    """Largest absolute force of any damper, N."""
+    force_power_high: float
+    """Power of the damper force above 10 Hz, mean over the dampers, N^2."""
+    command: Single
+    """(steps, b) commanded valve opening of each bogie, 0 to 1, from the end of the run-in on."""
+    control_period: float
+    """How long a command holds, s."""
+    force_trace: Single
+    """(n,) force of one damper of the rear bogie, N: the first 40 s behind the run-in."""
+    trace_period: float
+    """Time between two values of the trace, s."""
+
+
+def controlled_run_from(
+    policy: str,
+    speed: float,
+    seed: int,
+    initial_current: float,
+    *,
+    acceleration: Array,
+    track_shift: Array,
+    damper_force: Array,
+    command: npt.NDArray[np.floating[Any]],
+    control_period: float,
+    settings: AssessmentConfig,
+) -> ControlledRun:
+    """Assess the signals of one run.
+
+    Parameters
+    ----------
+    policy : str
+        Name of the controller.
+    speed : float
+        m/s.
+    seed : int
+        Seed of the track.
+    initial_current : float
+        Valve current of the run-in.
+    acceleration, track_shift : ndarray, shape (t, w)
+        Lateral acceleration of the bogie frame (m/s2) and track shift force (N) at the w wheelsets, sampled
+        at ``settings.sample_rate``, from the start of the run-in to the end of the assessed length or later.
+    damper_force : ndarray, shape (t, d)
+        Forces of the yaw dampers (N), in the order of `Multibody.yaw_dampers`.
+    command : ndarray, shape (steps, b)
+        Commands of the bogies, 0 to 1; the first one acts from the end of the run-in. Those given behind the
+        assessed length are left out.
+    control_period : float
+        How long a command holds (s).
+    settings : AssessmentConfig
+        The procedure.
+
+    Raises
+    ------
+    DataError
+        Signals that are too short or not finite, or of unequal length; commands that are too few, or no
+        numbers from 0 to 1.
+    """
+    rate, samples = settings.sample_rate, len(acceleration)
+    if not len(track_shift) == len(damper_force) == samples:
+        raise DataError(
+            f"{samples} samples of the acceleration, {len(track_shift)} of the track shift force, "
+            f"{len(damper_force)} of the damper force: expected as many of each"
+        )
+    if not np.isfinite(damper_force).all():
+        raise DataError("the damper force holds a value that is not a number")
+    assessed = run_from(acceleration, track_shift, speed, seed, settings)
+    distance = distance_run(speed, rate, samples)
+    first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
+    force = damper_force[first:last]
+    trace, trace_period = _trace(damper_force[first:, min(_REAR_DAMPER, damper_force.shape[1] - 1)], rate)
+    return ControlledRun(
+        **vars(assessed),
+        policy=policy,
+        initial_current=initial_current,
+        force_rms=float(np.sqrt(np.mean(force**2))),
+        force_peak=float(np.max(np.abs(force))),
+        force_power_high=high_frequency_power(force, rate),
+        command=_commands(command, int((last - first) / rate / control_period + 1e-6)),
+        control_period=control_period,
+        force_trace=trace,
+        trace_period=trace_period,
+    )
+
+
+def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig) -> ControlledRun:
+    """Assess a rollout whose policy commands each bogie.
+
+    Parameters
+    ----------
+    policy : str
+        Name of the controller.
+    rollout : Rollout
+        Run-in and at least the assessed length.
+    settings : AssessmentConfig
+        The procedure.
+
+    Raises
+    ------
+    StudyError
+        The run ended early.
+    ConfigError
+        The environment's run-in is not the assessment's.
+    """
+    episode, rate = rollout.episode, rollout.sample_rate
+    if rollout.ending is not None:
+        raise StudyError(
+            f"the run of '{policy}' at {episode.speed * KMH:g} km/h, seed {episode.seed}, ended: "
+            f"{rollout.ending}"
+        )
+    late = rollout.run_in / rate - settings.run_in / episode.speed
+    if not -1.5 / rate < late < rollout.control_period + 1.5 / rate:  # a whole number of periods
+        raise ConfigError(
+            f"assessment.run_in: found {settings.run_in:g} m, while the environment runs in for "
+            f"{rollout.run_in / rate * episode.speed:.0f} m; expected the same"
+        )
+    signals = rollout.true
+    return controlled_run_from(
+        policy,
+        episode.speed,
+        episode.seed,
+        episode.initial_current,
+        acceleration=signals[:, LOG_ACCELERATION:LOG_TRACK_SHIFT],
+        track_shift=signals[:, LOG_TRACK_SHIFT:LOG_FORCE],
+        damper_force=signals[:, LOG_FORCE:LOG_HYDRAULIC],
+        command=rollout.actions,
+        control_period=rollout.control_period,
+        settings=settings,
+    )
+
+
+def high_frequency_power(force: Array, sample_rate: float) -> float:
+    """Power of a force above `HIGH_FREQUENCY`, mean over the channels.
+
+    Parameters
+    ----------
+    force : ndarray, shape (t, d)
+        Forces (N).
+    sample_rate : float
+        Samples per second (Hz).
+
+    Returns
+    -------
+    float
+        Mean square of the components above 10 Hz by Welch's (1967) averaged spectra (N^2).
+    """
+    segment = min(round(_SPECTRUM_SEGMENT * sample_rate), len(force))
+    frequency, density = welch(force, fs=sample_rate, nperseg=segment, axis=0)
+    power = density[frequency > HIGH_FREQUENCY].sum(axis=0) * frequency[1]
+    return float(np.mean(power))
+
+
+def _trace(force: Array, sample_rate: float) -> tuple[Single, float]:
+    """Thinned start of a force, and the time between its values."""
+    start = force[: round(_TRACE_TIME * sample_rate)]
+    step = max(round(sample_rate / _TRACE_RATE), 1)
+    thinned = decimate(start, step, ftype="fir") if step > 1 else start
+    return np.asarray(thinned, dtype=np.float32), step / sample_rate
+
+
+def _commands(command: npt.NDArray[np.floating[Any]], steps: int) -> Single:
+    if command.ndim != 2 or len(command) < steps:
+        raise DataError(f"commands of shape {command.shape}; the assessed length needs ({steps}, bogies)")
+    kept = np.asarray(command[:steps], dtype=np.float32)
+    if not ((kept >= 0.0) & (kept <= 1.0)).all():
+        raise DataError("a command is not a number from 0 to 1")
+    return kept
+
+
+class ControlledRuns:
+    """Runs of several controllers over speeds and seeds.
+
+    Parameters
+    ----------
+    runs : iterable of ControlledRun
+        In any order; every controller on the same seeds.
+
+    Raises
+    ------
+    ValueError
+        No run at all, or one run twice.
+    """
+
+    def __init__(self, runs: Iterable[ControlledRun]) -> None:
+        self._runs: dict[tuple[str, float, float, int], ControlledRun] = {}
+        for run in runs:
+            key = (run.policy, run.initial_current, _kmh(run.speed), run.seed)
+            if key in self._runs:
+                raise ValueError(f"the run {key} is there twice")
+            self._runs[key] = run
+        if not self._runs:
+            raise ValueError("no runs")
+        self.seeds = tuple(sorted({run.seed for run in self.runs}))
+
+    @property
+    def runs(self) -> tuple[ControlledRun, ...]:
+        """All runs."""
+        return tuple(self._runs.values())
+
+    @property
+    def variants(self) -> tuple[tuple[str, float], ...]:
+        """Controllers with their initial currents, in the order of the runs."""
+        return tuple(dict.fromkeys((run.policy, run.initial_current) for run in self.runs))
+
+    def speeds(self, policy: str, initial_current: float = 0.0) -> tuple[float, ...]:
+        """Speeds of a controller's runs, m/s, rising."""
+        chosen = [r.speed for r in self.runs if (r.policy, r.initial_current) == (policy, initial_current)]
+        return tuple(sorted(set(chosen)))
+
+    def at(self, policy: str, kmh: float, initial_current: float = 0.0) -> tuple[ControlledRun, ...]:
+        """Runs of a controller at a speed (km/h), one for each seed.
+
+        Raises
+        ------
+        ValueError
+            There is no such run.
+        """
+        keys = [(policy, initial_current, round(kmh, 6), seed) for seed in self.seeds]
+        for key in keys:
+            if key not in self._runs:
+                raise ValueError(
+                    f"no run of '{policy}' at {kmh:g} km/h, V(0) = {initial_current:g}, seed {key[-1]}"
+                )
+        return tuple(self._runs[key] for key in keys)
+
+    def sweep(self, policy: str, initial_current: float = 0.0) -> Sweep:
+        """Assessed quantities of a controller over its speeds.
+
+        Raises
+        ------
+        ValueError
+            A run is missing.
+        """
+        speeds = self.speeds(policy, initial_current)
+        columns = [self.at(policy, _kmh(speed), initial_current) for speed in speeds]
+        return gathered([run for row in zip(*columns, strict=True) for run in row], speeds, self.seeds)
+
+    def tables(self, wheelsets: Sequence[str]) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+        """Every run: assessed quantities of each wheelset, and what the dampers did."""
+        assessed: list[list[Any]] = []
+        header: Sequence[str] = ()
+        for policy, current in self.variants:
+            header, rows = runs_table(self.sweep(policy, current), wheelsets)
+            assessed += [[policy, current, *row] for row in rows]
+        return {
+            "runs_controlled": (("policy", "initial_current", *header), assessed),
+            "dampers_controlled": (_DAMPER_HEADER, [_damper_row(run) for run in self.runs]),
+        }
+
+
+_DAMPER_HEADER = (
+    "policy",
+    "initial_current",
+    "speed_kmh",
+    "seed",
+    "force_rms_n",
+    "force_peak_n",
+    "force_power_above_10_hz_n2",
+    "command_front_mean",
+    "command_rear_mean",
+)
+
+
+def _damper_row(run: ControlledRun) -> list[Any]:
+    forces = (run.force_rms, run.force_peak, run.force_power_high)
+    commands = run.command.mean(axis=0, dtype=np.float64)
+    return [
+        run.policy,
+        run.initial_current,
+        run.speed * KMH,
+        run.seed,
+        *forces,
+        commands[FRONT],
+        commands[REAR],
+    ]
+
+
+def _kmh(speed: float) -> float:
+    """Speed in km/h as a key: the same for all ways of rounding."""
+    return round(speed * KMH, 6)

@@ -1,0 +1,268 @@
+"""One run of one policy, judged: cost, limits of EN 14363, forces, valves, ride comfort."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import StudyError
+from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.config.environment import EnvironmentConfig, charge_a_second
+from sayd_env.config.scenario import Scenario
+from sayd_env.envs.loop import (
+    BOGIES,
+    LOG_ACCELERATION,
+    LOG_BODY,
+    LOG_CURRENT,
+    LOG_HYDRAULIC,
+    LOG_TRACK_SHIFT,
+)
+from sayd_env.envs.rollout import Rollout
+from sayd_env.envs.vehicle import model_limits
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.stability import Limits, assessed_span, averaged_spectra, band_pass, distance_run
+from sayd_env.stability.comfort import mean_comfort
+from sayd_env.runs.controlled import controlled_run_of
+from sayd_env.runs.rollouts import PASSIVE, Group
+
+Array = npt.NDArray[np.float64]
+KMH = 3.6
+LOWER, UPPER = 0.25, 0.75
+"""A valve switches when its command goes from the lower quarter of its range to the upper one, or back."""
+IMPOSSIBLE = 1e5
+"""Acceleration of a bogie frame that no wheel on a rail causes, m/s2: the integration diverged."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run; units stand in the names, ratios are to the limits of EN 14363.
+
+    Where the run derails, what belongs to the whole assessed length is infinite.
+    """
+
+    policy: str
+    speed_kmh: float
+    wear: float
+    friction: float
+    seed: int
+    J: float
+    """Mean cost of the bogies, eq. (27), over the episode of the environment, with the on-line filter.
+
+    Minus the mean reward per second, with the charge for a derailment.
+    """
+    J_acceleration: float
+    """(psi_y / y_lim)^2 of this, unweighted."""
+    J_force: float
+    """(psi_F / F_max)^2 of this, unweighted."""
+    J_run: float
+    """J over the whole seconds of the assessed length, on-line filter."""
+    J_offline: float
+    """J over the assessed length, with the filter of the assessment, which no policy can move."""
+    J_offline_acceleration: float
+    """(psi_y / y_lim)^2 of this, unweighted."""
+    J_offline_force: float
+    """(psi_F / F_max)^2 of this, unweighted."""
+    acceleration_ratio: float
+    track_shift_ratio: float
+    force_rms_n: float
+    force_peak_n: float
+    force_power_above_10_hz_n2: float
+    """Power of the damper force above 10 Hz, mean over the dampers."""
+    comfort: float
+    """N_MV of EN 12299, the worst of the places above both bogies and mid-way."""
+    valve_mean: float | None = None
+    """Mean valve command; None for a passive damper."""
+    valve_travel_per_km: float | None = None
+    """Changes of the valve command added up over a kilometre, mean over the valves; 1: the whole range."""
+    switching_per_s: float | None = None
+    """Passages of the valve command between the outer quarters of its range, mean over the valves."""
+    ending: str | None = None
+    """Why the run ended early; None if it did not."""
+
+
+def policy_row(group: Group, rollout: Rollout) -> Row:
+    """Judge a run.
+
+    Parameters
+    ----------
+    group : Group
+        What ran.
+    rollout : Rollout
+        The run: run-in and at least the assessed length, unless it ended early.
+
+    Raises
+    ------
+    StudyError
+        The simulation diverged.
+    ConfigError
+        The environment's run-in is not the assessment's.
+    """
+    scenario = group.scenario
+    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
+    parts = episode_cost(rollout, group.config)
+    charge = termination_charge(rollout, group)
+    over_the_length = _derailed() if rollout.ending is not None else _measured(rollout, scenario, weights)
+    return Row(
+        policy=group.policy.title,
+        speed_kmh=round(group.speed * KMH, 6),
+        wear=scenario.wear,
+        friction=scenario.friction,
+        seed=rollout.episode.seed,
+        J=float(np.dot(weights, parts)) + charge,
+        J_acceleration=parts[0],
+        J_force=parts[1],
+        **over_the_length,
+        **valve_use(group, rollout),
+        ending=rollout.ending,
+    )
+
+
+def episode_cost(rollout: Rollout, config: EnvironmentConfig) -> tuple[float, float]:
+    """Unweighted means of (psi_y / y_lim)^2 and (psi_F / F_max)^2 over the episode of the environment.
+
+    A run that is shorter than the episode, because so short a length is assessed, counts with its whole
+    seconds. A run that ended early counts with what there is of it; `termination_charge` is the rest.
+    """
+    run = len(rollout.terms) * rollout.control_period
+    short = rollout.ending is None and run < config.episode_s
+    return rollout.cost(math.floor(run + 1e-9) if short else config.episode_s)
+
+
+def termination_charge(rollout: Rollout, group: Group) -> float:
+    """What the environment charges for the seconds that a derailment has cut off, as a part of J.
+
+    Raises
+    ------
+    StudyError
+        The simulation diverged: this is no derailment.
+    """
+    if rollout.ending is None:
+        return 0.0
+    fiercest = np.max(np.abs(rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]))
+    if rollout.ending.startswith("non-finite") or not fiercest < IMPOSSIBLE:
+        raise StudyError(
+            f"the run of seed {rollout.episode.seed} at {rollout.episode.speed * KMH:g} km/h diverged"
+        )
+    episode = group.config.episode_s
+    remaining = max(episode - len(rollout.terms) * rollout.control_period, 0.0)
+    return charge_a_second(group.config, group.scenario.cost) * remaining / episode
+
+
+def offline_cost(
+    acceleration: Array, force: Array, rate: float, speed: float, scenario: Scenario, bounds: Limits
+) -> tuple[float, float]:
+    """Unweighted (psi_y / y_lim)^2 and (psi_F / F_max)^2 over the assessed length, with the off-line filter.
+
+    Parameters
+    ----------
+    acceleration : ndarray, shape (t, 4)
+        Lateral accelerations of the bogie frames (m/s2), from the start of the run-in.
+    force : ndarray, shape (t, 8)
+        Hydraulic forces of the dampers (N).
+    rate : float
+        Hz.
+    speed : float
+        m/s.
+    scenario : Scenario
+    bounds : Limits
+
+    Returns
+    -------
+    tuple of float
+        Means over time, points or dampers, and bogies. A bogie has one f_0, from the sum of the spectra of
+        its points.
+    """
+    settings = scenario.assessment
+    distance = distance_run(speed, rate, len(acceleration))
+    span = assessed_span(distance, settings)
+    first, last = np.searchsorted(distance, np.array(span) - 1e-9)
+    grid, spectra = averaged_spectra(acceleration, rate, distance, settings, span)
+    width = len(spectra) // BOGIES
+    pairs = spectra.reshape(BOGIES, width, -1).sum(axis=1)
+    f0 = np.repeat(grid[np.argmax(pairs[:, 1:-1], axis=1) + 1], width)
+    filtered = band_pass(acceleration, rate, f0, settings)[first:last]
+    return (
+        float(np.mean((filtered / bounds.acceleration) ** 2)),
+        float(np.mean((force[first:last] / scenario.cost.force_reference) ** 2)),
+    )
+
+
+def comfort_index(rollout: Rollout, settings: AssessmentConfig) -> float:
+    """Worst mean comfort index of the three places on the floor over the assessed length; NaN below 5 s."""
+    rate = rollout.sample_rate
+    distance = distance_run(rollout.episode.speed, rate, len(rollout.true))
+    first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
+    if last - first < 5.0 * rate:
+        return math.nan
+    places = (rollout.true[:, k : k + 3] for k in range(LOG_BODY, LOG_BODY + 9, 3))
+    return max(mean_comfort(place, rate, int(first), int(last)) for place in places)
+
+
+def switchings(command: npt.NDArray[np.float32]) -> float:
+    """Passages of the commands between the lower and the upper quarter of the range, mean over the valves.
+
+    Parameters
+    ----------
+    command : ndarray, shape (steps, valves)
+        Commands, 0 to 1. What lies between the quarters does not count, nor does a return to the quarter from
+        which the command came; so the number does not depend on how often a command is given.
+    """
+    ends = np.where(command >= UPPER, 1, np.where(command <= LOWER, -1, 0))
+    visited = (column[column != 0] for column in ends.T)
+    return float(np.mean([np.count_nonzero(np.diff(each)) for each in visited]))
+
+
+def _measured(rollout: Rollout, scenario: Scenario, weights: tuple[float, float]) -> dict[str, float]:
+    settings, speed = scenario.assessment, rollout.episode.speed
+    run = controlled_run_of("", rollout, settings)
+    bounds = model_limits(VehicleModel(scenario))
+    offline = offline_cost(
+        rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT],
+        rollout.true[:, LOG_HYDRAULIC:LOG_CURRENT],
+        rollout.sample_rate,
+        speed,
+        scenario,
+        bounds,
+    )
+    return {
+        "J_run": float(np.dot(weights, rollout.cost(math.floor((settings.length or 0.0) / speed)))),
+        "J_offline": float(np.dot(weights, offline)),
+        "J_offline_acceleration": offline[0],
+        "J_offline_force": offline[1],
+        "acceleration_ratio": float(run.acceleration.max() / bounds.acceleration),
+        "track_shift_ratio": float(run.track_shift.max() / bounds.track_shift_force),
+        "force_rms_n": run.force_rms,
+        "force_peak_n": run.force_peak,
+        "force_power_above_10_hz_n2": run.force_power_high,
+        # Without a floor in the vehicle's description there is no place to judge.
+        "comfort": math.nan if scenario.vehicle.floor_height is None else comfort_index(rollout, settings),
+    }
+
+
+def _derailed() -> dict[str, float]:
+    costs = ("J_run", "J_offline", "J_offline_acceleration", "J_offline_force")
+    ratios = ("acceleration_ratio", "track_shift_ratio")
+    forces = ("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2")
+    return dict.fromkeys((*costs, *ratios, *forces, "comfort"), math.inf)
+
+
+def valve_use(group: Group, rollout: Rollout) -> dict[str, Any]:
+    """What the commands did between step 0 and the end of the assessed length: columns of a `Row`.
+
+    Empty for passive dampers, and for a run that ended before step 0.
+    """
+    length, period = group.scenario.assessment.length or 0.0, rollout.control_period
+    command = rollout.actions[: int(length / group.speed / period + 1e-6)]
+    if group.policy.name == PASSIVE or not len(command):
+        return {}
+    time = len(command) * period
+    travel = np.abs(np.diff(command, axis=0)).sum(axis=0, dtype=np.float64).mean()
+    return {
+        "valve_mean": float(command.mean(dtype=np.float64)),
+        "valve_travel_per_km": float(travel / (group.speed * time * 1e-3)),
+        "switching_per_s": switchings(command) / time,
+    }

@@ -1,0 +1,1 @@
+"""Policies side by side on conditions that none was tuned or trained on."""

@@ -1,0 +1,320 @@
+"""What the runs of a comparison say about each policy: J against the references, bounds, stability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.stability import Crossing
+from sayd_env.studies.comparison.entrants import PAPER, REFERENCES, Contestant
+from sayd_env.studies.comparison.grid import Condition, Variant
+from sayd_env.studies.comparison.statistics import (
+    Bootstrap,
+    Estimate,
+    difference,
+    improvement,
+    middle,
+    reduction,
+)
+from sayd_env.studies.map import Cell
+
+Array = npt.NDArray[np.float64]
+Costs = Mapping[str, Array]
+"""J by policy, over training seeds, conditions and seeds: shape (R, C, S)."""
+STABLE_TO = 400.0
+"""Speed up to which a policy has to keep the vehicle stable, km/h: the paper's."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a policy did by one way of taking J."""
+
+    mean: float
+    by_condition: Array
+    """(C,) means over training seeds and seeds."""
+    by_training: Array
+    """(R,) mean of each training seed."""
+    to_passive: Estimate
+    """Interquartile mean of J over the passive vehicle's in the same scenario."""
+    to_mppt2: Estimate
+    """The same over MPPT2's."""
+    improvement: Mapping[str, Estimate]
+    """Probability of a lower J than each controller, MPPT2 and the best of the paper's among them."""
+    best_of_paper: str
+    """The one of the paper's controllers that take part with the lowest mean J."""
+    reduction: Estimate
+    """Of mean J against that one, as a share."""
+    reductions: Mapping[str, Estimate]
+    """The same against each controller."""
+    difference: Estimate
+    """Mean J minus that one's."""
+    worst_vs_passive: float
+    """Largest J of a condition over the passive vehicle's."""
+    worst_condition: Condition
+    worse_than_passive: int
+    """Conditions with a larger J than the passive vehicle's."""
+    worse_trainings: int
+    """The same counted for each training seed by itself."""
+    to_best_constant: float
+    """Mean J over that of the best constant command of each condition."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of a variant in the result."""
+        return {
+            "J": self.mean,
+            "J_by_condition": self.by_condition,
+            "J_by_training_seed": self.by_training,
+            "relative_to_passive": _estimate_dict(self.to_passive, "iqm"),
+            "relative_to_mppt2": _estimate_dict(self.to_mppt2, "iqm"),
+            "probability_of_improvement": {
+                name: _estimate_dict(each, "probability") for name, each in self.improvement.items()
+            },
+            "best_of_paper": self.best_of_paper,
+            "reduction": _estimate_dict(self.reduction, "share"),
+            "reduction_by_controller": {
+                name: _estimate_dict(each, "share") for name, each in self.reductions.items()
+            },
+            "difference": _estimate_dict(self.difference, "J"),
+            "worst_vs_passive": self.worst_vs_passive,
+            "worst_condition": self.worst_condition.as_dict(),
+            "conditions_worse_than_passive": self.worse_than_passive,
+            "conditions_of_training_seeds_worse_than_passive": self.worse_trainings,
+            "relative_to_best_constant": self.to_best_constant,
+        }
+
+
+def score(
+    name: str,
+    costs: Costs,
+    bound: Array,
+    conditions: Sequence[Condition],
+    bootstrap: Bootstrap,
+    controllers: Sequence[str] = REFERENCES,
+) -> Score:
+    """Judge a policy.
+
+    Parameters
+    ----------
+    name : str
+    costs : mapping of ndarray
+        Those of all policies, ``passive`` and ``mppt2`` among them.
+    bound : ndarray, shape (1, C, S)
+        J of the best constant command of each condition.
+    conditions : sequence of Condition
+    bootstrap : Bootstrap
+    controllers : sequence of str
+        All that were not trained, with which the policy is compared one by one.
+    """
+    mine, passive, mppt2 = costs[name], costs["passive"], costs["mppt2"]
+    best = best_of_paper(costs)
+    against = {other: costs[other] for other in dict.fromkeys(("mppt2", best, *controllers))}
+    by_condition = mine.mean(axis=(0, 2))
+    allowed = passive.mean(axis=(0, 2))
+    worst = int(np.argmax(by_condition / allowed))
+    return Score(
+        mean=float(mine.mean()),
+        by_condition=by_condition,
+        by_training=mine.mean(axis=(1, 2)),
+        to_passive=middle(mine / passive, bootstrap),
+        to_mppt2=middle(mine / mppt2, bootstrap),
+        improvement={other: improvement(mine, theirs, bootstrap) for other, theirs in against.items()},
+        best_of_paper=best,
+        reduction=reduction(mine, costs[best], bootstrap),
+        reductions={other: reduction(mine, theirs, bootstrap) for other, theirs in against.items()},
+        difference=difference(mine, costs[best], bootstrap),
+        worst_vs_passive=float(by_condition[worst] / allowed[worst]),
+        worst_condition=conditions[worst],
+        worse_than_passive=int(np.count_nonzero(by_condition > allowed)),
+        worse_trainings=int(np.count_nonzero(mine.mean(axis=2) > allowed)),
+        to_best_constant=float(mine.mean() / bound.mean()),
+    )
+
+
+def best_of_paper(costs: Costs) -> str:
+    """The paper's controller with the lowest mean J."""
+    return min((name for name in PAPER if name in costs), key=lambda name: float(costs[name].mean()))
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The best constant command of each condition: what no slower policy can be expected to beat."""
+
+    currents: Array
+    """(C,)."""
+    costs: Array
+    """(1, C, S)."""
+
+
+def best_constants(currents: Sequence[float], costs: Sequence[Array]) -> Bound:
+    """Choose in each condition the command with the lowest mean over its seeds.
+
+    Parameters
+    ----------
+    currents : sequence of float
+    costs : sequence of ndarray, each of shape (1, C, S)
+        J of each of them.
+    """
+    table = np.concatenate(costs)
+    best = np.argmin(table.mean(axis=2), axis=0)
+    chosen = table[best, np.arange(table.shape[1])]
+    return Bound(np.asarray(currents, dtype=float)[best], chosen[None])
+
+
+@dataclass(frozen=True)
+class Stability:
+    """How stable a policy keeps the vehicle, by EN 14363, medians over the seeds of tracks."""
+
+    critical_speed_kmh: float | None
+    """None above or below the speeds that were run."""
+    status: str
+    """``found``, ``not reached`` or ``below grid``."""
+    by_criterion: Mapping[str, float | None]
+    speeds_kmh: tuple[float, ...]
+    """Speeds up to `STABLE_TO` that were run."""
+    ratios: Mapping[str, float]
+    """Largest median at these speeds over each limit."""
+    largest_run: float
+    """Largest ratio of a single run at these speeds to either limit."""
+
+    @property
+    def stable(self) -> bool:
+        """Whether no median exceeds a limit at any of these speeds."""
+        return bool(self.speeds_kmh) and max(self.ratios.values()) <= 1.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of a policy's stability in the result."""
+        return {
+            "critical_speed_kmh": self.critical_speed_kmh,
+            "status": self.status,
+            "by_criterion": self.by_criterion,
+            "stable": self.stable,
+            "up_to_kmh": max(self.speeds_kmh, default=None),
+            "largest_ratios": self.ratios,
+            "largest_ratio_of_a_run": self.largest_run,
+        }
+
+
+def stability_of(cell: Cell) -> Stability:
+    """Stability of one policy."""
+    kmh, crossing = cell.lowest
+    low = {
+        name: {speed: seeds for speed, seeds in table.items() if speed <= STABLE_TO}
+        for name, table in cell.ratios.items()
+    }
+    return Stability(
+        critical_speed_kmh=kmh,
+        status=crossing.value,
+        by_criterion={name: found[0] for name, found in cell.by_criterion.items()},
+        speeds_kmh=tuple(next(iter(low.values()))),
+        ratios={
+            name: max((float(np.median(seeds)) for seeds in table.values()), default=np.nan)
+            for name, table in low.items()
+        },
+        largest_run=max((max(seeds) for table in low.values() for seeds in table.values()), default=np.nan),
+    )
+
+
+def least_stable(members: Sequence[Stability]) -> Stability:
+    """Stability of several trainings together: the lowest critical speed, the largest ratios."""
+    lowest = min(members, key=_rank)
+    return Stability(
+        critical_speed_kmh=lowest.critical_speed_kmh,
+        status=lowest.status,
+        by_criterion=lowest.by_criterion,
+        speeds_kmh=max((member.speeds_kmh for member in members), key=len),
+        ratios={name: max(member.ratios[name] for member in members) for name in lowest.ratios},
+        largest_run=max(member.largest_run for member in members),
+    )
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a learned policy was to reach, and what it did."""
+
+    policy: str
+    asked: str
+    measured: str
+    holds: bool
+
+
+LEAST_REDUCTION = 0.1
+"""Share by which mean J of a learned policy is to lie below the best of the paper's controllers."""
+
+
+def targets(
+    contestant: Contestant, scores: Mapping[Variant, Score], stability: Stability, largest: float
+) -> list[Target]:
+    """Judge a learned policy by what it was to reach.
+
+    Parameters
+    ----------
+    contestant : Contestant
+    scores : mapping
+        By all ways of taking J.
+    stability : Stability
+        On worn wheels.
+    largest : float
+        Largest ratio to a limit of EN 14363 of all runs in the comparison's conditions, to be told beside it.
+    """
+    name, count = contestant.name, len(contestant.members)
+    rows = [_reduced(name, variant, found) for variant, found in scores.items()]
+    rows += [
+        _never_worse(name, variant, found, count)
+        for variant, found in scores.items()
+        if variant.factor == 1.0
+    ]
+    worst = max(stability.ratios.values())
+    rows.append(
+        Target(
+            name,
+            f"stable by EN 14363 up to {STABLE_TO:g} km/h on worn wheels, each training seed",
+            f"{_span(stability.speeds_kmh)}: largest median {worst:.2f} of a limit, largest run "
+            f"{stability.largest_run:.2f}; largest run in the comparison's conditions {largest:.2f}",
+            stability.stable and max(stability.speeds_kmh) == STABLE_TO,
+        )
+    )
+    return rows
+
+
+def _reduced(name: str, variant: Variant, found: Score) -> Target:
+    gain = found.reduction
+    return Target(
+        name,
+        f"mean J {100 * LEAST_REDUCTION:g} % below the best of the paper's four, interval above 0: "
+        f"{_FILTER[variant.filter]}, k_F x {variant.factor:g}",
+        f"{100 * gain.value:.1f} % ({100 * gain.low:.1f} to {100 * gain.high:.1f} %) below "
+        f"{found.best_of_paper}",
+        gain.value >= LEAST_REDUCTION and gain.low > 0.0,
+    )
+
+
+def _never_worse(name: str, variant: Variant, found: Score, trainings: int) -> Target:
+    count = len(found.by_condition)
+    return Target(
+        name,
+        f"J of no condition above the passive vehicle's, each training seed: {_FILTER[variant.filter]}",
+        f"{found.worse_trainings} of {count * trainings} (mean of the seeds {found.worse_than_passive} of "
+        f"{count}); worst mean {found.worst_vs_passive:.2f} times, at {found.worst_condition.text}",
+        found.worse_trainings == 0,
+    )
+
+
+_FILTER = {"online": "on-line filter", "offline": "off-line filter"}
+
+
+def _span(speeds: Sequence[float]) -> str:
+    return f"{min(speeds):g} to {max(speeds):g} km/h" if speeds else f"no speed up to {STABLE_TO:g} km/h"
+
+
+def _rank(stability: Stability) -> float:
+    if stability.critical_speed_kmh is not None:
+        return stability.critical_speed_kmh
+    return -np.inf if stability.status == Crossing.BELOW_GRID.value else np.inf
+
+
+def _estimate_dict(estimate: Estimate, name: str) -> dict[str, Any]:
+    return {name: estimate.value, "ci95": estimate.interval}

@@ -1,0 +1,1 @@
+"""One component on a test rig: wheel and rail, a yaw damper."""

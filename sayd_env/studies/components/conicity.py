@@ -1,0 +1,306 @@
+"""How does a wheelset steer? Equivalent conicity of a wheel profile on a rail profile (EN 15302).
+
+Two contacts are told apart. That of *rigid* profiles is what EN 15302 defines and measured profiles give;
+where its contact point jumps, so does its rolling radius. The *regularised* one, averaged over the patch that
+the static wheel load presses, is the contact table of the simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table as RichTable
+
+from sayd_env.config import ConfigError
+from sayd_env.config.contact import ContactConfig
+from sayd_env.physics.contact.conicity import equivalent_conicity, harmonic_conicity, radius_difference
+from sayd_env.physics.contact.geometry import ContactTable, RigidContact, contact_table, rigid_contact
+from sayd_env.physics.multibody import assemble
+from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
+from sayd_env.physics.simulator import table_load
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+    from sayd_env.config.scenario import Scenario
+    from sayd_env.report.files import Plot, Table
+
+Array = NDArray[np.float64]
+
+AMPLITUDES: Array = np.asarray(np.arange(10, 81) * 1e-4, dtype=np.float64)
+"""Amplitudes of the conicity curve: 1 to 8 mm, around the range of EN 15302 (m)."""
+
+_MILLI = 1e3
+_SHOWN_AMPLITUDES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+_CONTACT_LINES_EVERY = 1e-3
+_CONTACT_LINES_REACH = 8e-3
+
+
+@dataclass(frozen=True)
+class ConicityResult:
+    """Conicity and rolling radii of a wheelset; SI units.
+
+    Attributes
+    ----------
+    wheel, rail : Profile
+        The profiles.
+    wear : float
+        State of wear, 0 new to 1 worn.
+    gauge : float
+        Track gauge (m).
+    amplitude : ndarray, shape (m,)
+        Amplitudes (m).
+    tan_gamma_e : ndarray, shape (m,)
+        Equivalent conicity of the rigid profiles, as EN 15302 defines it; NaN where no motion of that
+        amplitude passes through the centre.
+    tan_gamma_e_table : ndarray, shape (m,)
+        The same of the regularised contact, the table that a simulation uses.
+    harmonic : ndarray, shape (m,)
+        Conicity of the regularised contact by harmonic linearisation; it exists for every profile.
+    contact : RigidContact
+        Touching points of the rigid profiles.
+    table : ContactTable
+        The regularised table.
+    """
+
+    wheel: Profile
+    rail: Profile
+    wear: float
+    gauge: float
+    amplitude: Array
+    tan_gamma_e: Array
+    tan_gamma_e_table: Array
+    harmonic: Array
+    contact: RigidContact
+    table: ContactTable
+
+    def delta_r(self) -> tuple[Array, Array, Array]:
+        """Lateral position, rigid and regularised difference of the rolling radii (m), every 0.1 mm."""
+        rigid_y, rigid = radius_difference(self.contact)
+        table_y, soft = radius_difference(self.table)
+        reach = round(rigid_y[-1] * 1e4)
+        y = np.arange(-reach, reach + 1) * 1e-4
+        return y, np.interp(y, rigid_y, rigid), np.interp(y, table_y, soft)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the keys of ``--json``."""
+        y, rigid, soft = self.delta_r()
+        return {
+            "wheel": self.wheel.name,
+            "rail": self.rail.name,
+            "wear": self.wear,
+            "gauge_mm": self.gauge * _MILLI,
+            "load_kn": self.table.load / _MILLI,
+            "simulation_uses": "regularised",
+            "amplitude_mm": self.amplitude * _MILLI,
+            "tan_gamma_e": self.tan_gamma_e,
+            "tan_gamma_e_table": self.tan_gamma_e_table,
+            "tan_gamma_harmonic": self.harmonic,
+            "y_mm": y * _MILLI,
+            "delta_r_mm": rigid * _MILLI,
+            "delta_r_table_mm": soft * _MILLI,
+        }
+
+    def tables(self) -> dict[str, Table]:
+        """Return the conicity curve and the rolling radii."""
+        y, rigid, soft = self.delta_r()
+        curve = (self.amplitude * _MILLI, self.tan_gamma_e, self.tan_gamma_e_table, self.harmonic)
+        radii = (y * _MILLI, rigid * _MILLI, soft * _MILLI)
+        return {
+            "conicity": (
+                ("amplitude_mm", "tan_gamma_e", "tan_gamma_e_table", "tan_gamma_harmonic"),
+                [list(row) for row in np.column_stack(curve)],
+            ),
+            "delta_r": (
+                ("y_mm", "delta_r_mm", "delta_r_table_mm"),
+                [list(row) for row in np.column_stack(radii)],
+            ),
+        }
+
+    def plots(self) -> dict[str, Plot]:
+        """Return the picture: profiles in contact, conicity, rolling radii (figure 1 of the paper)."""
+        return {"conicity": lambda figure: plot_conicity(figure, [self])}
+
+    def summary(self, console: Console) -> None:
+        """Print the conicity at whole amplitudes."""
+        title = (
+            f"{self.wheel.name} (wear {self.wear:g}) on {self.rail.name}, gauge {self.gauge * _MILLI:g} mm"
+        )
+        grid = RichTable(title=title)
+        for heading in (
+            "amplitude (mm)",
+            "rigid: EN 15302",
+            "regularised: EN 15302",
+            "regularised: harmonic",
+        ):
+            grid.add_column(heading, justify="right")
+        for millimetres in _SHOWN_AMPLITUDES:
+            at = np.flatnonzero(np.isclose(self.amplitude * _MILLI, millimetres))
+            for index in at:
+                values = (self.tan_gamma_e[index], self.tan_gamma_e_table[index], self.harmonic[index])
+                grid.add_row(f"{millimetres:g}", *(f"{v:.3f}" if np.isfinite(v) else "-" for v in values))
+        console.print(grid)
+        console.print(
+            "rigid: touching points of the profiles. regularised: mean over the patch under "
+            f"{self.table.load / _MILLI:g} kN a wheel;\na simulation uses the regularised contact."
+        )
+
+
+def conicity(scenario: Scenario, amplitudes: Array = AMPLITUDES) -> ConicityResult:
+    """Return the conicity of a scenario's wheels on its rails.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Profiles, wear, gauge and contact settings are taken from it.
+    amplitudes : ndarray, shape (m,)
+        Amplitudes of the lateral motion (m).
+
+    Raises
+    ------
+    ConfigError, DataError
+        A profile that cannot be used, or an amplitude beyond the contact table.
+    """
+    return pair_conicity(
+        wheel_profile(scenario.wheel, scenario.wear),
+        rail_profile(scenario.rail),
+        scenario.track.gauge,
+        contact=scenario.contact,
+        wheel_radius=scenario.vehicle.wheel_radius,
+        load=table_load(assemble(scenario.vehicle, scenario.track.section).wheel_load),
+        wear=scenario.wear,
+        amplitudes=amplitudes,
+    )
+
+
+def pair_conicity(
+    wheel: Profile,
+    rail: Profile,
+    gauge: float,
+    *,
+    contact: ContactConfig,
+    wheel_radius: float,
+    load: float,
+    wear: float = 0.0,
+    amplitudes: Array = AMPLITUDES,
+) -> ConicityResult:
+    """Return the conicity of two profiles.
+
+    Parameters
+    ----------
+    wheel, rail : Profile
+        Sampled profiles.
+    gauge, wheel_radius : float
+        Track gauge and rolling radius at the tape circle (m).
+    contact : ContactConfig
+        Contact settings; the table's half width is the range of the lateral position.
+    load : float
+        Static wheel load (N), under which the regularised contact is pressed.
+    wear : float
+        The wheel profile's state of wear, for the record.
+    amplitudes : ndarray, shape (m,)
+        Amplitudes of the lateral motion (m).
+    """
+    if np.max(amplitudes) > contact.table_half_width:
+        raise ConfigError(
+            f"contact.table_half_width: found {contact.table_half_width:g} m, amplitudes up to "
+            f"{np.max(amplitudes):g} m are asked for"
+        )
+    rigid = rigid_contact(wheel, rail, gauge, contact.table_half_width)
+    table = contact_table(wheel, rail, gauge, contact, wheel_radius, load)
+    y, delta_r = radius_difference(rigid)
+    table_y, table_delta_r = radius_difference(table)
+    return ConicityResult(
+        wheel=wheel,
+        rail=rail,
+        wear=wear,
+        gauge=gauge,
+        amplitude=np.asarray(amplitudes, dtype=float),
+        tan_gamma_e=equivalent_conicity(y, delta_r, amplitudes),
+        tan_gamma_e_table=equivalent_conicity(table_y, table_delta_r, amplitudes),
+        harmonic=harmonic_conicity(table_y, table_delta_r, amplitudes),
+        contact=rigid,
+        table=table,
+    )
+
+
+def plot_conicity(figure: Figure, results: Sequence[ConicityResult]) -> None:
+    """Draw profiles in contact with their contact lines, conicity and rolling radii of one or more wheels.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        An empty figure.
+    results : sequence of ConicityResult
+        Curves to compare; each gets a panel of profiles.
+    """
+    figure.set_size_inches(10.0, 3.2 * (1 + len(results)))
+    figure.set_layout_engine("constrained")
+    grid = figure.add_gridspec(1 + len(results), 2)
+    for row, result in enumerate(results):
+        _draw_pair(figure.add_subplot(grid[row, :]), result)
+    _draw_curves(figure.add_subplot(grid[-1, 0]), results)
+    _draw_radii(figure.add_subplot(grid[-1, 1]), results)
+
+
+def _label(result: ConicityResult) -> str:
+    return f"{result.wheel.name}, wear {result.wear:g}"
+
+
+def _draw_pair(axes: Axes, result: ConicityResult) -> None:
+    """Left wheel above its rail in the centred position, points that touch joined by lines."""
+    contact, lift = result.contact, 0.010
+    offset = float(np.interp(0.0, contact.y, contact.s - contact.t))
+    axes.plot(result.wheel.y * _MILLI, (lift - result.wheel.z) * _MILLI, "C0", label=result.wheel.name)
+    axes.plot((result.rail.y + offset) * _MILLI, result.rail.z * _MILLI, "C7", label=result.rail.name)
+    reach = min(_CONTACT_LINES_REACH, contact.y[-1])
+    for y in np.arange(-reach, reach + 1e-6, _CONTACT_LINES_EVERY):
+        s, t = np.interp(y, contact.y, contact.s), np.interp(y, contact.y, contact.t)
+        ends = lift - np.interp(s, result.wheel.y, result.wheel.z), np.interp(t, result.rail.y, result.rail.z)
+        axes.plot(np.array([s, t + offset]) * _MILLI, np.array(ends) * _MILLI, "C3", linewidth=0.7)
+        axes.annotate(f"{y * _MILLI:.0f}", (s * _MILLI, ends[0] * _MILLI + 0.5), fontsize=6, ha="center")
+    axes.set(
+        title=f"{_label(result)} on {result.rail.name}: contact lines for y in mm",
+        xlabel="distance from the tape circle (mm), field side positive",
+        ylabel="height (mm)",
+        aspect="equal",
+    )
+    axes.legend(loc="lower right")
+
+
+def _draw_curves(axes: Axes, results: Sequence[ConicityResult]) -> None:
+    for number, result in enumerate(results):
+        amplitude, colour = result.amplitude * _MILLI, f"C{number}"
+        axes.plot(amplitude, result.tan_gamma_e, colour, label=f"{_label(result)}: rigid, EN 15302")
+        for values, style, how in (
+            (result.tan_gamma_e_table, ":", "EN 15302"),
+            (result.harmonic, "--", "harmonic"),
+        ):
+            label = f"{_label(result)}: regularised (simulated), {how}"
+            axes.plot(amplitude, values, colour, linestyle=style, label=label)
+    axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)")
+    axes.grid(visible=True)
+    axes.legend(fontsize=7)
+
+
+def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
+    for number, result in enumerate(results):
+        y, rigid, soft = result.delta_r()
+        near, colour = np.abs(y) <= _CONTACT_LINES_REACH, f"C{number}"
+        axes.plot(y[near] * _MILLI, rigid[near] * _MILLI, colour, label=f"{_label(result)}: rigid")
+        axes.plot(
+            y[near] * _MILLI,
+            soft[near] * _MILLI,
+            colour,
+            linestyle="--",
+            label=f"{_label(result)}: regularised (simulated)",
+        )
+    axes.set(xlabel="lateral position (mm)", ylabel="difference of rolling radii (mm)")
+    axes.grid(visible=True)
+    axes.legend(fontsize=7)

@@ -1,0 +1,282 @@
+"""How does a yaw damper answer on a test rig? Force over displacement, as in figures 2 and 3 of the paper."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import ConfigError
+from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
+from sayd_env.physics.rig import Cycle, steady_cycle, steady_sayd_cycles
+from sayd_env.physics.sayd import steady_force
+from sayd_env.report.files import Progress, silent
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+    from sayd_env.config.scenario import Scenario
+    from sayd_env.report.files import Plot, Table
+
+Array = npt.NDArray[np.float64]
+
+AMPLITUDES = (1e-3, 2e-3, 4e-3)
+"""Amplitudes of the paper's figure 3 (m)."""
+FREQUENCIES = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
+"""Frequencies of the paper's figure 3 (Hz)."""
+
+CURRENTS = (0.0, 0.25, 0.5, 1.0)
+"""Valve currents of a semi-active damper's loops."""
+
+_FIELD_VELOCITIES = np.linspace(0.0, 0.3, 61)  # m/s, beyond the fastest of the paper's loops
+_POINTS = 2000  # time steps in a cycle: the trapezoidal rule is then good to (pi / 1000)^2 / 3
+_KILO, _MILLI = 1e-3, 1e3
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One steady cycle on the rig; SI units."""
+
+    amplitude: float
+    """m."""
+    frequency: float
+    """Hz."""
+    current: float | None
+    """Valve current, 0 to 1; None for a passive damper."""
+    cycle: Cycle
+    force_limit: float
+    """Force of the quasi-static force-velocity curve at the cycle's peak velocity, N."""
+
+    @property
+    def force_peak(self) -> float:
+        """Largest absolute force, N."""
+        return float(np.max(np.abs(self.cycle.force)))
+
+    @property
+    def energy(self) -> float:
+        """Energy dissipated in the cycle, the loop's area, J."""
+        return float(np.trapezoid(self.cycle.force, self.cycle.elongation))
+
+    @property
+    def stiffness(self) -> complex:
+        """First harmonic of the force over that of the displacement, N/m: its real part stores."""
+        phase = np.exp(-2j * np.pi * np.arange(1, len(self.cycle.force)) / (len(self.cycle.force) - 1))
+        return complex((self.cycle.force[1:] @ phase) / (self.cycle.elongation[1:] @ phase))
+
+    @property
+    def zero_force_slope(self) -> float:
+        """Slope dF/dx where the force passes through zero, N/m: there the spring alone moves."""
+        elongation, force = self.cycle
+        i = int(np.flatnonzero(force[:-1] * force[1:] <= 0.0)[0])
+        return float((force[i + 1] - force[i]) / (elongation[i + 1] - elongation[i]))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the keys of one of ``loops``."""
+        return {
+            "amplitude_mm": self.amplitude * _MILLI,
+            "frequency_hz": self.frequency,
+            "current": self.current,
+            "force_peak_n": self.force_peak,
+            "energy_j": self.energy,
+            "dynamic_stiffness_n_per_m": abs(self.stiffness),
+            "storage_stiffness_n_per_m": self.stiffness.real,
+            "loss_stiffness_n_per_m": self.stiffness.imag,
+            "zero_force_slope_n_per_m": self.zero_force_slope,
+            "force_limit_n": self.force_limit,
+        }
+
+
+@dataclass(frozen=True)
+class Field:
+    """Quasi-static force-velocity curves over the valve current."""
+
+    current: tuple[float, ...]
+    velocity: Array
+    """(v,) m/s."""
+    force: Array
+    """(currents, v) N."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the keys of ``field``."""
+        return {
+            "current": list(self.current),
+            "velocity_m_per_s": self.velocity.tolist(),
+            "force_n": self.force.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class HysteresisResult:
+    """All loops of a damper."""
+
+    damper: PassiveDamperConfig | SaydDamperConfig
+    loops: tuple[Loop, ...]
+    field: Field | None
+    """Characteristic field of a semi-active damper."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the keys of ``--json``."""
+        field = {} if self.field is None else {"field": self.field.as_dict()}
+        return {"damper": self.damper.name, "loops": [loop.as_dict() for loop in self.loops], **field}
+
+    def tables(self) -> dict[str, Table]:
+        """Return the figures of the loops, and the loops themselves."""
+        rows = [loop.as_dict() for loop in self.loops]
+        every = 10
+        samples = [
+            (loop.amplitude * _MILLI, loop.frequency, loop.current, x * _MILLI, f)
+            for loop in self.loops
+            for x, f in zip(loop.cycle.elongation[::every], loop.cycle.force[::every], strict=True)
+        ]
+        header = ("amplitude_mm", "frequency_hz", "current", "displacement_mm", "force_n")
+        tables: dict[str, Table] = {
+            "figures": (list(rows[0]), [list(row.values()) for row in rows]),
+            "loops": (header, samples),
+        }
+        if self.field is not None:
+            points = [
+                (current, v, f)
+                for current, forces in zip(self.field.current, self.field.force, strict=True)
+                for v, f in zip(self.field.velocity, forces, strict=True)
+            ]
+            tables["field"] = (("current", "velocity_m_per_s", "force_n"), points)
+        return tables
+
+    def plots(self) -> dict[str, Plot]:
+        """Return the loops (figure 3 of the paper) and the force-velocity curve (figure 2)."""
+        return {"loops": self._draw_loops, "curve": self._draw_curve}
+
+    def summary(self, console: Console) -> None:
+        """Print the figures of the loops."""
+        from rich.table import Table as RichTable  # noqa: PLC0415 - only who prints pays for it
+
+        grid = RichTable(title=f"damper {self.damper.name}")
+        for heading in (
+            "amplitude (mm)",
+            "frequency (Hz)",
+            "current",
+            "peak force (kN)",
+            "limit (kN)",
+            "energy (J)",
+            "dynamic stiffness (MN/m)",
+        ):
+            grid.add_column(heading, justify="right")
+        for loop in self.loops:
+            grid.add_row(
+                f"{loop.amplitude * _MILLI:g}",
+                f"{loop.frequency:g}",
+                "-" if loop.current is None else f"{loop.current:g}",
+                f"{loop.force_peak * _KILO:.2f}",
+                f"{loop.force_limit * _KILO:.2f}",
+                f"{loop.energy:.2f}",
+                f"{abs(loop.stiffness) * 1e-6:.3f}",
+            )
+        console.print(grid)
+
+    def _draw_loops(self, figure: Figure) -> None:
+        panels = list(dict.fromkeys((loop.amplitude, loop.current) for loop in self.loops))
+        figure.set_size_inches(7.0, 0.6 + 2.8 * len(panels))
+        axes = figure.subplots(len(panels), 1, sharey=True, squeeze=False)[:, 0]
+        for axis, (amplitude, current) in zip(axes, panels, strict=True):
+            for loop in self.loops:
+                if (loop.amplitude, loop.current) == (amplitude, current):
+                    x, force = loop.cycle
+                    axis.plot(x * _MILLI, force * _KILO, linewidth=1.0, label=f"{loop.frequency:g} Hz")
+            valve = "" if current is None else f", current {current:g}"
+            axis.set_title(f"{amplitude * _MILLI:g} mm{valve}", fontsize="small")
+            axis.set_ylabel("force (kN)")
+            axis.grid(visible=True)
+        axes[-1].set_xlabel("displacement (mm)")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
+
+    def _draw_curve(self, figure: Figure) -> None:
+        axes = figure.subplots()
+        if isinstance(self.damper, PassiveDamperConfig):
+            right = np.array(self.damper.curve)
+            both = np.vstack([-right[:0:-1], right])
+            axes.plot(both[:, 0], both[:, 1] * _KILO, marker="o", markersize=3)
+        if self.field is not None:
+            v = np.r_[-self.field.velocity[:0:-1], self.field.velocity]
+            for current, force in zip(self.field.current, self.field.force, strict=True):
+                axes.plot(v, np.r_[-force[:0:-1], force] * _KILO, label=f"current {current:g}")
+            axes.legend()
+        axes.set(xlabel="velocity (m/s)", ylabel="force (kN)", title=f"damper {self.damper.name}")
+        axes.grid(visible=True)
+
+
+def hysteresis(
+    scenario: Scenario,
+    amplitudes: Sequence[float] = AMPLITUDES,
+    frequencies: Sequence[float] = FREQUENCIES,
+    currents: Sequence[float] | None = None,
+    *,
+    progress: Progress = silent,
+) -> HysteresisResult:
+    """Move a scenario's yaw damper sinusoidally on a test rig, the end on the carbody held.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its damper is used.
+    amplitudes, frequencies : sequence of float
+        Grid of amplitudes (m) and frequencies (Hz).
+    currents : sequence of float, optional
+        Valve currents of a semi-active damper, 0 to 1; `CURRENTS` by default.
+    progress : Progress
+        Told after each motion.
+
+    Raises
+    ------
+    ConfigError
+        Currents for a damper without a valve, or outside 0 to 1.
+    StudyError
+        A force that does not become periodic.
+    """
+    damper = scenario.damper
+    if isinstance(damper, PassiveDamperConfig) and currents is not None:
+        raise ConfigError(f"damper '{damper.name}' has no valve: currents need a damper of type sayd")
+    chosen = CURRENTS if currents is None else tuple(currents)
+    for current in chosen:
+        if not 0.0 <= current <= 1.0:
+            raise ConfigError(f"current {current:g}: expected a number from 0 to 1")
+    grid = [(amplitude, frequency) for amplitude in amplitudes for frequency in frequencies]
+    loops: list[Loop] = []
+    for done, (amplitude, frequency) in enumerate(grid, start=1):
+        if isinstance(damper, PassiveDamperConfig):
+            loops.append(_passive_loop(damper, amplitude, frequency))
+        else:
+            loops += _sayd_loops(damper, amplitude, frequency, chosen)
+        progress(done, len(grid))
+    if isinstance(damper, PassiveDamperConfig):
+        return HysteresisResult(damper, tuple(loops), None)
+    force = steady_force(damper, _FIELD_VELOCITIES, np.array(chosen)[:, None])
+    return HysteresisResult(damper, tuple(loops), Field(chosen, _FIELD_VELOCITIES, force))
+
+
+def _passive_loop(damper: PassiveDamperConfig, amplitude: float, frequency: float) -> Loop:
+    cycle = steady_cycle(damper, amplitude, frequency, _POINTS)
+    limit = curve_force(damper, 2.0 * math.pi * frequency * amplitude)
+    return Loop(amplitude, frequency, None, cycle, limit)
+
+
+def _sayd_loops(
+    damper: SaydDamperConfig, amplitude: float, frequency: float, currents: tuple[float, ...]
+) -> list[Loop]:
+    cycles = steady_sayd_cycles(damper, amplitude, frequency, currents, _POINTS)
+    limits = steady_force(damper, 2.0 * math.pi * frequency * amplitude, np.array(currents))
+    triples = zip(currents, cycles, limits, strict=True)
+    return [Loop(amplitude, frequency, i, cycle, float(limit)) for i, cycle, limit in triples]
+
+
+def curve_force(damper: PassiveDamperConfig, velocity: float) -> float:
+    """Force (N) of the damper's force-velocity curve at a velocity >= 0 (m/s); the last slope goes on."""
+    points = np.array(damper.curve)
+    (v0, f0), (v1, f1) = points[-2:]
+    if velocity > v1:
+        return float(f1 + (velocity - v1) * (f1 - f0) / (v1 - v0))
+    return float(np.interp(velocity, points[:, 0], points[:, 1]))

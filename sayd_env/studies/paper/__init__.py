@@ -1,0 +1,1 @@
+"""What the paper shows, row by row and figure by figure."""

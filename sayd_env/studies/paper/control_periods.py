@@ -1,0 +1,130 @@
+"""Do the rows on skyhook control hang on the control period? S1 to S6 at several periods, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from sayd_env.config import ConfigError, validate
+from sayd_env.config.environment import EnvironmentConfig, load_environment
+from sayd_env.config.scenario import Scenario
+from sayd_env.envs.vehicle import model_limits
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.files import Progress, silent
+from sayd_env.runs.controlled_groups import controlled_groups, controlled_runs
+from sayd_env.studies.paper.claims import Claim
+from sayd_env.studies.paper.controlled_claims import skyhook_claims, skyhook_runs
+
+PERIODS = (0.002, 0.005, 0.01)
+"""s."""
+
+
+@dataclass(frozen=True)
+class PeriodSensitivity:
+    """Rows S1 to S6 at each control period."""
+
+    claims: dict[float, list[Claim]]
+    """By control period (s)."""
+    reused: int = 0
+    """Runs that an earlier start had finished."""
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        return tuple(dict.fromkeys(claim.id for claims in self.claims.values() for claim in claims))
+
+    def claim(self, row: str, period: float) -> Claim:
+        """Verdict on a row at a control period (s)."""
+        return next(claim for claim in self.claims[period] if claim.id == row)
+
+    def as_dict(self) -> list[dict[str, Any]]:
+        """One entry for each row and period."""
+        return [
+            {"control_period_s": period, **self.claim(row, period).as_dict()}
+            for row in self.rows
+            for period in self.claims
+        ]
+
+    def table(self) -> tuple[Sequence[str], list[list[Any]]]:
+        """Row, control period, what is expected and measured, share of the seeds, whether it holds."""
+        header = ("id", "control_period_s", "expected", "measured", "fraction", "holds")
+        found = [(row, period, self.claim(row, period)) for row in self.rows for period in self.claims]
+        return header, [[row, p, c.expected, c.measured, c.fraction, c.holds] for row, p, c in found]
+
+
+def period_sensitivity(
+    scenario: Scenario,
+    seeds: Sequence[int] = range(10),
+    periods: Sequence[float] = PERIODS,
+    *,
+    environment: EnvironmentConfig | None = None,
+    workers: int | None = None,
+    progress: Progress = silent,
+    folder: Path | None = None,
+) -> PeriodSensitivity:
+    """Judge rows S1 to S6 with controllers that act at several periods.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The configuration, on worn wheels.
+    seeds : sequence of int
+        Track seeds, the same at each period.
+    periods : sequence of float
+        Control periods (s), different ones.
+    environment : EnvironmentConfig, optional
+        Sensors of the controllers; those of ``nominal`` by default.
+    workers : int, optional
+        Threads.
+    progress : Progress
+        Told after each run.
+    folder : Path, optional
+        Where finished runs are kept; each period has a folder of its own in it.
+
+    Raises
+    ------
+    ConfigError
+        A period that does not divide a second or stands there twice, or dampers that do not fit.
+    StudyError
+        A run that diverged or derailed.
+    """
+    configs = environments_at(periods, environment or load_environment())
+    limits = model_limits(VehicleModel(scenario))
+    total = len(periods) * len(skyhook_runs()) * len(seeds)
+    claims: dict[float, list[Claim]] = {}
+    reused = 0
+    for number, (period, config) in enumerate(zip(periods, configs, strict=True)):
+        before = number * total // len(periods)
+        report = partial(_report, progress, before, total, f"control period {1e3 * period:g} ms")
+        place = None if folder is None else folder / f"period_{1e3 * period:g}_ms"
+        groups = controlled_groups(scenario, config, seeds, skyhook_runs())
+        runs, found = controlled_runs(groups, place, workers, report)
+        claims[period] = skyhook_claims(runs, limits)
+        reused += found
+    return PeriodSensitivity(claims, reused)
+
+
+def environments_at(periods: Sequence[float], base: EnvironmentConfig) -> list[EnvironmentConfig]:
+    """Make the environment of each control period (s), all of them before any work.
+
+    Raises
+    ------
+    ConfigError
+        A period that does not divide a second or stands there twice, or none at all.
+    """
+    if len(set(periods)) < len(periods) or not periods:
+        raise ConfigError(f"control periods {list(periods)}: expected different ones, at least one")
+    return [
+        validate(EnvironmentConfig, dict(base) | {"control_period": period}, "control periods")
+        for period in periods
+    ]
+
+
+def _report(
+    progress: Progress, before: int, total: int, what: str, done: float, _total: float, _what: str = ""
+) -> None:
+    """Progress of one period, as a part of all."""
+    progress(before + done, total, what)

@@ -1,0 +1,294 @@
+"""Does the model show what the paper shows? Every statement, measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sayd_env.config import ConfigError
+from sayd_env.config.damper import PassiveDamperConfig
+from sayd_env.config.environment import EnvironmentConfig, load_environment
+from sayd_env.config.scenario import Scenario
+from sayd_env.physics import sayd
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.files import Progress, silent
+from sayd_env.runs.cache import RunStore
+from sayd_env.runs.controlled import ControlledRuns
+from sayd_env.runs.controlled_groups import controlled_groups, controlled_runs
+from sayd_env.runs.passive import Run, Sweep, runs_table, sweep
+from sayd_env.stability import Limits
+from sayd_env.studies.components.conicity import conicity, plot_conicity
+from sayd_env.studies.components.hysteresis import HysteresisResult, hysteresis
+from sayd_env.studies.creep_laws import SPEEDS as LAW_SPEEDS
+from sayd_env.studies.creep_laws import CreepLawComparison, check_laws, with_law
+from sayd_env.studies.critical_speed import draw_trends, find_critical_speed, model_limits
+from sayd_env.studies.paper.claims import Claim, once
+from sayd_env.studies.paper.control_periods import PeriodSensitivity, environments_at, period_sensitivity
+from sayd_env.studies.paper.controlled_claims import controlled_claims, required_runs, skyhook_runs
+from sayd_env.studies.paper.figures import controlled_plots
+from sayd_env.studies.paper.page import reproduce_page
+from sayd_env.studies.paper.passive_claims import NEW_SPEEDS, WORN_SPEEDS, passive_claims
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+KMH = 3.6
+DEGREES_OF_FREEDOM = 62
+YAW_DAMPERS = 8
+SAYD_STATES = 6
+ROWS = (
+    *(f"P{i}" for i in range(1, 12)),
+    *(f"M{i}" for i in range(1, 10)),
+    *(f"S{i}" for i in range(1, 7)),
+    "C1",
+    "C2",
+)
+"""Names of the rows, in the order of the table."""
+LEAST_SEEDS = 10
+"""Track realisations that a verdict needs."""
+
+
+@dataclass(frozen=True)
+class ReproduceResult:
+    """The table of claims and what it rests on."""
+
+    scenario: Scenario
+    claims: list[Claim]
+    new: Sweep
+    worn: Sweep
+    limits: Limits
+    wheelsets: tuple[str, ...]
+    loops: HysteresisResult
+    controlled: ControlledRuns
+    """Runs with semi-active dampers."""
+    reused: int = 0
+    """Runs that an earlier start had finished."""
+    sensitivity: PeriodSensitivity | None = None
+    """Rows S1 to S6 at other control periods."""
+    creep_laws: Mapping[str, CreepLawComparison] = field(default_factory=dict)
+    """Critical speeds on new and on worn wheels by creep law."""
+
+    @property
+    def failed(self) -> list[str]:
+        """Rows that do not hold."""
+        return [c.id for c in self.claims if not c.holds]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of ``sayd reproduce --json``."""
+        periods = {} if self.sensitivity is None else {"control_periods": self.sensitivity.as_dict()}
+        laws = {wheels: found.as_dict() for wheels, found in self.creep_laws.items()}
+        return {
+            "claims": [c.as_dict() for c in self.claims],
+            "seeds": list(self.new.seeds),
+            **periods,
+            **({"by_creep_law": laws} if laws else {}),
+        }
+
+    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+        """Claims, and every run."""
+        header = ("id", "by", "expected", "measured", "fraction", "holds")
+        claims = [[c.id, c.by, c.expected, c.measured, c.fraction, c.holds] for c in self.claims]
+        return {
+            "claims": (header, claims),
+            "runs_new": runs_table(self.new, self.wheelsets),
+            "runs_worn": runs_table(self.worn, self.wheelsets),
+            **self.controlled.tables(self.wheelsets),
+            **({} if self.sensitivity is None else {"control_periods": self.sensitivity.table()}),
+            **{f"creep_laws_{wheels}": found.table() for wheels, found in self.creep_laws.items()},
+        }
+
+    def plots(self) -> dict[str, Callable[[Figure], None]]:
+        """Counterparts of the paper's figures 1, 2, 3, 8 and 10 to 18."""
+        loops = self.loops.plots()
+        return {
+            "figure_01_conicity": self._draw_conicity,
+            **{f"figure_{'02' if name == 'curve' else '03'}_{name}": draw for name, draw in loops.items()},
+            "figure_08_new_wheels": lambda f: self._draw_sweep(f, self.new, "new wheels"),
+            "figure_10_worn_wheels": lambda f: self._draw_sweep(f, self.worn, "worn wheels"),
+            **controlled_plots(self.controlled, self.limits, self.wheelsets),
+        }
+
+    def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> dict[str, str]:
+        """Claims and figures on one page, beside what the paper shows."""
+        return {"report": reproduce_page(self.claims, images, document, len(self.new.seeds))}
+
+    def summary(self, console: Console) -> None:
+        """Print the table of claims."""
+        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+
+        def shown(title: str, claims: Sequence[Claim]) -> None:
+            table = Table(title=title)
+            for name in ("row", "expected", "measured", "share", "holds"):
+                table.add_column(name, justify="right" if name == "share" else "left")
+            for c in claims:
+                verdict = "yes" if c.holds else "[bold red]no[/]"
+                table.add_row(c.id, c.expected, c.measured, f"{100 * c.fraction:.0f} %", verdict)
+            console.print(table)
+
+        shown(f"what the paper shows, on {len(self.new.seeds)} track seeds", self.claims)
+        for period, claims in () if self.sensitivity is None else self.sensitivity.claims.items():
+            shown(f"rows S1 to S6 with a control period of {1e3 * period:g} ms", claims)
+        for wheels, found in self.creep_laws.items():
+            found.summary(console, f"critical speed on {wheels} wheels by creep law, all else equal")
+        if len(self.new.seeds) < LEAST_SEEDS:
+            console.print(f"fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
+        held = len(self.claims) - len(self.failed)
+        console.print(
+            f"{held} of {len(self.claims)} rows hold"
+            + (f"; not: {', '.join(self.failed)}" if self.failed else "")
+        )
+        if self.reused:
+            console.print(f"{self.reused} runs had been finished by an earlier start and were not repeated")
+
+    def _draw_sweep(self, figure: Figure, grid: Sweep, title: str) -> None:
+        draw_trends(figure, grid, self.limits, self.wheelsets, f"passive yaw dampers, {title}")
+
+    def _draw_conicity(self, figure: Figure) -> None:
+        ends = [self.scenario.model_copy(update={"wear": wear}) for wear in (0.0, 1.0)]
+        plot_conicity(figure, [conicity(s) for s in ends])
+
+
+def reproduce(
+    scenario: Scenario,
+    seeds: Sequence[int] = range(10),
+    *,
+    environment: EnvironmentConfig | None = None,
+    control_periods: Sequence[float] = (),
+    creep_laws: Sequence[str] = (),
+    workers: int | None = None,
+    progress: Progress = silent,
+    folder: Path | None = None,
+) -> ReproduceResult:
+    """Measure all rows of the paper's statements.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The configuration, with passive yaw dampers; its wear is set to 0 and 1 in turn. For the rows on
+        controllers, the packaged semi-active dampers replace the passive ones.
+    seeds : sequence of int
+        Track seeds.
+    environment : EnvironmentConfig, optional
+        Sensors and clock of the controllers; those of ``nominal`` by default.
+    control_periods : sequence of float
+        Control periods (s) at which rows S1 to S6 are judged besides.
+    creep_laws : sequence of str
+        Creep laws by which the passive critical speeds are found besides, on a grid wide enough for all.
+    workers : int, optional
+        Threads.
+    progress : Progress
+        Told after each run.
+    folder : Path, optional
+        Where finished runs are kept: after an interruption the study goes on from there, and with the same
+        inputs nothing is computed twice.
+
+    Raises
+    ------
+    ConfigError
+        A scenario without passive yaw dampers, a control period that cannot be, a name that is no creep law,
+        or a folder that cannot be written to.
+    StudyError
+        A run that diverged.
+    """
+    if not isinstance(scenario.damper, PassiveDamperConfig):
+        raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
+    laws = environment or load_environment()
+    if control_periods:
+        environments_at(control_periods, laws)  # refused before any work
+    check_laws(creep_laws, "creep laws")
+    models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
+    groups = controlled_groups(models[1].scenario, laws, seeds, required_runs())
+    rest = len(control_periods) * len(skyhook_runs())
+    compared = len(models) * len(creep_laws) * len(LAW_SPEEDS)
+    total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS) + len(groups) + rest + compared)
+    done_before = 0
+    sweeps = []
+    stores = [_store(folder, model) for model in models]
+    for model, speeds, store in zip(models, (NEW_SPEEDS, WORN_SPEEDS), stores, strict=True):
+        report = partial(_report, progress, done_before, total)
+        sweeps.append(sweep(model, speeds, seeds, workers=workers, progress=report, store=store))
+        done_before += len(seeds) * len(speeds)
+    new, worn = sweeps
+    runs, taken = controlled_runs(groups, folder, workers, partial(_report, progress, done_before, total))
+    done_before += len(seeds) * len(groups)
+    sensitivity = None
+    if control_periods:
+        sensitivity = period_sensitivity(
+            models[1].scenario,
+            seeds,
+            control_periods,
+            environment=laws,
+            workers=workers,
+            progress=partial(_report, progress, done_before, total),
+            folder=None if folder is None else folder / "control_periods",
+        )
+    done_before += len(seeds) * rest
+    by_law: dict[str, CreepLawComparison] = {}
+    for wheels, model in zip(("new", "worn"), models if creep_laws else (), strict=False):
+        found = find_critical_speed(
+            with_law(model.scenario, creep_laws[0]),
+            LAW_SPEEDS,
+            seeds,
+            creep_laws=creep_laws,
+            workers=workers,
+            progress=partial(_report, progress, done_before, total),
+        )
+        assert found.laws is not None  # some were asked for
+        by_law[wheels] = found.laws
+        done_before += len(seeds) * len(creep_laws) * len(LAW_SPEEDS)
+    limits = model_limits(models[0])
+    loops = hysteresis(scenario)
+    claims = [
+        *passive_claims(new, worn, limits),
+        damper_claim(loops),
+        *controlled_claims(runs, limits),
+        model_claim(models[0]),
+    ]
+    names = tuple(name.removeprefix("wheelset.") for name, _ in models[0].multibody.measuring_points)
+    kept = [store for store in stores if store is not None]
+    for store in kept:
+        store.forget_former()
+    reused = taken + sum(store.reused for store in kept)
+    reused += 0 if sensitivity is None else sensitivity.reused
+    return ReproduceResult(
+        scenario, claims, new, worn, limits, names, loops, runs, reused, sensitivity, by_law
+    )
+
+
+def _store(folder: Path | None, model: VehicleModel) -> RunStore[Run] | None:
+    """Where the runs of a passive vehicle are kept."""
+    scenario = model.scenario
+    return None if folder is None else RunStore(folder, f"passive-wear-{scenario.wear:g}", Run, scenario)
+
+
+def _report(progress: Progress, before: int, total: int, done: float, _: float, what: str = "") -> None:
+    """Progress of one of several sweeps, as a part of all."""
+    progress(before + done, total, what)
+
+
+def damper_claim(result: HysteresisResult) -> Claim:
+    """Row P11: loops that dissipate, with a force below the curve at the peak velocity."""
+    excess = [loop.force_peak / loop.force_limit for loop in result.loops]
+    least = min(loop.energy for loop in result.loops)
+    holds = least > 0.0 and max(excess) <= 1.0
+    damper = result.damper
+    assert isinstance(damper, PassiveDamperConfig)  # `reproduce` has refused any other
+    stiffness = [loop.zero_force_slope / damper.series_stiffness for loop in result.loops]
+    measured = (
+        f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.1f} % of the curve; "
+        f"slope at zero force {min(stiffness):.2f} to {max(stiffness):.2f} of the series stiffness"
+    )
+    return once("P11", "hysteresis: loops dissipate, peak force <= curve at peak velocity", measured, holds)
+
+
+def model_claim(model: VehicleModel) -> Claim:
+    """Row C2: counted from the assembled model and from the semi-active damper's unknowns."""
+    n, d = model.multibody.n, len(model.multibody.yaw_dampers)
+    mechanical = (sayd.STROKE, sayd.STROKE_RATE, sayd.ROD, sayd.ROD_RATE)
+    states = len({*mechanical, sayd.PRESSURE_A, sayd.PRESSURE_B})
+    holds = n == DEGREES_OF_FREEDOM and d == YAW_DAMPERS and states == SAYD_STATES
+    return once("C2", "62 degrees of freedom, 8 yaw dampers of 6 states", f"{n}, {d} and {states}", holds)

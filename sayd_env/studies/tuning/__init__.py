@@ -1,0 +1,1 @@
+"""Searches: the gains of a controller, the free numbers of the vehicle."""

@@ -1,0 +1,395 @@
+"""What the paper leaves open, found within sourced ranges from its statements on the passive vehicle.
+
+A Latin hypercube screens the ranges with few track seeds; from its best point bounded least-squares searches
+(trust-region reflective) go on with more seeds. The residuals are the three critical speeds' distances from
+their targets and a penalty for every other row of P1 to P10, zero where the row holds with a margin.
+Crossings are extrapolated beyond the speed grid, so that a search can start anywhere.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+from scipy.stats import qmc
+
+from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.calibration import CalibrationConfig, Search
+from sayd_env.config.loader import read_text
+from sayd_env.config.scenario import load_scenario
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.files import Progress, silent
+from sayd_env.runs.passive import Sweep, sweep
+from sayd_env.stability import Limits
+from sayd_env.studies.critical_speed import model_limits
+from sayd_env.studies.paper.passive_claims import PassiveMeasures
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+Array = npt.NDArray[np.float64]
+KMH = 3.6
+WORST = 8.0
+"""Largest penalty of one row: beyond it, further away is no worse, and other rows matter more."""
+ROWS = tuple(f"P{i}" for i in range(1, 11))
+TARGETS = (
+    ("critical_new_kmh", 372.0, 6.0),
+    ("critical_worn_kmh", 331.0, 5.0),
+    ("critical_force_kmh", 361.0, 5.0),
+)
+"""Critical speeds (km/h) of rows P2, P5 and P8: target and scale."""
+PRIOR = 0.05
+"""Weight of a parameter's distance from the middle of its range: settles what the rows do not."""
+DIVERGED = 1e3
+"""Cost of parameters with which a run does not stay finite."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One set of parameters and what came out."""
+
+    stage: str
+    place: tuple[float, ...]
+    """In the unit cube of the parameters' ranges."""
+    cost: float
+    """Sum of the squared residuals."""
+    penalties: dict[str, float]
+    measures: dict[str, float]
+
+    @property
+    def residuals(self) -> list[float]:
+        """What the search makes small."""
+        return residuals_of(self.penalties, self.measures) if self.measures else [WORST] * len(ROWS)
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """All evaluations, in the order in which they were made."""
+
+    config: CalibrationConfig
+    evaluations: list[Evaluation]
+
+    @property
+    def best(self) -> Evaluation:
+        """Best evaluation of the last stage that was reached."""
+        last = self.evaluations[-1].stage
+        return min((e for e in self.evaluations if e.stage == last), key=lambda e: e.cost)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Calibrated value of each parameter, in its unit."""
+        return {p.name: p.value(u) for p, u in zip(self.config.parameters, self.best.place, strict=True)}
+
+    def study(self) -> str:
+        """Text of a study file that holds the calibrated numbers, as `configs/study/nominal.yaml` does."""
+        last = (
+            self.config.first_seed
+            + max((s.seeds for s in self.config.searches), default=self.config.screening_seeds)
+            - 1
+        )
+        lines = [
+            "# The paper's conditions: the estimates, with calibrated numbers on top.",
+            "#",
+            "# Written by `sayd calibrate`, which found every number under `set` from rows P1 to P10 of",
+            "# the paper's statements on the passive vehicle, within the ranges that",
+            "# configs/study/calibration.yaml gives with their sources.",
+            f"base: {self.config.base}",
+            "description: the EMU of the paper with passive yaw dampers",
+            "provenance:",
+            "  command: sayd calibrate",
+            f"  track_seeds: {self.config.first_seed} to {last}",
+            f"  evaluations: {len(self.evaluations)}",
+            f"  cost: {self.best.cost:.3g}",
+            "set:",
+        ]
+        for p, u in zip(self.config.parameters, self.best.place, strict=True):
+            lines.append(f"  # {p.name}: {p.value(u):.5g} {p.unit}, from {p.low:g} to {p.high:g}")
+            lines += [f"  {key}: {float(f'{f * p.value(u):.5g}')!r}" for key, f in p.keys.items()]
+        return "\n".join(lines) + "\n"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Parameters, the assignments that set them, and the rows' penalties at the best point."""
+        best = self.best
+        return {
+            "parameters": self.values,
+            "set": assignments(self.config, best.place),
+            "cost": best.cost,
+            "penalties": best.penalties,
+            "measures": best.measures,
+            "evaluations": len(self.evaluations),
+            "stage": best.stage,
+        }
+
+    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+        """Every evaluation."""
+        names = [p.name for p in self.config.parameters]
+        rows = sorted({row for e in self.evaluations for row in e.penalties})
+        header = ("stage", "cost", *names, *rows)
+        lines = [
+            [e.stage, e.cost]
+            + [p.value(u) for p, u in zip(self.config.parameters, e.place, strict=True)]
+            + [e.penalties.get(r, np.nan) for r in rows]
+            for e in self.evaluations
+        ]
+        return {"evaluations": (header, lines)}
+
+    def plots(self) -> dict[str, Callable[[Figure], None]]:
+        """Cost over the search."""
+        return {"cost": self._draw}
+
+    def summary(self, console: Console) -> None:
+        """Print the calibrated values and what is left of each row's penalty."""
+        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+
+        table = Table(
+            "parameter", "value", "range", "source", title=f"cost {self.best.cost:.3f} ({self.best.stage})"
+        )
+        for p in self.config.parameters:
+            table.add_row(
+                p.name,
+                f"{self.values[p.name]:.4g} {p.unit}",
+                f"{p.low:g} to {p.high:g}",
+                p.source,
+                style=None,
+            )
+        console.print(table)
+        left = {k: round(v, 2) for k, v in self.best.penalties.items() if v > 0.0}
+        console.print(f"penalties left: {left or 'none'}")
+
+    def _draw(self, figure: Figure) -> None:
+        axis = figure.subplots()
+        for stage in dict.fromkeys(e.stage for e in self.evaluations):
+            points = [(i, e.cost) for i, e in enumerate(self.evaluations) if e.stage == stage]
+            axis.plot(*zip(*points, strict=True), ".", label=stage)
+        axis.set(xlabel="evaluation", ylabel="cost", yscale="symlog", title="calibration")
+        axis.legend()
+
+
+def assignments(config: CalibrationConfig, place: Sequence[float]) -> dict[str, float]:
+    """Scenario keys and their values at a place of the unit cube, to five digits."""
+    return {
+        key: float(f"{factor * p.value(float(u)):.5g}")
+        for p, u in zip(config.parameters, place, strict=True)
+        for key, factor in p.keys.items()
+    }
+
+
+def calibrate(
+    config: CalibrationConfig,
+    *,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: Progress = silent,
+    log: Path | None = None,
+) -> CalibrationResult:
+    """Search for the parameters that meet most of rows P1 to P10.
+
+    Parameters
+    ----------
+    config : CalibrationConfig
+        Parameters and budget.
+    seed : int
+        Seed of the Latin hypercube (not of the tracks).
+    workers : int, optional
+        Threads.
+    progress : Progress
+        Told after each evaluation.
+    log : Path, optional
+        A file of evaluations, one JSON object a line. What it holds already is not computed again, so an
+        interrupted calibration goes on where it stopped.
+
+    Raises
+    ------
+    ConfigError
+        The log belongs to other parameters.
+    StudyError
+        No parameters gave a finite run.
+    """
+    memory = _Memory(config, log)
+    each = len(config.parameters) + 1
+    total = config.screening_samples + sum(1 + s.iterations * each for s in config.searches)
+    evaluations: list[Evaluation] = []
+
+    def evaluate(stage: str, place: Array, seeds: int) -> Evaluation:
+        key = tuple(round(float(u), 9) for u in np.clip(place, 0.0, 1.0))
+        found = memory.get(stage, key)
+        if found is None:
+            found = _evaluate(config, stage, key, seeds, workers)
+            memory.put(found)
+        evaluations.append(found)
+        best = min(e.cost for e in evaluations if e.stage == stage)
+        progress(min(len(evaluations), total), total, f"{stage}, best cost {best:.2f}")
+        return found
+
+    guess = [p.place(p.guess) for p in config.parameters]
+    cube = qmc.LatinHypercube(len(guess), seed=seed).random(config.screening_samples - 1)
+    screened = [evaluate("screening", place, config.screening_seeds) for place in [np.array(guess), *cube]]
+    if min(e.cost for e in screened) >= DIVERGED:
+        raise StudyError("calibration: no parameters within the ranges gave a finite run")
+    best = min(screened, key=lambda e: e.cost)
+    for search in config.searches:
+        _search(search, np.array(best.place), evaluate)
+        best = min((e for e in evaluations if e.stage == search.name), key=lambda e: e.cost)
+    return CalibrationResult(config, evaluations)
+
+
+def _search(search: Search, start: Array, evaluate: Callable[[str, Array, int], Evaluation]) -> None:
+    def residuals(shifted: Array) -> Array:
+        found = evaluate(search.name, shifted - 1.0, search.seeds)
+        return np.array([*found.residuals, *(PRIOR * (shifted - 1.5))])
+
+    # Places run from 1 to 2 here: the difference step is relative, and 0 would have none.
+    least_squares(
+        residuals,
+        np.clip(start, 0.01, 0.99) + 1.0,
+        bounds=(1.0, 2.0),
+        diff_step=search.step,
+        max_nfev=search.iterations + 1,
+        x_scale=0.2,
+    )
+
+
+def _evaluate(
+    config: CalibrationConfig, stage: str, place: tuple[float, ...], seeds: int, workers: int | None
+) -> Evaluation:
+    keys = [f"{key}={value!r}" for key, value in assignments(config, place).items()]
+    tracks = range(config.first_seed, config.first_seed + seeds)
+    try:
+        models = [VehicleModel(load_scenario(config.base, [*keys, f"wear={wear}"])) for wear in (0.0, 1.0)]
+        grids = (config.new_speeds, config.worn_speeds)
+        new, worn = (sweep(m, v, tracks, workers=workers) for m, v in zip(models, grids, strict=True))
+    except StudyError:
+        return Evaluation(stage, place, DIVERGED, {}, {})
+    penalties, measures = penalties_of(new, worn, model_limits(models[0]))
+    cost = float(np.sum(np.square(residuals_of(penalties, measures))))
+    return Evaluation(stage, place, cost, penalties, measures)
+
+
+def residuals_of(penalties: dict[str, float], measures: dict[str, float]) -> list[float]:
+    """Distances of the critical speeds from their targets, and the other rows' penalties."""
+    signed = [(measures[key] - target) / scale for key, target, scale in TARGETS]
+    others = [value for row, value in penalties.items() if row not in ("P2", "P5", "P8")]
+    return [*np.clip(signed, -WORST, WORST).tolist(), *others]
+
+
+def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, float], dict[str, float]]:
+    """Penalty of each row P1 to P10 (0: holds with a margin), and the numbers behind them."""
+    m = PassiveMeasures(new, worn, limits)
+    spread = m.frequency_spread(m.all)
+    above = float(np.max(spread[m.high]))
+    v2 = _extrapolated(new, new.acceleration, limits.acceleration)
+    v5 = _extrapolated(worn, worn.acceleration, limits.acceleration)
+    v8 = _extrapolated(worn, worn.track_shift, limits.track_shift_force)
+    measures = {
+        "stable_280": float(np.quantile(m.stable_280(), 0.8)),
+        "critical_new_kmh": v2,
+        "frequency_hz": float(np.interp(v2 / KMH, new.speeds, np.median(new.frequency, axis=(1, 2)))),
+        "ratio_320": float(np.quantile(m.ratios_320(), 0.85)),
+        "critical_worn_kmh": v5,
+        "ratio_350": float(np.quantile(m.lowest_ratio_above(), 0.15)),
+        "smallest_rise": m.smallest_rise(m.all),
+        "critical_force_kmh": v8,
+        "trailing_ratio": float(np.quantile(m.trailing_ratio(), 0.2)),
+        "spread_350_hz": above,
+        "spread_320_hz": float(spread[m.low]),
+        "frequency_rise_hz": m.frequency_rise(m.all),
+    }
+    x = measures
+    penalties = {
+        "P1": _over(x["stable_280"], 0.42, 0.05),
+        "P2": _over(abs(v2 - 372.0), 4.0, 6.0),
+        "P3": _over(abs(x["frequency_hz"] - 4.0), 0.3, 0.1),
+        "P4": _over(x["ratio_320"], 0.96, 0.04),
+        "P5": _over(abs(v5 - 331.0), 4.0, 5.0),
+        "P6": _over(1.05, x["ratio_350"], 0.04),
+        "P7": _over(0.02, x["smallest_rise"], 0.02),
+        "P8": _over(abs(v8 - 361.0), 6.0, 5.0),
+        "P9": _over(1.15, x["trailing_ratio"], 0.05),
+        "P10": _over(above, 0.22, 0.1)
+        + _over(0.05, x["frequency_rise_hz"], 0.05)
+        + _over(above + 0.1, x["spread_320_hz"], 0.1),
+    }
+    return {k: min(v, WORST) for k, v in penalties.items()}, measures
+
+
+def _over(value: float, bound: float, scale: float) -> float:
+    """How far a value exceeds a bound, in units of the scale."""
+    return max(0.0, (value - bound) / scale)
+
+
+def _extrapolated(grid: Sweep, values: Array, limit: float) -> float:
+    """Crossing speed in km/h of the median over seeds; the end segments go on beyond the grid."""
+    v = grid.speeds * KMH
+    peak = np.median(values.max(axis=-1), axis=1)
+    above = np.flatnonzero(peak > limit)
+    i = len(v) - 1 if above.size == 0 else max(1, int(above[0]))
+    slope = (peak[i] - peak[i - 1]) / (v[i] - v[i - 1])
+    if above.size > 0 and above[0] > 0:
+        return float(v[i] + (limit - peak[i]) / slope)
+    end = i if above.size == 0 else 0
+    return float(v[end] + (limit - peak[end]) / max(slope, limit / 200.0))
+
+
+def _line(text: str) -> dict[str, Any]:
+    """Content of a line of the log; empty if it holds none."""
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError:
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+class _Memory:
+    """Evaluations that survive an interruption: a file to which each one is appended at once."""
+
+    def __init__(self, config: CalibrationConfig, log: Path | None) -> None:
+        self.log = log
+        self.known: dict[tuple[str, tuple[float, ...]], Evaluation] = {}
+        # Budgets may grow from one run to the next; what an evaluation means may not change.
+        meaning = config.model_dump_json(
+            exclude={"screening_samples": True, "searches": {"__all__": {"iterations"}}}
+        )
+        if log is None:
+            return
+        if log.exists() and log.stat().st_size:
+            self._read(log, meaning)
+        else:
+            self._write(json.dumps({"calibration": meaning}) + "\n", "w")
+
+    def _read(self, log: Path, meaning: str) -> None:
+        text = read_text(log, "log of a calibration")
+        whole, _, cut_off = text.rpartition("\n")
+        head, *lines = whole.split("\n")
+        if _line(head).get("calibration") != meaning:
+            raise ConfigError(f"{log}: belongs to another calibration; choose another --out or remove it")
+        for number, line in enumerate(lines, start=2):
+            try:
+                e = Evaluation(**{**_line(line), "place": tuple(_line(line)["place"])})
+            except (KeyError, TypeError):
+                raise ConfigError(f"{log}: line {number}: is no evaluation; remove the line") from None
+            self.known[e.stage, e.place] = e
+        if cut_off:  # by an interruption: what follows shall not join it
+            os.truncate(log, len(whole.encode()) + 1)
+
+    def get(self, stage: str, place: tuple[float, ...]) -> Evaluation | None:
+        return self.known.get((stage, place))
+
+    def put(self, e: Evaluation) -> None:
+        if self.log is not None:
+            self._write(json.dumps(e.__dict__) + "\n", "a")
+
+    def _write(self, text: str, mode: Literal["a", "w"]) -> None:
+        assert self.log is not None
+        try:
+            with self.log.open(mode, encoding="utf-8") as stream:
+                stream.write(text)
+        except OSError as error:
+            raise ConfigError(f"{self.log}: cannot be written ({error.strerror})") from None

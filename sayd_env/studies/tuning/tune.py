@@ -1,0 +1,335 @@
+"""Which gains make a classical controller as good as it can be? Opponents for learned policies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.config import ConfigError
+from sayd_env.config.control import load_controller
+from sayd_env.config.errors import Interrupted
+from sayd_env.config.loader import packaged_names
+from sayd_env.config.tuning import Gains, TuningConfig
+from sayd_env.report.files import Progress, git_state, silent
+from sayd_env.runs.evaluator import Evaluation, Proving, Record, inputs_of
+from sayd_env.runs.rollouts import PolicySpec, policy_spec
+from sayd_env.studies.tuning.search import minimise
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+Array = npt.NDArray[np.float64]
+REFERENCE = "reference"
+COMMENT_COLUMN = 28
+"""Where the comments of a file of parameters stand."""
+
+
+@dataclass(frozen=True)
+class TuneResult:
+    """All evaluations, in the order in which they were asked for, and the file that they make."""
+
+    controller: str
+    settings: TuningConfig
+    name: str
+    """The list of scenarios: a packaged name or a path."""
+    command: str
+    commit: str | None
+    evaluations: list[Evaluation]
+    reused: int = 0
+    """Evaluations that an earlier start had finished."""
+    record: tuple[Sequence[str], list[list[Any]]] = field(default=((), []), repr=False)
+
+    @property
+    def title(self) -> str:
+        """Name of the tuned controller."""
+        return f"{self.controller}-tuned"
+
+    @property
+    def references(self) -> dict[str, Evaluation]:
+        """Policies as they are, by name; the controller itself is among them."""
+        return {e.policy: e for e in self.evaluations if e.stage == REFERENCE}
+
+    @property
+    def tried(self) -> list[Evaluation]:
+        """Sets of gains."""
+        return [e for e in self.evaluations if e.stage != REFERENCE]
+
+    @property
+    def best(self) -> Evaluation:
+        """The gains with the lowest mean J."""
+        return min(self.tried, key=lambda e: e.mean)
+
+    @property
+    def before(self) -> Evaluation:
+        """The controller with its own gains."""
+        return self.references[self.controller]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Gains, mean J before and after and of the references, and J of each scenario."""
+        everything = self.references | {self.title: self.best}
+        return {
+            "controller": self.controller,
+            "gains": dict(self.best.gains),
+            "J_before": self.before.mean,
+            "J_after": self.best.mean,
+            "J": {name: e.mean for name, e in everything.items()},
+            "J_by_scenario": {name: list(e.costs) for name, e in everything.items()},
+            "derailed": {name: e.derailed for name, e in everything.items()},
+            "scenarios": self.settings.scenarios,
+            "evaluations": len(self.tried),
+        }
+
+    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+        """J by scenario and policy, the tuned controller last; the evaluations."""
+        everything = self.references | {self.title: self.best}
+        conditions = ("speed_kmh", "wear", "friction", "seed")
+        rows = [
+            [*(getattr(case, name) for name in conditions), *(e.costs[i] for e in everything.values())]
+            for i, case in enumerate(self.settings.scenarios)
+        ]
+        tables: dict[str, tuple[Sequence[str], list[list[Any]]]] = {
+            "scenarios": ((*conditions, *everything), rows)
+        }
+        return tables | ({"evaluations": self.record} if self.record[0] else {})
+
+    def plots(self) -> dict[str, Callable[[Figure], None]]:
+        """The search, and J over speed before and after."""
+        return {"tune": self._draw}
+
+    def summary(self, console: Console) -> None:
+        """Print the gains, and mean J beside that of the references."""
+        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+
+        table = Table(
+            "gain", "before", "tuned", "range", title=f"{self.title}: {len(self.tried)} evaluations"
+        )
+        own = load_controller(self.controller)
+        for name, gain in self.settings.of(self.controller).gains.items():
+            share = f" of {gain.share_of}" if gain.share_of else ""
+            before = getattr(own, name)
+            shown = "-" if before is None else f"{before:g}"
+            table.add_row(name, shown, f"{self.best.gains[name]:g}", f"{gain.low:g} to {gain.high:g}{share}")
+        console.print(table)
+        count = len(self.settings.scenarios)
+        costs = Table("policy", "J", "to before", "better in", title=f"mean J of {count} scenarios")
+        for name, e in (self.references | {self.title: self.best}).items():
+            better = sum(a < b for a, b in zip(e.costs, self.before.costs, strict=True))
+            lost = f", {e.derailed} derailed" if e.derailed else ""
+            costs.add_row(
+                name, f"{e.mean:.5f}", f"{e.mean / self.before.mean - 1.0:+.1%}", f"{better} of {count}{lost}"
+            )
+        console.print(costs)
+        if self.reused:
+            console.print(f"{self.reused} evaluations had been made by an earlier start")
+
+    def control_file(self) -> str:
+        """Text of a file of parameters: the controller's own, with the tuned gains in their places."""
+        tuning = self.settings.of(self.controller)
+        own = load_controller(self.controller)
+        seeds = [case.seed for case in self.settings.scenarios]
+        lines = [
+            f"# The controller {self.controller} with the gains of the smallest mean J, by `sayd tune`.",
+            f"# Tags: calibrated = found so, in the named range; the rest is as in {self.controller}.yaml.",
+            "",
+        ]
+        for name, info in type(own).model_fields.items():
+            extra = info.json_schema_extra
+            unit = extra.get("unit") if isinstance(extra, dict) else None
+            if name in tuning.gains:
+                gain = tuning.gains[name]
+                share = f" of {gain.share_of}" if gain.share_of else ""
+                value: Any = self.best.gains[name]
+                tag = f"calibrated: from {gain.low:g} to {gain.high:g}{share}"
+            else:
+                value, tag = getattr(own, name), f"as {self.controller}"
+            text = f"{name}: {'null' if value is None else value}"
+            comment = f"{unit}; {tag}" if unit else tag
+            lines.append(f"{text:<{COMMENT_COLUMN - 1}} # {comment}")
+        lines += [
+            "provenance:",
+            f"  command: {self.command}",
+            f"  scenarios: {len(seeds)} of {self.name}, {self.settings.episode_s:g} s, seeds {min(seeds)} "
+            f"to {max(seeds)}",
+            f"  evaluations: {len(self.tried)}",
+            f"  J_before: {self.before.mean:.6g}",
+            f"  J_after: {self.best.mean:.6g}",
+            f"  commit: {self.commit or 'null'}",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def _draw(self, figure: Figure) -> None:
+        figure.set_size_inches(10.0, 4.5)
+        left, right = figure.subplots(1, 2)
+        self._draw_search(left)
+        speeds = [case.speed_kmh for case in self.settings.scenarios]
+        for e, label in ((self.before, self.controller), (self.best, self.title)):
+            right.plot(speeds, e.costs, "o", markersize=4, label=label)
+        right.set(xlabel="speed (km/h)", ylabel="J of a scenario", yscale="log")
+        right.legend(fontsize="small")
+        right.grid(alpha=0.3)
+
+    def _draw_search(self, axis: Axes) -> None:
+        costs = [e.mean for e in self.tried]
+        names = list(self.best.gains)
+        if len(names) == 1:
+            axis.plot([e.gains[names[0]] for e in self.tried], costs, "o", markersize=4)
+            axis.set_xlabel(names[0])
+        else:
+            axis.plot(costs, ".", label="evaluation")
+            axis.plot(np.minimum.accumulate(costs), label="best so far")
+            axis.set_xlabel("evaluation")
+        for name, e in self.references.items():
+            if e.mean < 2.0 * self.before.mean:
+                axis.axhline(e.mean, linestyle=":", linewidth=1.0, color="k")
+                axis.annotate(name, (1.0, e.mean), xycoords=("axes fraction", "data"), fontsize=6, ha="right")
+        axis.set(ylabel="mean J", yscale="log", title=self.title)
+        axis.grid(alpha=0.3)
+        if len(names) > 1:
+            axis.legend(fontsize="small")
+
+
+def tune(
+    controller: str,
+    settings: TuningConfig,
+    *,
+    name: str = "tuning",
+    seed: int = 0,
+    table: Path | None = None,
+    command: str = "",
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> TuneResult:
+    """Find the gains of a controller with the smallest mean J over a list of scenarios.
+
+    Parameters
+    ----------
+    controller : str
+        One of the settings' controllers.
+    settings : TuningConfig
+        Scenarios, ranges and budget.
+    name : str
+        What the scenarios are called in the controller's file.
+    seed : int
+        Seed of the global search (not of the scenarios).
+    table : Path, optional
+        CSV file of the evaluations. What it holds already is not computed again, so an interrupted tuning
+        goes on where it stopped.
+    command : str
+        How to repeat it.
+    workers : int, optional
+        Threads.
+    progress : Progress
+        Told after each evaluation.
+
+    Raises
+    ------
+    ConfigError
+        An unknown controller or reference, conditions that are not allowed, a table that cannot be used.
+    StudyError
+        A run that diverged.
+    Interrupted
+        By Ctrl-C, with a table: it keeps what was evaluated.
+    """
+    tuning = settings.of(controller)
+    commit, _ = git_state(Path(__file__).resolve().parents[2])  # of the software that runs, not of its end
+    asked = [policy_spec(reference) for reference in dict.fromkeys((*settings.references, controller))]
+    proving = Proving(settings, workers)
+    seeds = [case.seed for case in settings.scenarios]
+    inputs = inputs_of(proving, settings, asked)
+    record = Record(table, inputs, list(tuning.gains), seeds)
+    run = _Run(controller, settings, proving, record, len(asked), progress)
+    try:
+        for spec in asked:
+            run.evaluate(spec, REFERENCE, {})
+        own = load_controller(controller).model_dump()
+        own |= {k: settings.initial_current for k in ("initial",) if k in own and own[k] is None}
+        minimise(tuning, own, run.cost_at, seed)
+    except KeyboardInterrupt:
+        if table is None:
+            raise
+        raise Interrupted(
+            f"{len(record)} evaluations are kept in {table}; the same command goes on"
+        ) from None
+    return TuneResult(
+        controller,
+        settings,
+        name,
+        command or f"sayd tune {controller}",
+        commit,
+        run.evaluations,
+        run.reused,
+        (record.header, record.rows()),
+    )
+
+
+class _Run:
+    """A tuning under way."""
+
+    def __init__(
+        self,
+        controller: str,
+        settings: TuningConfig,
+        proving: Proving,
+        record: Record,
+        references: int,
+        progress: Progress,
+    ) -> None:
+        self.evaluations: list[Evaluation] = []
+        self.reused = 0
+        self._controller, self._settings, self._tuning = controller, settings, settings.of(controller)
+        self._proving, self._record, self._progress = proving, record, progress
+        self._total = references + self._tuning.search + self._tuning.polish
+        self._asked = 0
+        self._seen: dict[tuple[float, ...], Evaluation] = {}
+
+    def cost_at(self, stage: str, place: Array) -> float:
+        """Mean J of the controller at a place of the ranges."""
+        gains = self._tuning.values(place, self._settings.digits)
+        key = tuple(gains.values())
+        if key in self._seen:  # a place that rounds to the same gains
+            self._tell(stage)
+        else:
+            spec = PolicySpec(self._controller, gains, f"{self._controller}-tuned")
+            self._seen[key] = self.evaluate(spec, stage, gains)
+        return self._seen[key].mean
+
+    def evaluate(self, spec: PolicySpec, stage: str, gains: Gains) -> Evaluation:
+        """Evaluate a policy, unless it is known."""
+        found = self._record.get(spec.title, gains)
+        if found is None:
+            costs, derailed = self._proving.costs(spec)
+            found = Evaluation(spec.title, stage, gains, tuple(map(float, costs)), derailed)
+            self._record.put(found)
+        else:
+            self.reused += 1
+        self.evaluations.append(found)
+        self._tell(stage)
+        return found
+
+    def _tell(self, stage: str) -> None:
+        self._asked += 1
+        tried = [e.mean for e in self.evaluations if e.stage != REFERENCE]
+        best = f", best J {min(tried):.5f}" if tried else ""
+        self._progress(min(self._asked, self._total), self._total, f"{stage}{best}")
+
+
+def refuse_packaged(file: Path) -> None:
+    """Refuse to write into the packaged files of parameters.
+
+    Raises
+    ------
+    ConfigError
+        The file is one of these, or would become one.
+    """
+    folder = resources.files("sayd_env.configs").joinpath("control")
+    if Path(str(folder)).resolve() == file.resolve().parent:
+        known = ", ".join(packaged_names("control"))
+        raise ConfigError(f"{file}: lies among the packaged files ({known}); take another -o")

@@ -1,0 +1,209 @@
+"""Result files: plain JSON, complete or absent, with everything needed to repeat the result."""
+
+from __future__ import annotations
+
+import csv
+import enum
+import io
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from sayd_env.config import ConfigError, Model
+from sayd_env.report.files import (
+    ResultDirectory,
+    csv_bytes,
+    document,
+    git_state,
+    json_text,
+    jsonable,
+)
+
+
+class Colour(enum.Enum):
+    RED = "red"
+
+
+class Section(Model):
+    speed: float = 80.0
+
+
+@dataclass(frozen=True)
+class Sine:
+    """A small study result."""
+
+    values: np.ndarray
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"values": self.values, "peak": self.values.max()}
+
+    def tables(self) -> Mapping[str, Any]:
+        return {"sine": (("index", "value"), enumerate(self.values))}
+
+    def plots(self) -> Mapping[str, Callable[[Figure], None]]:
+        def draw(figure: Figure) -> None:
+            figure.subplots().plot(self.values)
+
+        return {"sine": draw}
+
+    def summary(self, console: Console) -> None:
+        console.print("a sine")
+
+
+RESULT = Sine(np.sin(np.linspace(0.0, math.pi, 5)))
+
+
+def test_numpy_values_become_plain_json_and_non_finite_numbers_become_null():
+    value = {
+        "array": np.array([[1.5, np.nan], [np.inf, -2.0]]),
+        "single": np.float32(0.5),
+        "double": np.float64("nan"),
+        "integer": np.int32(3),
+        "flag": np.bool_(True),
+        "enum": Colour.RED,
+        "path": Path("a/b"),
+        "model": Section(),
+        "dataclass": Sine(np.zeros(1)),
+        "none": None,
+        2: (1, "x"),
+    }
+    expected = {
+        "array": [[1.5, None], [None, -2.0]],
+        "single": 0.5,
+        "double": None,
+        "integer": 3,
+        "flag": True,
+        "enum": "red",
+        "path": "a/b",
+        "model": {"speed": 80.0},
+        "dataclass": {"values": [0.0]},
+        "none": None,
+        "2": [1, "x"],
+    }
+    assert jsonable(value) == expected
+    assert json.loads(json_text(value)) == expected
+
+
+def test_a_value_json_does_not_know_is_refused():
+    with pytest.raises(TypeError, match="complex"):
+        jsonable({"eigenvalue": 1j})
+
+
+def test_csv_reads_back_bit_for_bit_and_has_empty_cells_for_missing_numbers():
+    rows = [(np.float64(0.1) * 3, math.nan), (np.float32(1.0), "a,b")]
+    read = list(csv.reader(io.StringIO(csv_bytes(("x_m", "y"), rows).decode())))
+    assert read[0] == ["x_m", "y"]
+    assert float(read[1][0]) == 0.1 * 3
+    assert read[1][1] == ""
+    assert read[2] == ["1.0", "a,b"]
+
+
+def test_csv_refuses_a_row_of_another_length():
+    with pytest.raises(ValueError, match="1 cells under a header of 2"):
+        csv_bytes(("a", "b"), [(1,)])
+
+
+def test_a_result_is_saved_with_tables_plots_and_provenance(tmp_path: Path):
+    content = document(RESULT, Section(), seed=7)
+    files = ResultDirectory(tmp_path / "deep" / "er").save(RESULT, content)
+    assert [path.name for path in files] == ["sine.csv", "sine.png", "result.json"]
+    assert sorted(path.name for path in files[0].parent.iterdir()) == ["result.json", "sine.csv", "sine.png"]
+    stored = json.loads(files[-1].read_text())
+    assert stored["config"] == {"speed": 80.0}
+    assert stored["seed"] == 7
+    assert stored["peak"] == 1.0
+    assert stored["versions"]["numpy"] == np.__version__
+    assert {"python", "sayd_env", "scipy", "numba"} <= set(stored["versions"])
+    assert stored["git_commit"] is None or re.fullmatch("[0-9a-f]{40}", stored["git_commit"])
+    assert files[1].read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+
+
+def test_a_page_gets_the_stored_pictures_and_the_record(tmp_path: Path):
+    class Paged(Sine):
+        def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> Mapping[str, str]:
+            return {"report": f"<p>seed {document['seed']}: {sorted(images)}, {len(images['sine'])}</p>"}
+
+    paged = Paged(RESULT.values)
+    files = ResultDirectory(tmp_path).save(paged, document(paged, None, seed=7))
+    assert [path.name for path in files] == ["sine.csv", "sine.png", "report.html", "result.json"]
+    size = (tmp_path / "sine.png").stat().st_size
+    assert (tmp_path / "report.html").read_text() == f"<p>seed 7: ['sine'], {size}</p>"
+
+
+def test_keys_of_the_record_cannot_be_overwritten_by_a_result():
+    class Clash(Sine):
+        def as_dict(self) -> dict[str, Any]:
+            return {"seed": 1}
+
+    with pytest.raises(ValueError, match="seed"):
+        document(Clash(np.zeros(1)), None, None)
+
+
+def test_outside_a_checkout_there_is_no_commit(tmp_path: Path):
+    assert git_state(tmp_path) == (None, None)
+
+
+@pytest.mark.parametrize("failing", ["write", "replace"])
+def test_an_interrupted_write_leaves_the_former_files_untouched(
+    failing: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    directory = ResultDirectory(tmp_path)
+    directory.write({"table.csv": b"old", "result.json": b"old"})
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync" if failing == "write" else "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        directory.write({"table.csv": b"new", "result.json": b"new"})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        "table.csv": b"old",
+        "result.json": b"old",
+    }
+
+
+def test_a_plot_that_fails_leaves_no_file(tmp_path: Path):
+    class Broken(Sine):
+        def plots(self) -> Mapping[str, Callable[[Figure], None]]:
+            def draw(figure: Figure) -> None:
+                raise RuntimeError("no picture")
+
+            return {"broken": draw}
+
+    with pytest.raises(RuntimeError, match="no picture"):
+        ResultDirectory(tmp_path).save(Broken(np.zeros(1)), {})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_one_clear_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    directory = ResultDirectory(tmp_path)
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ConfigError, match=r"cannot be written \(No space left on device\)"):
+        directory.write({"result.json": b"{}"})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_in_the_way_is_found_before_the_study_starts(tmp_path: Path):
+    (tmp_path / "file").write_text("x")
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(ConfigError, match="a file is in the way"):
+            ResultDirectory(path)
+
+
+def test_a_directory_that_cannot_be_written_is_found_before_the_study_starts():
+    # Not even root may create a file there.
+    with pytest.raises(ConfigError, match="--out /proc/sayd: cannot be written"):
+        ResultDirectory(Path("/proc/sayd"))

@@ -1,0 +1,323 @@
+"""Comparisons: who takes part, how runs become J, and a small one from end to end."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
+from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
+
+from sayd_env.cli import main
+from sayd_env.config import ConfigError
+from sayd_env.config.comparison import ComparedTrack, ComparisonConfig, load_comparison
+from sayd_env.config.control import load_controller
+from sayd_env.envs.single import SaydEnv
+from sayd_env.runs.rollouts import PolicySpec
+from sayd_env.studies.comparison import compare as module
+from sayd_env.studies.comparison.compare import CompareResult, compare, fewer
+from sayd_env.studies.comparison.entrants import Contestant, contestants
+from sayd_env.studies.comparison.grid import OWN, Arena, Keeper, Variant, constant
+from sayd_env.studies.comparison.scores import Stability
+
+ENVIRONMENT = "base: randomized\nepisode_s: 4.0\n"
+STUDY = "base: nominal\nassessment: {run_in: 200.0, length: 600.0}\n"
+COMPARISON = """
+environment: env.yaml
+length: 600.0
+tracks: [{name: german_low, scale: 0.6}]
+speeds_kmh: [250.0, 350.0]
+wear: [1.0]
+friction: [0.35]
+seeds: [5]
+initial_current: 0.0
+critical_speed: {study: study.yaml, speeds_kmh: [320.0, 400.0], wear: 1.0, seeds: [3]}
+constants: [0.3]
+force_weights: [0.5, 1.0, 2.0]
+bootstrap: {samples: 200, seed: 0}
+"""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A comparison of two conditions on a short track."""
+    folder = tmp_path_factory.mktemp("comparison")
+    (folder / "env.yaml").write_text(ENVIRONMENT)
+    (folder / "study.yaml").write_text(STUDY)
+    (folder / "small.yaml").write_text(COMPARISON)
+    return folder / "small.yaml"
+
+
+@pytest.fixture(scope="module")
+def config(file: Path) -> ComparisonConfig:
+    return load_comparison(str(file))
+
+
+@pytest.fixture(scope="module")
+def policy() -> Callable[..., StoredPolicy]:
+    """Maker of a policy without sight, of one command for ever."""
+    interface = SaydEnv(observation="features", control_period=0.05).interface
+
+    def make(command: float, **made: Any) -> StoredPolicy:
+        description = describe(
+            interface,
+            name="blind",
+            inputs={"speed": InputConfig(middle=80.0, half=20.0)},
+            clip=3.0,
+            output=OutputConfig(kind="command"),
+            network=NetworkConfig(hidden=(), activation="tanh"),
+            squash="clip",
+            made=made,
+        )
+        layer = np.zeros((2, 1), np.float32), np.full(2, 2 * command - 1, np.float32)
+        return StoredPolicy(description, (layer,))
+
+    return make
+
+
+def trained(seed: int, algorithm: str = "ppo") -> dict[str, Any]:
+    learning = {"algorithm": algorithm}
+    return {"steps": 7, "git_commit": "abc", "config": {"seed": seed, "learning": learning}}
+
+
+@pytest.fixture
+def folder(policy: Callable[..., StoredPolicy], tmp_path: Path) -> Path:
+    """Three policies of PPO with the training seeds 2, 0 and 1, and one of SAC."""
+    for name, seed in (("a", 2), ("b", 0), ("c", 1)):
+        save_policy(tmp_path / f"{name}.npz", policy(0.1 * seed, **trained(seed)))
+    save_policy(tmp_path / "d.npz", policy(0.4, **trained(0, "sac")))
+    return tmp_path
+
+
+def test_a_folder_is_a_group_for_each_algorithm(folder: Path):
+    found = contestants([str(folder)])
+    assert [each.name for each in found] == ["passive", "mppt2", "ppo", "sac"]
+    assert found[2].titles == ("ppo-s0", "ppo-s1", "ppo-s2")
+    assert [each.learned for each in found] == [False, False, True, True]
+
+
+def test_files_are_grouped_under_a_name(folder: Path, policy: Callable[..., StoredPolicy]):
+    (found,) = contestants([f"mine={folder}/c.npz+{folder}/a.npz", "mppt2", "passive"])[:1]
+    assert found.titles == ("mine-s1", "mine-s2")
+    (folder / "run").mkdir()
+    save_policy(folder / "run" / "best.npz", policy(0.25))
+    save_policy(folder / "run" / "last.npz", policy(0.26))
+    (found,) = contestants(["passive", "mppt2", f"mine={folder}/run"])[2:]
+    assert [Path(member.stored.source).name for member in found.members if member.stored] == ["best.npz"]
+    assert found.titles == ("mine-0",)  # its training seed is not known
+
+
+def test_who_takes_part_by_default():
+    names = [each.name for each in contestants()]
+    assert names[:5] == ["passive", "mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("mppt3", r"'mppt3': unknown, did you mean 'mppt"),
+        ("nowhere.npz", r"nowhere.npz: cannot be read"),
+        ("x={0}/empty", r"empty: holds no files of learned policies"),
+        ("a b={0}/a.npz", r"'a b=...': expected a name of letters"),
+        ("x={0}/a.npz+{0}/a.npz", r"a.npz: is the same policy as .*a.npz"),
+        ("x={0}/a.npz+", r"'NAME=FILE\+FILE...': found an empty place"),
+        ("mppt1={0}/a.npz", r"'mppt1=...': is the name of a controller"),
+        ("mppt1,mppt1", r"policy 'mppt1' stands there twice"),
+        ("x={0}/a.npz,y={0}/a.npz", r"a.npz: is the same policy as .*a.npz; a training seed counts once"),
+    ],
+)
+def test_who_cannot_take_part_is_refused(text: str, message: str, folder: Path):
+    (folder / "empty").mkdir()
+    with pytest.raises(ConfigError, match=message):
+        contestants(["passive", *text.format(folder).split(",")])
+
+
+def test_a_comparison_needs_the_length_of_an_episode(config: ComparisonConfig):
+    with pytest.raises(ConfigError, match=r"300 m are over before the 4 s .* at 350 km/h; expected 389"):
+        Arena.of(config.model_copy(update={"length": 300.0}))
+
+
+def test_what_cannot_be_is_refused_before_any_work(
+    config: ComparisonConfig, entrants: list[Contestant], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.delattr(module, "run_all")
+    nowhere = config.critical_speed.model_copy(update={"study": "nowhere"})
+    with pytest.raises(ConfigError, match=r"unknown study 'nowhere'"):
+        compare(config.model_copy(update={"critical_speed": nowhere}), entrants)
+
+
+def test_conditions_are_all_combinations_and_reach_the_vehicle(config: ComparisonConfig):
+    many = config.model_copy(
+        update={
+            "tracks": (ComparedTrack(name="china"), ComparedTrack(name="german_low", scale=0.4)),
+            "wear": (0.0, 1.0),
+        }
+    )
+    arena = Arena.of(many)
+    groups = arena.groups(PolicySpec("mppt2"))
+    assert len(groups) == len(arena.conditions) == 2 * 2 * 2
+    last = groups[-1]
+    assert (last.speed * 3.6, last.scenario.wear, last.scenario.friction) == (350.0, 1.0, 0.35)
+    assert getattr(last.scenario.track.irregularity, "scale") == 0.4  # noqa: B009 - of one kind of track
+    assert last.scenario.damper.type == "sayd"
+    assert not last.config.randomisation.tracks
+    assert last.config.randomisation.tolerances  # still drawn from the seed
+    assert arena.groups(PolicySpec("passive"))[0].scenario.damper.type == "passive"
+
+
+def test_the_constant_s_run_is_that_of_its_command(config: ComparisonConfig, tmp_path: Path):
+    """By name, with the command of its file, it shares the store of those with a command of their own."""
+    arena = Arena.of(config)
+    own = load_controller("constant").model_dump()["current"]
+    keeper = Keeper(tmp_path, arena)
+    places = [
+        keeper.place(arena.groups(policy)[0], 5)
+        for policy in (PolicySpec("constant"), constant(own), constant(1.0))
+    ]
+    assert places[0] == places[1]
+    assert places[0][0] is places[2][0]
+    assert places[0][1] != places[2][1]
+
+
+def test_j_has_the_weights_and_the_charge_of_its_variant(config: ComparisonConfig):
+    """k_y = 1 and k_F = 0.5; J_term = 12 a second, doubled with k_F because 2 k_F then exceeds k_y."""
+    arena = Arena.of(config)
+    columns = {
+        "acceleration": 0.3,
+        "force": 0.2,
+        "offline_acceleration": 0.5,
+        "offline_force": 0.1,
+        "lost": 0.25,
+        "offline_lost": 0.25,
+    }
+    runs = {name: np.array([[value, value]]) for name, value in columns.items()}
+    runs["lost"][0, 0] = 0.0
+    runs["offline_acceleration"][0, 1] = np.inf
+    assert arena.costs(runs, OWN)[0] == pytest.approx([0.3 + 0.1, 0.4 + 0.25 * 12])
+    assert arena.costs(runs, Variant("online", 2.0))[0] == pytest.approx([0.5, 0.5 + 0.25 * 24])
+    assert arena.costs(runs, Variant("online", 0.5))[0] == pytest.approx([0.35, 0.35 + 0.25 * 12])
+    # Off line, what derailed counts as on line, also if it was behind the episode.
+    assert arena.costs(runs, Variant("offline", 1.0))[0] == pytest.approx([0.55, 0.4 + 0.25 * 12])
+    runs["lost"][0, 1] = 0.0
+    assert arena.costs(runs, OWN)[0, 1] == pytest.approx(0.4)
+    assert arena.costs(runs, Variant("offline", 1.0))[0, 1] == pytest.approx(0.4 + 0.25 * 12)
+
+
+def test_quick_takes_a_few(config: ComparisonConfig):
+    few = fewer(config.model_copy(update={"wear": (0.2, 0.9), "seeds": (1, 2, 3)}))
+    assert (few.wear, few.seeds, few.speeds_kmh) == ((0.9,), (1,), (350.0,))
+    assert few.critical_speed.speeds_kmh == (320.0, 400.0)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kept")
+
+
+@pytest.fixture(scope="module")
+def entrants(
+    policy: Callable[..., StoredPolicy], tmp_path_factory: pytest.TempPathFactory
+) -> list[Contestant]:
+    """The passive vehicle, MPPT2 and a blind policy that always commands 0.3."""
+    path = tmp_path_factory.mktemp("policies") / "blind.npz"
+    save_policy(path, policy(0.3, **trained(4)))
+    return contestants(["passive", "mppt2", f"blind={path}"])
+
+
+@pytest.fixture(scope="module")
+def result(config: ComparisonConfig, entrants: list[Contestant], kept: Path) -> CompareResult:
+    return compare(config, entrants, folder=kept)
+
+
+def test_a_blind_policy_scores_as_the_constant_that_it_commands(result: CompareResult):
+    """Its clock is another, but over the episode J on line is the same."""
+    assert result.bounds[OWN].costs == pytest.approx(result.costs[OWN]["blind"], rel=1e-6)
+    assert result.field(result.contestants[2], "valve_mean") == pytest.approx(0.3)
+
+
+def test_the_result_has_what_scripts_read(result: CompareResult):
+    found = result.as_dict()
+    assert list(found["scores"]) == ["passive", "mppt2", "blind"]
+    assert {"iqm", "ci95", "worst_vs_passive", "online", "offline"} <= found["scores"]["blind"].keys()
+    assert (found["scores"]["mppt2"]["iqm"], found["scores"]["mppt2"]["ci95"]) == (1.0, [1.0, 1.0])
+    assert [each["speed_kmh"] for each in found["scenarios"]] == [250.0, 350.0]
+    assert found["critical_speed_kmh"]["mppt2"] is None
+    assert found["matrix"]["blind"]["training_seeds"] == ("blind-s4",)
+    assert found["matrix"]["blind"]["J"].shape == (1, 2)
+    (learned,) = found["learned"]
+    assert (learned["seed"], learned["steps"], learned["git_commit"]) == (4, 7, "abc")
+    assert len(learned["sha256"]) == 64
+    assert found["targets"] == []  # three of the paper's controllers are missing
+    assert result.missing == ("mppt1", "skyhook-onoff", "skyhook-continuous")
+
+
+def test_passive_wheels_are_critical_where_the_map_has_them(result: CompareResult):
+    """Worn wheels hunt at 400 km/h with passive dampers and do not with a closed valve (Wang et al.)."""
+    assert not result.stability["passive"].stable
+    assert result.stability["mppt2"].stable
+
+
+def crosses(stability: Stability) -> bool:
+    """Whether one of the two limits is crossed within the grid, which takes a run halfway."""
+    return any(speed is not None for speed in stability.by_criterion.values())
+
+
+def test_nothing_is_run_twice(
+    config: ComparisonConfig, entrants: list[Contestant], kept: Path, result: CompareResult
+):
+    again = compare(config, entrants, folder=kept)
+    # Three policies and the constant in two conditions; three at two speeds, and halfway to a crossing.
+    assert again.reused == 4 * 2 + 3 * 2 + sum(crosses(each) for each in result.stability.values())
+    assert np.array_equal(again.costs[OWN]["blind"], result.costs[OWN]["blind"])
+    assert again.scores[OWN]["blind"].to_passive == result.scores[OWN]["blind"].to_passive
+
+
+def test_other_weights_under_the_same_name_are_another_policy(
+    config: ComparisonConfig,
+    kept: Path,
+    result: CompareResult,
+    policy: Callable[..., StoredPolicy],
+    tmp_path: Path,
+):
+    save_policy(tmp_path / "blind.npz", policy(0.1, **trained(4)))
+    copy = shutil.copytree(kept, tmp_path / "runs")
+    found = compare(
+        fewer(config), contestants(["passive", "mppt2", f"blind={tmp_path}/blind.npz"]), folder=copy
+    )
+    assert found.field(found.contestants[2], "valve_mean") == pytest.approx(0.1)
+    # The others and the constant are taken from the disk, at one speed and on the way to the critical one.
+    assert found.reused == 3 + 2 * 2 + sum(crosses(result.stability[name]) for name in ("passive", "mppt2"))
+
+
+def test_an_interrupted_comparison_keeps_what_was_run(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "stability_map", interrupted)
+    arguments = ["compare", "--config", str(file), "--policies", "mppt2", "--quick", "--out", str(tmp_path)]
+    assert main(arguments) == 130
+    assert f"finished runs are in {tmp_path}/runs; the same command goes on" in capsys.readouterr().err
+    assert len(list(tmp_path.glob("runs/compare-*/*.npz"))) == 3
+    assert not (tmp_path / "result.json").exists()
+    monkeypatch.undo()
+    assert main([*arguments, "--json"]) == 0
+    printed = capsys.readouterr()
+    assert "3 runs had been finished by an earlier start" in printed.err
+    assert json.loads(printed.out)["scores"]["mppt2"]["iqm"] == 1.0
+    tables = (
+        "scores.csv",
+        "against.csv",
+        "matrix.csv",
+        "stability.csv",
+        "best_constant.csv",
+        "compare.png",
+        "result.json",
+    )
+    assert {path.name for path in tmp_path.iterdir()} == {*tables, "runs"}

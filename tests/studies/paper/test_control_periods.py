@@ -1,0 +1,60 @@
+"""Rows S1 to S6 at several control periods: judged as in the table of claims, each run once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from sayd_env.config import ConfigError
+from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.runs.controlled import ControlledRuns
+from sayd_env.stability import Limits
+from sayd_env.studies.paper.control_periods import period_sensitivity
+from sayd_env.studies.paper.controlled_claims import controlled_claims, skyhook_claims, skyhook_runs
+
+
+def test_the_skyhook_rows_need_both_skyhooks_and_mppt_at_400():
+    runs = skyhook_runs()
+    assert {policy for policy, *_ in runs} == {"mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous"}
+    assert len(runs) == len(set(runs)) == 2 * 5 + 2
+    assert {current for *_, current in runs} == {0.0}
+
+
+def test_the_rows_are_judged_as_among_all_others(paper_runs: Callable[..., ControlledRuns], limits: Limits):
+    everything = paper_runs()
+    wanted = {(policy, round(speed * 3.6), current) for policy, speed, current in skyhook_runs()}
+    few = ControlledRuns(
+        run for run in everything.runs if (run.policy, round(run.speed * 3.6), run.initial_current) in wanted
+    )
+    among_all = [claim for claim in controlled_claims(everything, limits) if claim.id.startswith("S")]
+    assert skyhook_claims(few, limits) == among_all
+
+
+@pytest.mark.slow
+def test_periods_stand_side_by_side_and_are_run_once(tmp_path: Path):
+    scenario = load_scenario("estimates", ("assessment.run_in=200", "assessment.length=600"))
+    first = period_sensitivity(scenario, [0], (0.005, 0.01), folder=tmp_path)
+    assert first.rows == ("S1", "S2", "S3", "S4", "S5", "S6")
+    header, rows = first.table()
+    assert [(row[0], row[1]) for row in rows[:4]] == [
+        ("S1", 0.005),
+        ("S1", 0.01),
+        ("S2", 0.005),
+        ("S2", 0.01),
+    ]
+    assert {len(row) for row in rows} == {len(header)}
+    second = period_sensitivity(scenario, [0], (0.01, 0.02), folder=tmp_path)
+    assert (first.reused, second.reused) == (0, len(skyhook_runs()))
+    assert second.claims[0.01] == first.claims[0.01]
+
+
+@pytest.mark.parametrize(
+    ("periods", "problem"), [((0.01, 0.01), "different ones"), ((0.003,), "divides a second"), ((), "one")]
+)
+def test_periods_that_cannot_be_are_refused(
+    periods: tuple[float, ...], problem: str, short_scenario: Scenario
+):
+    with pytest.raises(ConfigError, match=problem):
+        period_sensitivity(short_scenario, [0], periods)

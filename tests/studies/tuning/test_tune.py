@@ -1,0 +1,262 @@
+"""Tuning: the search finds a known optimum, evaluations are not lost, and J is the rollout evaluator's."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sayd_env.cli import main
+from sayd_env.config import ConfigError
+from sayd_env.config.control import load_controller
+from sayd_env.config.errors import Interrupted
+from sayd_env.config.tuning import ControllerTuning, TuningConfig, load_tuning
+from sayd_env.envs.draw import draw_episode
+from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.keywords import configured
+from sayd_env.envs.rollout import roll_out
+from sayd_env.runs.evaluator import Proving
+from sayd_env.runs.rollouts import PolicySpec, policy_spec
+from sayd_env.studies.tuning import tune as module
+from sayd_env.studies.tuning.search import minimise
+from sayd_env.studies.tuning.tune import tune
+
+TINY = (
+    "episode_s=2.0",
+    "references=[passive]",
+    "scenarios=[{speed_kmh: 300.0, wear: 0.5, friction: 0.3, seed: 9000},"
+    " {speed_kmh: 200.0, wear: 0.0, friction: 0.4, seed: 9001}]",
+    "controllers.constant.polish=2",
+)
+
+
+def search_of(**content: object) -> ControllerTuning:
+    return ControllerTuning.model_validate(content)
+
+
+def test_one_gain_s_optimum_is_found():
+    """(x - 0.42)^2: Brent's parabola meets it at once."""
+    tried: list[float] = []
+
+    def cost(stage: str, place: np.ndarray) -> float:
+        tried.append(float(place[0]))
+        return float((place[0] - 0.42) ** 2)
+
+    minimise(search_of(gains={"current": {"low": 0.0, "high": 1.0}}, polish=12), {}, cost, 0)
+    assert len(tried) <= 12
+    assert min(tried, key=lambda x: abs(x - 0.42)) == pytest.approx(0.42, abs=1e-6)
+
+
+def test_several_gains_optimum_is_found_within_the_budget():
+    """A bowl whose valley runs across two of three gains, one of them a share, the optimum inside."""
+    tuning = search_of(
+        gains={
+            "k_J": {"low": 0.0, "high": 0.2},
+            "threshold_max": {"low": 0.1, "high": 1.1},
+            "threshold_min": {"low": 0.0, "high": 1.0, "share_of": "threshold_max"},
+        },
+        search=60,
+        population=10,
+        polish=60,
+        radius=0.2,
+    )
+    seen: list[tuple[str, float, dict[str, float]]] = []
+
+    def cost(stage: str, place: np.ndarray) -> float:
+        gains = tuning.values(place, 12)
+        x, y = (gains["k_J"] - 0.05) / 0.2, gains["threshold_max"] - 0.7
+        value = x**2 + (y + x) ** 2 + (gains["threshold_min"] - 0.35) ** 2
+        seen.append((stage, value, gains))
+        return float(value)
+
+    own = {"k_J": 0.2, "threshold_max": 1.0, "threshold_min": 0.9}
+    minimise(tuning, own, cost, 3)
+    assert seen[0][2] == pytest.approx(own)  # the search starts from what the controller has
+    assert [stage for stage, *_ in seen].count("search") == 60
+    assert len(seen) <= 120
+    _, value, gains = min(seen, key=lambda each: each[1])
+    assert value < 1e-4
+    assert gains == pytest.approx({"k_J": 0.05, "threshold_max": 0.7, "threshold_min": 0.35}, abs=0.02)
+
+
+class Bowl:
+    """Stands in for the vehicles: J is a bowl around a current of 0.45; stops after some evaluations."""
+
+    made = 0
+    stop: int | None = None
+
+    def __init__(self, settings: TuningConfig, workers: int | None) -> None:
+        self.environment = self.scenario = "none"
+        self.count = len(settings.scenarios)
+
+    def costs(self, policy: PolicySpec) -> tuple[np.ndarray, int]:
+        if Bowl.stop == Bowl.made:
+            raise KeyboardInterrupt
+        Bowl.made += 1
+        current = policy.parameters.get("current", 0.0)
+        return 0.02 + (current - 0.45) ** 2 + 0.1 * np.arange(self.count), 0
+
+
+@pytest.fixture
+def bowl(monkeypatch: pytest.MonkeyPatch) -> type[Bowl]:
+    monkeypatch.setattr(module, "Proving", Bowl)
+    monkeypatch.setattr(Bowl, "made", 0)
+    monkeypatch.setattr(Bowl, "stop", None)
+    return Bowl
+
+
+def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_path: Path):
+    settings, table = load_tuning(), tmp_path / "evaluations.csv"
+    whole = tune("constant", settings)
+    needed, bowl.made = bowl.made, 0
+    bowl.stop = 9
+    with pytest.raises(Interrupted, match=r"9 evaluations are kept in .*evaluations\.csv; the same command"):
+        tune("constant", settings, table=table)
+    assert len(table.read_text().splitlines()) == 1 + 9
+    bowl.stop = None
+    result = tune("constant", settings, table=table)
+    assert bowl.made == needed  # none of the nine again
+    assert result.reused == 9
+    assert result.evaluations == whole.evaluations
+    assert tune("constant", settings, table=table).best == result.best
+    assert bowl.made == needed
+    assert result.best.gains["current"] == pytest.approx(0.45, abs=1e-4)
+    # Mean over 24 scenarios of 0.1 k is 1.15; the least J is 0.02.
+    assert result.best.mean == pytest.approx(1.17, abs=1e-6)
+    assert result.before.mean == pytest.approx(1.17 + 0.45**2, abs=1e-9)
+
+
+def test_evaluations_on_other_scenarios_are_made_anew(bowl: type[Bowl], tmp_path: Path):
+    table = tmp_path / "evaluations.csv"
+    tune("constant", load_tuning(), table=table)
+    needed, bowl.made = bowl.made, 0
+    other = tune("constant", load_tuning(overrides=["episode_s=10.0"]), table=table)
+    assert (bowl.made, other.reused) == (needed, 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a,b\n1,2\n", "is no table of evaluations; choose another --out or remove it"),
+        ("", "is no table of evaluations"),
+        ("inputs,policy,stage,derailed\n" + 200_000 * "x" + "\n", "is no table of evaluations"),
+    ],
+)
+def test_a_table_of_something_else_is_refused(bowl: type[Bowl], tmp_path: Path, text: str, message: str):
+    table = tmp_path / "evaluations.csv"
+    table.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        tune("constant", load_tuning(), table=table)
+    assert table.read_text() == text
+
+
+def test_a_damaged_row_is_named(bowl: type[Bowl], tmp_path: Path):
+    table = tmp_path / "evaluations.csv"
+    tune("constant", load_tuning(), table=table)
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([*lines[:3], lines[3].rpartition(",")[0] + ",x"]))
+    with pytest.raises(ConfigError, match="line 4: is no evaluation; remove the line"):
+        tune("constant", load_tuning(), table=table)
+
+
+def test_the_file_of_parameters_is_the_controller_with_other_gains(bowl: type[Bowl], tmp_path: Path):
+    result = tune("mppt2", load_tuning().shortened(), name="mine.yaml", command="sayd tune mppt2 --quick")
+    file = tmp_path / "mppt2-tuned.yaml"
+    file.write_text(result.control_file())
+    found = load_controller(str(file)).model_dump()
+    about = found.pop("provenance")
+    assert found == load_controller("mppt2").model_dump() | dict(result.best.gains)
+    assert about["command"] == "sayd tune mppt2 --quick"
+    assert about["scenarios"] == "4 of mine.yaml, 12 s, seeds 8005 to 8023"
+    assert about["evaluations"] == len(result.tried)
+    assert about["J_before"] == pytest.approx(0.17 + 0.45**2, rel=1e-5)  # mean of 0, 0.1, 0.2, 0.3: 0.15
+
+
+def test_j_is_that_of_the_rollout_evaluator():
+    """The same episodes by `roll_out`: J of the parts, weighted; policies leave no trace, nor do threads."""
+    settings = load_tuning(overrides=TINY)
+    proving = Proving(settings, workers=1)
+    spec = policy_spec("constant:0.42")
+    costs, derailed = proving.costs(spec)
+    assert derailed == 0
+    config, scenario = configured("training", episode_s=2.0)
+    fleet = Fleet(config, 2, scenario=scenario, num_threads=1)
+    episodes = [
+        draw_episode(config, s.seed, 0, s.model_dump(exclude={"seed"}) | {"initial_current": 0.0})
+        for s in settings.scenarios
+    ]
+    runs = roll_out(fleet, spec.make(fleet), episodes, [200, 200])
+    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
+    assert costs == pytest.approx([np.dot(weights, run.cost(2.0)) for run in runs], rel=1e-9)
+    assert not np.array_equal(proving.costs(policy_spec("mppt2"))[0], costs)
+    assert np.array_equal(proving.costs(spec)[0], costs)
+    assert np.array_equal(Proving(settings, workers=2).costs(spec)[0], costs)
+
+
+def test_a_tuning_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Two evaluations, golden sections of 0.3 to 0.6 from either end: the better one wins and can be used."""
+    arguments = [text for change in TINY for text in ("--set", change)]
+    out = tmp_path / "out"
+    assert main(["tune", "constant", *arguments, "--out", str(out), "--json", "--workers", "1"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert {path.name for path in out.iterdir()} == {
+        "result.json",
+        "evaluations.csv",
+        "scenarios.csv",
+        "tune.png",
+        "constant-tuned.yaml",
+    }
+    assert content["evaluations"] == 2
+    golden = (3.0 - 5.0**0.5) / 2.0
+    assert content["gains"]["current"] in (
+        pytest.approx(0.3 + 0.3 * golden, abs=1e-4),
+        pytest.approx(0.6 - 0.3 * golden, abs=1e-4),
+    )
+    with (out / "evaluations.csv").open() as stream:
+        tried = [row for row in csv.DictReader(stream) if row["policy"] == "constant-tuned"]
+    means = [(float(row["J_9000"]) + float(row["J_9001"])) / 2.0 for row in tried]
+    assert len(means) == 2
+    assert content["J_after"] == pytest.approx(min(means), rel=1e-12)
+    assert content["gains"]["current"] == float(tried[int(np.argmin(means))]["current"])
+    assert list(content["J"]) == ["passive", "constant", "constant-tuned"]
+    spec = policy_spec(str(out / "constant-tuned.yaml"))
+    assert spec.title == "constant-tuned@out"
+    policy = spec.make(Fleet(configured("training")[0], 1, num_threads=1))
+    action, _ = policy.predict(np.zeros((1, 41), dtype=np.float32))
+    assert np.array_equal(action, np.full((1, 2), content["gains"]["current"], dtype=np.float32))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["mppt1"], "mppt1"),
+        (["constant", "--out", "x.yaml"], "expected a directory; the file of parameters is -o x.yaml"),
+        (["constant", "-o", "x.txt"], "expected a file that ends in .yaml"),
+        (["constant", "--set", "references=[mppt3]"], "policy 'mppt3': unknown"),
+        (["constant", "--set", "scenarios.0.speed_kmh=900.0"], "speed_kmh"),
+    ],
+)
+def test_bad_input_is_one_message(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["tune", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_a_packaged_file_is_never_written(capsys: pytest.CaptureFixture[str]):
+    packaged = Path(__file__).parents[2] / "configs" / "control" / "mppt2-tuned.yaml"
+    before = packaged.read_bytes()
+    assert main(["tune", "mppt2", "--quick", "-o", str(packaged), "--json"]) == 2
+    assert "lies among the packaged files" in capsys.readouterr().err
+    assert main(["tune", "mppt2", "--quick", "--out", str(packaged.parent)]) == 2
+    assert packaged.read_bytes() == before
