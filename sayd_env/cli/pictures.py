@@ -96,7 +96,7 @@ def render(
     imageio-ffmpeg: pip install 'sayd-env[render]' or 'sayd-env[video]'.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.runs.rollouts import policy_spec  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
     from sayd_env.studies.learning import foreign_reader  # noqa: PLC0415
     from sayd_env.studies.render import Film, fixed_laws  # noqa: PLC0415
     from sayd_env.studies.render import render as study  # noqa: PLC0415

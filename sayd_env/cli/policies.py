@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from sayd_env.config.scenario import Scenario
-    from sayd_env.runs.rollouts import ForeignReader, PolicySpec
+    from sayd_env.runs.policies import ForeignReader, PolicySpec
 
 KMH = 3.6
 
@@ -110,7 +110,7 @@ def _scenario(
 
 
 def _specs(names: Iterable[str] | None, foreign: ForeignReader | None = None) -> list[PolicySpec]:
-    from sayd_env.runs.rollouts import policy_spec  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415 - keeps --help fast
 
     return [policy_spec(name, foreign) for name in names or ()]
 

@@ -14,7 +14,8 @@ from sayd_env.runs.controlled import ControlledRun, ControlledRuns, controlled_r
 from sayd_env.studies.evaluate import environment_of
 from sayd_env.runs.kept import run_kept
 from sayd_env.report.files import Progress, silent
-from sayd_env.runs.rollouts import Group, PolicySpec, for_policy
+from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.runs.rollouts import Group
 from sayd_env.runs.passive import run_name
 
 

@@ -26,7 +26,7 @@ from sayd_env.envs.loop import NOT_FINITE, RUNNING
 from sayd_env.envs.rollout import first_state
 from sayd_env.runs.cache import fingerprint
 from sayd_env.report.files import ResultDirectory, csv_bytes
-from sayd_env.runs.rollouts import PASSIVE, PolicySpec
+from sayd_env.runs.policies import PASSIVE, PolicySpec
 
 Array = npt.NDArray[np.float64]
 KMH = 3.6

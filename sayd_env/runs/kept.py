@@ -12,7 +12,8 @@ from sayd_env.config.control import load_controller, load_online
 from sayd_env.envs.rollout import Rollout
 from sayd_env.runs.cache import RunStore
 from sayd_env.report.files import Progress, silent
-from sayd_env.runs.rollouts import Group, PolicySpec, run_groups
+from sayd_env.runs.policies import PolicySpec
+from sayd_env.runs.rollouts import Group, run_groups
 
 CONSTANT = "constant"
 Record = TypeVar("Record")

@@ -27,7 +27,8 @@ from sayd_env.physics.simulator import VehicleModel
 from sayd_env.stability import Limits, assessed_span, averaged_spectra, band_pass, distance_run
 from sayd_env.stability.comfort import mean_comfort
 from sayd_env.runs.controlled import controlled_run_of
-from sayd_env.runs.rollouts import PASSIVE, Group
+from sayd_env.runs.policies import PASSIVE
+from sayd_env.runs.rollouts import Group
 
 Array = npt.NDArray[np.float64]
 KMH = 3.6

@@ -16,7 +16,8 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.envs.keywords import REWARDS
 from sayd_env.report.files import Progress, silent
 from sayd_env.runs.metrics import Row, policy_row
-from sayd_env.runs.rollouts import PASSIVE, Group, PolicySpec, for_policy, run_groups
+from sayd_env.runs.policies import PASSIVE, PolicySpec, for_policy
+from sayd_env.runs.rollouts import Group, run_groups
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

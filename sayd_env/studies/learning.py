@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sayd_env.agents.policy_file import StoredPolicy
     from sayd_env.agents.training import Trained
     from sayd_env.config.environment import EnvironmentConfig
-    from sayd_env.runs.rollouts import ForeignReader
+    from sayd_env.runs.policies import ForeignReader
 
 EXTRA = "needs torch and Stable-Baselines3: install them with pip install 'sayd-env[train]'"
 
@@ -187,7 +187,7 @@ def read_source(source: Path, foreign: ForeignReader | None = None) -> StoredPol
         A damaged file.
     """
     from sayd_env.agents import pretrained  # noqa: PLC0415 - keeps the import of studies light
-    from sayd_env.runs.rollouts import read_learned  # noqa: PLC0415
+    from sayd_env.runs.policies import read_learned  # noqa: PLC0415
 
     if not source.exists() and str(source) in pretrained.names():
         return read_learned(pretrained.path(str(source)))

@@ -23,7 +23,8 @@ from sayd_env.runs.cache import RunStore
 from sayd_env.runs.kept import constant_command, identity, identity_of_constants, run_kept
 from sayd_env.runs.metrics import policy_row
 from sayd_env.runs.passive import run_name
-from sayd_env.runs.rollouts import Group, PolicySpec, for_policy
+from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.runs.rollouts import Group
 from sayd_env.stability import Crossing, critical_speed
 from sayd_env.studies.evaluate import conditions, policy_groups
 

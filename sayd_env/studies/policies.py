@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from sayd_env import baselines
 from sayd_env.agents.pretrained.cards import COLUMNS, Origin, origins
 from sayd_env.report.files import Plot, Table
-from sayd_env.runs.rollouts import PASSIVE
+from sayd_env.runs.policies import PASSIVE
 
 if TYPE_CHECKING:
     from rich.console import Console

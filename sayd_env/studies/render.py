@@ -23,7 +23,7 @@ from sayd_env.envs.rollout import first_state, listens
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.files import Plot, Progress, Table, silent
 from sayd_env.report.video import Picture, checked_film, write_film
-from sayd_env.runs.rollouts import PolicySpec, for_policy
+from sayd_env.runs.policies import PolicySpec, for_policy
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -25,7 +25,7 @@ from sayd_env.cli import main  # noqa: E402
 from sayd_env.config import ConfigError, DataError  # noqa: E402
 from sayd_env.config.environment import load_environment  # noqa: E402
 from sayd_env.envs.single import SaydEnv  # noqa: E402
-from sayd_env.runs.rollouts import policy_spec  # noqa: E402
+from sayd_env.runs.policies import policy_spec  # noqa: E402
 
 Saved = Callable[..., tuple[Path, Any]]
 

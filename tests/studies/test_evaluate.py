@@ -24,7 +24,7 @@ from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.metrics import switchings
 from sayd_env.runs.passive import run_from, simulate
-from sayd_env.runs.rollouts import policy_spec
+from sayd_env.runs.policies import policy_spec
 from sayd_env.studies.critical_speed import model_limits
 from sayd_env.studies.evaluate import AVERAGED, EvaluateResult, Row, evaluate, with_reward
 

@@ -13,7 +13,7 @@ from sayd_env.config import ConfigError, DataError
 from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import load_scenario
 from sayd_env.envs.single import SaydEnv
-from sayd_env.runs.rollouts import policy_spec
+from sayd_env.runs.policies import policy_spec
 from sayd_env.studies.evaluate import evaluate
 
 SHORT = ["assessment.length=600", "wear=1"]

@@ -15,7 +15,8 @@ from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import load_sayd
 from sayd_env.config.scenario import Scenario, load_scenario
-from sayd_env.runs.rollouts import Group, PolicySpec, policy_spec
+from sayd_env.runs.policies import PolicySpec, policy_spec
+from sayd_env.runs.rollouts import Group
 from sayd_env.studies import map as module
 from sayd_env.studies.map import MapGrid, MapResult, MapRun, halfway, stability_map
 

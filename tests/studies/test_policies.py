@@ -18,7 +18,7 @@ from sayd_env import baselines
 from sayd_env.cli import main
 from sayd_env.config import ConfigError, DataError
 from sayd_env.envs.single import SaydEnv
-from sayd_env.runs.rollouts import policy_spec
+from sayd_env.runs.policies import policy_spec
 from sayd_env.studies.learning import read_source
 from sayd_env.studies.policies import policies
 

@@ -20,7 +20,7 @@ from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.report.video import checked_film, write_film
-from sayd_env.runs.rollouts import policy_spec
+from sayd_env.runs.policies import policy_spec
 from sayd_env.studies.render import Film, RenderResult, fixed_laws, render
 
 pytest.importorskip("pygame")

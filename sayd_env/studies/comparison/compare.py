@@ -16,7 +16,7 @@ from sayd_env.config.frozen import frozen
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.files import Progress, Table, silent
-from sayd_env.runs.rollouts import PolicySpec
+from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison.entrants import PAPER, Contestant, provenance
 from sayd_env.studies.comparison.grid import (
     FILTERS,

@@ -13,7 +13,7 @@ from sayd_env import baselines
 from sayd_env.agents import pretrained
 from sayd_env.agents.policy_file import StoredPolicy, read_policy
 from sayd_env.config import ConfigError, DataError
-from sayd_env.runs.rollouts import LEARNED, PolicySpec, policy_spec
+from sayd_env.runs.policies import LEARNED, PolicySpec, policy_spec
 
 PAPER = ("mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
 """The paper's controllers, as printed."""

@@ -30,7 +30,8 @@ from sayd_env.runs.kept import (
 )
 from sayd_env.runs.metrics import policy_row
 from sayd_env.runs.passive import run_name
-from sayd_env.runs.rollouts import Group, PolicySpec, for_policy
+from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.runs.rollouts import Group
 from sayd_env.studies.evaluate import environment_of
 
 Array = npt.NDArray[np.float64]

@@ -18,7 +18,7 @@ from sayd_env.config.loader import packaged_names
 from sayd_env.config.tuning import Gains, TuningConfig
 from sayd_env.report.files import Progress, git_state, silent
 from sayd_env.runs.evaluator import Evaluation, Proving, Record, inputs_of
-from sayd_env.runs.rollouts import PolicySpec, policy_spec
+from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning.search import minimise
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.comparison import ComparedTrack, ComparisonConfig, load_comparison
 from sayd_env.config.control import load_controller
 from sayd_env.envs.single import SaydEnv
-from sayd_env.runs.rollouts import PolicySpec
+from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison import compare as module
 from sayd_env.studies.comparison.compare import CompareResult, compare, fewer
 from sayd_env.studies.comparison.entrants import Contestant, contestants

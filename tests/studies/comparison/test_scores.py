@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sayd_env.config.comparison import BootstrapConfig, ComparedTrack
-from sayd_env.runs.rollouts import PolicySpec
+from sayd_env.runs.policies import PolicySpec
 from sayd_env.stability import Crossing
 from sayd_env.studies.comparison.entrants import Contestant
 from sayd_env.studies.comparison.grid import OWN, Condition

@@ -16,8 +16,8 @@ from sayd_env.config.scenario import load_scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.passive import Sweep, sweep
 from sayd_env.stability import Limits
-from sayd_env.studies.tuning import calibrate as module
 from sayd_env.studies.critical_speed import model_limits
+from sayd_env.studies.tuning import calibrate as module
 from sayd_env.studies.tuning.calibrate import Evaluation, assignments, calibrate, penalties_of, residuals_of
 
 STUDY = """

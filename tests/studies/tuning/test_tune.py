@@ -19,7 +19,7 @@ from sayd_env.envs.fleet import Fleet
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.rollout import roll_out
 from sayd_env.runs.evaluator import Proving
-from sayd_env.runs.rollouts import PolicySpec, policy_spec
+from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning import tune as module
 from sayd_env.studies.tuning.search import minimise
 from sayd_env.studies.tuning.tune import tune

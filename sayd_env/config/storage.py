@@ -1,0 +1,106 @@
+"""Files that are complete or not there: the one way in which anything is written."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from sayd_env.config.errors import StudyError
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file under another name, then give it its own.
+
+    Raises
+    ------
+    StudyError
+        It cannot be written, for example because the disk is full. A former file is still there.
+    """
+    write_files(path.parent, {path.name: content})
+
+
+def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
+    """Write several files: all of them are complete on the disk before the first gets its name.
+
+    Parameters
+    ----------
+    folder : Path
+    contents : mapping
+        Content by file name; the files get their names in this order.
+
+    Raises
+    ------
+    StudyError
+        One of them cannot be written. Former files are still there.
+    """
+    temporaries = {name: _temporary(folder / name) for name in contents}
+    try:
+        with reported(folder):
+            for name, temporary in temporaries.items():
+                _write_synced(temporary, contents[name])
+            for name, temporary in temporaries.items():
+                os.replace(temporary, folder / name)
+    finally:
+        for temporary in temporaries.values():
+            temporary.unlink(missing_ok=True)
+    return [folder / name for name in contents]
+
+
+def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
+    """Fill a folder under another name, then give it its own; nothing may have this name yet.
+
+    Parameters
+    ----------
+    path : Path
+    fill : callable
+        Writes the files into the folder that it is given.
+
+    Raises
+    ------
+    StudyError
+        It cannot be written, for example because the disk is full. Nothing is left behind then.
+    """
+    temporary = _temporary(path)
+    try:
+        with reported(path):
+            temporary.mkdir()
+            fill(temporary)
+            for file in temporary.iterdir():
+                with file.open("rb") as stream:
+                    os.fsync(stream.fileno())
+            os.replace(temporary, path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what a process that was killed had not finished."""
+    for path in folder.glob(".*.tmp"):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+@contextmanager
+def reported(path: Path) -> Iterator[None]:
+    """Turn the system's refusal to write into a `StudyError` that names the path."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:  # torch reports a full disk by a RuntimeError
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise StudyError(f"{path}: cannot be written ({reason or error})") from None
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+
+
+def _write_synced(path: Path, content: bytes) -> None:
+    with path.open("wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())

@@ -1,0 +1,13 @@
+"""The array type and the one unit that is not SI: speeds are given and printed in km/h."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+
+KMH = 3.6
+"""km/h in 1 m/s."""
