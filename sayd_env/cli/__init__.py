@@ -30,7 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     # On matrices as small as ours BLAS threads only wait for each other, a hundred times as long as the work
     # takes when the cores are busy. The studies have threads of their own.
-    threadpool_limits(1, "blas")
+    threadpool_limits(1, "blas")  # NumPy's, which is loaded already
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # SciPy's, which is not
     try:
         # A terminated run cleans up like an interrupted one.
         signal.signal(signal.SIGTERM, signal.default_int_handler)

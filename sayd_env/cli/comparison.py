@@ -9,7 +9,6 @@ import typer
 
 from sayd_env.cli import options
 from sayd_env.cli.job import Job
-from sayd_env.config.errors import Interrupted
 
 
 def compare(
@@ -47,6 +46,7 @@ def compare(
         ),
     ] = None,
     workers: options.Workers = None,
+    executor: options.Executor = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
@@ -68,12 +68,6 @@ def compare(
     if out is None and quick and not as_json:
         out = Path("results") / "compare-quick"  # a look must not replace a result
     job = Job("compare", out, as_json)
-    folder = None if job.directory is None else job.directory.path / "runs"
-    try:
-        with job.progress() as progress:
-            result = study(conditions, chosen, quick=quick, folder=folder, workers=workers, progress=progress)
-    except KeyboardInterrupt:
-        if folder is None:
-            raise
-        raise Interrupted(f"finished runs are in {folder}; the same command goes on from there") from None
+    with job.runs(executor, workers) as context:
+        result = study(conditions, chosen, quick=quick, context=context)
     job.finish(result, config=result.config, seed=result.config.bootstrap.seed)

@@ -14,7 +14,8 @@ from rich.console import Console
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from sayd_env.report.files import Progress, Result
+    from sayd_env.report.files import Result
+    from sayd_env.runs.context import Progress, RunContext
 
 QUIET_SECONDS = 2.0
 LINE_SECONDS = 10.0
@@ -64,6 +65,33 @@ class Job:
             )
         if self.as_json:
             sys.stdout.write(json_text(content))
+
+    @contextmanager
+    def runs(self, executor: str | None = None, workers: int | None = None) -> Iterator[RunContext]:
+        """Give the study its executor, the cache in the result's directory and its progress.
+
+        Raises
+        ------
+        Interrupted
+            By Ctrl-C, where finished runs are kept.
+        """
+        from sayd_env.config.errors import Interrupted  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.runs.cache import RunCache  # noqa: PLC0415
+        from sayd_env.runs.context import RunContext  # noqa: PLC0415
+        from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415
+
+        folder = None if self.directory is None else self.directory.path / "runs"
+        cache = RunCache(folder)
+        try:
+            with self.progress() as progress:
+                yield RunContext(ExecutorChoice.parse(executor, workers), cache, progress)
+        except KeyboardInterrupt:
+            if folder is None:
+                raise
+            raise Interrupted(f"finished runs are in {folder}; the same command goes on") from None
+        cache.forget_former()
+        if cache.reused:
+            self.console.print(f"{cache.reused} runs had been finished by an earlier start")
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:

@@ -237,6 +237,15 @@ Workers = Annotated[
         help="Threads (default: all cores); results do not change.",
     ),
 ]
+Executor = Annotated[
+    str | None,
+    typer.Option(
+        "--executor",
+        metavar="KIND",
+        help="Who computes: threads, processes, ray, ray://ADDRESS, dask or dask://ADDRESS; results do not "
+        "change. Default: processes where there are many runs, else threads.",
+    ),
+]
 NoSeed = Annotated[
     int,
     typer.Option(

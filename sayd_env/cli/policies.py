@@ -46,6 +46,7 @@ def evaluate(
     config: options.Config = None,
     assignments: options.Set = None,
     workers: options.Workers = None,
+    executor: options.Executor = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
@@ -68,7 +69,7 @@ def evaluate(
     laws = load_environment(environment)
     specs = _specs(policies, foreign_reader(trust_pickles, laws, trained_period))
     job = Job("evaluate", out, as_json)
-    with job.progress() as progress:
+    with job.runs(executor, workers) as context:
         result = study(
             scenario,
             _metres_per_second(speeds or (300.0, 350.0, 400.0)),
@@ -78,8 +79,7 @@ def evaluate(
             friction=friction or (),
             environment=laws,
             initial_current=initial_current,
-            workers=workers,
-            progress=progress,
+            context=context,
         )
     job.finish(result, config={**dict(scenario), "environment": laws}, seed=seed)
 
@@ -158,6 +158,7 @@ def map_(
     config: options.Config = None,
     assignments: options.Set = None,
     workers: options.Workers = None,
+    executor: options.Executor = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
@@ -192,7 +193,7 @@ def map_(
     laws = load_environment(environment)
     job = Job("map", out, as_json)
     count = seeds or (1 if quick else 2)
-    with job.progress() as progress:
+    with job.runs(executor, workers) as context:
         result = stability_map(
             scenario,
             specs,
@@ -200,9 +201,7 @@ def map_(
             grid=grid,
             best_constant=constants,
             environment=laws,
-            workers=workers,
-            progress=progress,
-            folder=None if job.directory is None else job.directory.path / "runs",
+            context=context,
         )
     job.finish(result, config={**dict(scenario), "environment": laws}, seed=seed)
 

@@ -70,7 +70,7 @@ def tune(
     weights of MPPT2. mppt2: differential evolution, then COBYQA, about ten minutes; constant: Brent's search,
     a minute or two. The result is a file of parameters that --policies takes like a name, for example
     results/tune-mppt2/mppt2-tuned.yaml; the packaged mppt2-tuned and constant-tuned were found so.
-    Evaluations are kept in evaluations.csv in the output directory: an interrupted tuning goes on where it
+    Evaluations are kept in the output directory: an interrupted tuning goes on where it
     stopped.
     """
     from sayd_env.config.tuning import load_tuning  # noqa: PLC0415 - keeps --help fast
@@ -92,17 +92,14 @@ def tune(
         refuse_packaged(target)
         ResultDirectory(target.parent)  # cannot be written to? Say so before the work
     job = Job("tune", folder, as_json)
-    table = None if job.directory is None else job.directory.path / "evaluations.csv"
-    with job.progress() as progress:
+    with job.runs(workers=workers) as context:
         result = study(
             controller.value,
             settings,
             name="configs/study/tuning.yaml" if config is None else config,
             seed=seed,
-            table=table,
             command=shlex.join(["sayd", *sys.argv[1:]]),
-            workers=workers,
-            progress=progress,
+            context=context,
         )
     if target is not None:
         ResultDirectory(target.parent).write({target.name: result.control_file().encode()})

@@ -38,6 +38,7 @@ def critical_speed(
     config: options.Config = None,
     assignments: options.Set = None,
     workers: options.Workers = None,
+    executor: options.Executor = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
@@ -45,22 +46,20 @@ def critical_speed(
 
     Default speeds: the paper's grid, 280 to 400 km/h on new and 320 to 445 km/h on worn wheels.
     """
-    from sayd_env.studies.creep_laws import check_laws  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies.critical_speed import find_critical_speed  # noqa: PLC0415
+    from sayd_env.studies.critical_speed import check_laws, find_critical_speed  # noqa: PLC0415
 
     check_laws(creep_laws or (), "--creep-laws")
     scenario = scenario_from(
         config, assignments, profile=profile, wear=wear, friction=friction, track=track, damper=damper
     )
     job = Job("critical-speed", out, as_json)
-    with job.progress() as progress:
+    with job.runs(executor, workers) as context:
         result = find_critical_speed(
             scenario,
             _metres_per_second(speeds),
             range(seed, seed + seeds),
             creep_laws=creep_laws or (),
-            workers=workers,
-            progress=progress,
+            context=context,
         )
     job.finish(result, config=scenario, seed=seed)
 
@@ -75,12 +74,13 @@ def calibrate(
     assignments: options.Set = None,
     seed: options.Seed = 0,
     workers: options.Workers = None,
+    executor: options.Executor = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
     """Find what the paper leaves open from its statements on the passive vehicle, within sourced ranges.
 
-    Takes about a quarter of an hour. Evaluations are kept in evaluations.jsonl in the output directory, so an
+    Takes about a quarter of an hour. Finished runs are kept in the output directory, so an
     interrupted calibration goes on where it stopped; the result is also a study file, nominal.yaml.
     """
     from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
@@ -88,9 +88,8 @@ def calibrate(
 
     settings = load_calibration("calibration" if config is None else config, tuple(assignments or ()))
     job = Job("calibrate", out, as_json)
-    log = None if job.directory is None else job.directory.path / "evaluations.jsonl"
-    with job.progress() as progress:
-        result = study(settings, seed=seed, workers=workers, progress=progress, log=log)
+    with job.runs(executor, workers) as context:
+        result = study(settings, seed=seed, context=context)
     job.finish(result, config=settings, seed=seed)
     if job.directory is not None:
         job.directory.write({"nominal.yaml": result.study().encode()})
@@ -144,12 +143,13 @@ def reproduce(
     config: options.Config = None,
     assignments: options.Set = None,
     workers: options.Workers = None,
+    executor: options.Executor = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
     """Measure what the paper shows, row by row: the passive vehicle, the controllers, all figures."""
     from sayd_env.config import ConfigError, StudyError  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies.creep_laws import check_laws  # noqa: PLC0415
+    from sayd_env.studies.critical_speed import check_laws  # noqa: PLC0415
     from sayd_env.studies.paper.reproduce import ROWS  # noqa: PLC0415
     from sayd_env.studies.paper.reproduce import reproduce as study  # noqa: PLC0415
 
@@ -159,17 +159,14 @@ def reproduce(
     check_laws(creep_laws or (), "--creep-laws")
     scenario = scenario_from(config, assignments, friction=friction, track=track)
     job = Job("reproduce", out, as_json)
-    with job.progress() as progress:
-        folder = None if job.directory is None else job.directory.path / "runs"
+    with job.runs(executor, workers) as context:
         chosen = range(seed, seed + (seeds or (2 if quick else 10)))
         result = study(
             scenario,
             chosen,
             control_periods=control_periods or (),
             creep_laws=creep_laws or (),
-            workers=workers,
-            progress=progress,
-            folder=folder,
+            context=context,
         )
     job.finish(result, config=scenario, seed=seed)
     failed = [row for row in result.failed if row not in (allow or ())]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
+import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -77,8 +79,10 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what a process that was killed had not finished."""
-    for path in folder.glob(".*.tmp"):
+    """Remove what processes of this machine had not finished when they were killed."""
+    for path in folder.glob(f".*.{_MACHINE}.*.tmp"):
+        if _is_alive(path.suffixes[-2].removeprefix(".")):
+            continue
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
@@ -95,8 +99,22 @@ def reported(path: Path) -> Iterator[None]:
         raise StudyError(f"{path}: cannot be written ({reason or error})") from None
 
 
+_MACHINE = re.sub(r"\W", "_", platform.node())
+"""Several machines may write into one folder."""
+
+
 def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    return path.with_name(f".{path.name}.{_MACHINE}.{os.getpid()}.tmp")
+
+
+def _is_alive(process: str) -> bool:
+    try:
+        os.kill(int(process), 0)
+    except (ValueError, OverflowError, ProcessLookupError):
+        return False
+    except PermissionError:  # somebody else's
+        return True
+    return True
 
 
 def _write_synced(path: Path, content: bytes) -> None:

@@ -11,8 +11,6 @@ changes of velocity.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from types import FunctionType
 from typing import Any, NamedTuple
 
 import numba
@@ -22,7 +20,7 @@ import numpy.typing as npt
 from sayd_env.envs import trace
 from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS, command_valves, trace_period
 from sayd_env.physics.formation import References, Units, interleave, plant_of, put_back, state_of, work_of
-from sayd_env.physics.kernel import kernel
+from sayd_env.physics.kernel import kernel, named
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.ragged import Matrix, vehicle_from
 from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
@@ -559,16 +557,9 @@ def _run_units(
             )
 
 
-def _named(function: Callable[..., None], name: str) -> Callable[..., None]:
-    """The same function under another name: Numba's cache tells its kernels apart by theirs."""
-    copy = FunctionType(function.__code__, function.__globals__, name)
-    copy.__qualname__, copy.__doc__, copy.__module__ = name, function.__doc__, function.__module__
-    return copy
-
-
-run_units: Any = kernel(announce="the control loop (first use, about 20 s)")(_named(_run_units, "run_units"))
+run_units: Any = kernel(announce="the control loop (first use, about 20 s)")(named(_run_units, "run_units"))
 """`_run_units`, one unit after another."""
 run_units_in_parallel: Any = kernel(
     parallel=True, announce="the control loop of many vehicles (first use, about 20 s)"
-)(_named(_run_units, "run_units_in_parallel"))
+)(named(_run_units, "run_units_in_parallel"))
 """`_run_units` on all threads: the results are the same bits."""

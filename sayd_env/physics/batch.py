@@ -26,7 +26,7 @@ from sayd_env.physics.formation import (
     state_of,
     work_of,
 )
-from sayd_env.physics.kernel import kernel
+from sayd_env.physics.kernel import kernel, named
 from sayd_env.physics.plant import Plant, State, Work
 from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
 from sayd_env.physics.simulator import Simulator
@@ -73,8 +73,7 @@ def _advance(
                     running -= 1
 
 
-@kernel(parallel=True, announce="the simulator of many vehicles (first use, about 15 s)")
-def advance_batch(
+def _advance_units(
     units: Units,
     plants: References,
     states: References,
@@ -86,7 +85,7 @@ def advance_batch(
     signals: Array,
     done: Index,
 ) -> None:
-    """Advance v vehicles by as many samples as `signals` has, in parallel.
+    """Advance v vehicles by as many samples as `signals` has.
 
     Parameters
     ----------
@@ -116,6 +115,16 @@ def advance_batch(
             i = alone[0]
             plant, together, work = plant_of(plants, i), state_of(states, i), work_of(works, i)
             _advance(SINGLE, plant, states, together, work, alone, substeps[i], signals, done)
+
+
+advance_units: Any = kernel(announce="the simulator of several vehicles (first use, about 15 s)")(
+    named(_advance_units, "advance_units")
+)
+"""`_advance_units`, one unit after another."""
+advance_units_in_parallel: Any = kernel(
+    parallel=True, announce="the simulator of many vehicles (first use, about 15 s)"
+)(named(_advance_units, "advance_units_in_parallel"))
+"""`_advance_units` on all threads: the results are the same bits."""
 
 
 class BatchSimulator:
@@ -190,12 +199,13 @@ class BatchSimulator:
         count = len(self.simulators)
         signals = np.empty((count, samples, self._channels))
         done = np.zeros(count, dtype=np.int64)
+        kernel = advance_units if self.num_threads == 1 else advance_units_in_parallel
         before = numba.get_num_threads()
         numba.set_num_threads(self.num_threads)
         try:
             # Vehicles differ in their substeps: a thread that is free takes the next one.
             with numba.parallel_chunksize(1):
-                advance_batch(
+                kernel(
                     self._formation.units(),
                     *self._formation.arguments(),
                     self._substeps,

@@ -73,17 +73,6 @@ class Paged(Protocol):
         """
 
 
-class Progress(Protocol):
-    """How a study says how far it is; called from the process that started it."""
-
-    def __call__(self, done: float, total: float, what: str = "") -> None:
-        """Report `done` of `total` steps; `what` names the current one."""
-
-
-def silent(done: float, total: float, what: str = "") -> None:
-    """Report no progress: the default of every study."""
-
-
 class ResultDirectory:
     """A directory for the files of one study.
 

@@ -1,132 +1,106 @@
-"""Finished runs on the disk, so that an interrupted study goes on where it stopped.
+"""Finished runs on the disk, so that an interrupted study goes on where it stopped and none is made twice.
 
-Each run is one file of NumPy arrays in a directory whose name holds a fingerprint of everything that the run
-depends on: configuration, data files that it names, software. A run whose inputs changed is therefore not
-found, and computed anew. What is found in a file but cannot be read as that run counts as not found.
+Each run is one file of NumPy arrays. Its folder holds the fingerprint of all sources that can change a run,
+its name the fingerprint of everything else that the run depends on: a run whose inputs or whose software have
+changed is not found, and computed anew. What is found but cannot be read counts as not found. Several
+machines may share a folder.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import inspect
 import io
 import json
-import re
 import shutil
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from sayd_env.report.files import ResultDirectory, jsonable, versions
+from sayd_env.config.plain import jsonable
+from sayd_env.config.software import source_fingerprint
+from sayd_env.config.storage import remove_leftovers, write_file
 
 Record = TypeVar("Record")
 
-_PACKAGE = Path(__file__).resolve().parents[1]
-_SOURCES = (
-    *("sayd_env/config", "sayd_env/physics", "sayd_env/stability", "sayd_env/envs"),
-    *("baselines", "agents"),
-)
-_DIGITS = 16
-_FINGERPRINT, _NAME = "_fingerprint", "_name"  # keys of a file that say which run it is
 
-
-class RunStore(Generic[Record]):
-    """Runs of one kind, from the same inputs, told apart by a name.
+class RunCache:
+    """Records of runs by the fingerprints of their inputs.
 
     Parameters
     ----------
-    folder : Path
-        Where stores lie; each has its directories ``GROUP-FINGERPRINT`` there.
-    group : str
-        Name of this store; what does not belong into a folder's name becomes ``_``.
-    kind : type
-        Dataclass of a run; its fields are arrays, numbers and texts.
-    *inputs
-        Everything else that a run depends on: models, mappings, numbers, texts. The content of a file that a
-        text names counts, too.
+    folder : Path, optional
+        Where they outlive the process; without, they are kept in memory alone.
 
-    Raises
-    ------
-    ConfigError
-        The folder cannot be written to.
-
-    Notes
-    -----
-    Threads may share a store. Files are complete or absent. Without the folder all runs are computed again.
+    Attributes
+    ----------
+    reused : int
+        Runs that were found on the disk.
     """
 
-    def __init__(self, folder: Path, group: str, kind: type[Record], *inputs: Any) -> None:
-        # A learned policy is called what its file says; a folder's name is no place for all of that.
-        self.folder, self.group, self.kind = folder, re.sub(r"[^\w.@=+-]", "_", group), kind
-        self.fingerprint = fingerprint(*inputs, modules=_modules(kind))
-        self._directory = ResultDirectory(folder / f"{self.group}-{self.fingerprint}")
-        self._lock = threading.Lock()
+    def __init__(self, folder: Path | None = None) -> None:
+        self._parent = folder
+        self._folder = None if folder is None else folder / source_fingerprint()
+        self._memory: dict[str, Any] = {}
         self.reused = 0
-        """Runs that were taken from the disk."""
 
-    def get(self, name: str) -> Record | None:
+    def get(self, key: str, kind: type[Record]) -> Record | None:
         """Return a finished run, or None.
 
         Parameters
         ----------
-        name : str
-            Name of the run: letters, digits and ``_.-=``.
+        key : str
+            From `fingerprint`.
+        kind : type
+            Dataclass of its record, whose fields are arrays, numbers, texts and None.
         """
-        content = _content(self._directory.path / f"{name}.npz")
-        if content is None or (content.pop(_FINGERPRINT, None), content.pop(_NAME, None)) != (
-            self.fingerprint,
-            name,
-        ):
+        if isinstance(known := self._memory.get(key), kind):
+            return known
+        content = None if self._folder is None else _content(self._folder / f"{key}.npz")
+        names = {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+        if content is None or not set(content) <= names:
             return None
-        if set(content) != {field.name for field in dataclasses.fields(self.kind)}:  # type: ignore[arg-type]
-            return None
-        with self._lock:
-            self.reused += 1
-        return self.kind(**content)
+        self.reused += 1
+        record = self._memory[key] = kind(**dict.fromkeys(names) | content)
+        return record
 
-    def put(self, name: str, run: Record) -> None:
-        """Keep a finished run under a name.
+    def put(self, key: str, record: Any) -> None:
+        """Keep the record of a finished run.
 
         Raises
         ------
-        ConfigError
+        StudyError
             It cannot be written (a full disk, a removed directory).
         """
+        self._memory[key] = record
+        if self._folder is None:
+            return
+        if not self._folder.is_dir():
+            self._folder.mkdir(parents=True, exist_ok=True)
         stream = io.BytesIO()
-        content: dict[str, Any] = {**vars(run), _FINGERPRINT: self.fingerprint, _NAME: name}
-        np.savez_compressed(stream, **content)
-        self._directory.write({f"{name}.npz": stream.getvalue()})
-
-    def remembered(self, name: str, compute: Callable[[], Record]) -> Record:
-        """Return a run, from the disk if it is there, else computed and kept."""
-        found = self.get(name)
-        if found is None:
-            found = compute()
-            self.put(name, found)
-        return found
+        np.savez_compressed(stream, **{name: v for name, v in vars(record).items() if v is not None})
+        write_file(self._folder / f"{key}.npz", stream.getvalue())
 
     def forget_former(self) -> None:
-        """Remove what this group kept for other inputs; call it when the study is complete."""
-        for path in self.folder.glob(f"{self.group}-*"):
-            ending = path.name.removeprefix(f"{self.group}-")
-            former = len(ending) == _DIGITS and set(ending) <= set("0123456789abcdef")
-            if former and ending != self.fingerprint:
+        """Remove the runs of other software and unfinished files; call it when a study is complete."""
+        if self._parent is None or self._folder is None or not self._folder.is_dir():
+            return
+        remove_leftovers(self._folder)
+        for path in self._parent.iterdir():
+            if path.name != self._folder.name and _is_fingerprint(path.name):
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def fingerprint(*inputs: Any, modules: Iterable[Path] = ()) -> str:
-    """Hash of a run's inputs and of the software that computes it (16 hexadecimal digits).
+def fingerprint(*inputs: Any) -> str:
+    """Hash of a run's inputs (16 hexadecimal digits).
 
     Parameters
     ----------
     *inputs
-        Values that `output.jsonable` knows.
-    modules : iterable of Path
-        Source files to count beside those of the floors below the studies.
+        Models, mappings, numbers, texts, whatever `jsonable` takes. The content of a file that a text names
+        (a measured track, profile or throttle table) counts as well.
 
     Raises
     ------
@@ -134,25 +108,17 @@ def fingerprint(*inputs: Any, modules: Iterable[Path] = ()) -> str:
         An input of another type.
     """
     plain = jsonable(inputs)
-    digest = hashlib.sha256(json.dumps([plain, versions()], sort_keys=True).encode())
+    digest = hashlib.sha256(json.dumps(plain, sort_keys=True).encode())
     for path in _named_files(plain):
         digest.update(path.read_bytes())
-    root = _PACKAGE.parent
-    sources = [path for folder in _SOURCES for path in sorted((root / folder).rglob("*.py"))]
-    for path in sources:
-        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    for path in modules:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:_DIGITS]
+    return digest.hexdigest()[:16]
 
 
-def _modules(kind: type) -> list[Path]:
-    """Sources of a dataclass and its bases; the functions that fill them stand beside them."""
-    return [Path(inspect.getfile(base)) for base in kind.__mro__ if dataclasses.is_dataclass(base)]
+def _is_fingerprint(name: str) -> bool:
+    return len(name) == 16 and set(name) <= set("0123456789abcdef")
 
 
 def _named_files(value: Any) -> Iterator[Path]:
-    """Files that exist under a text of nested data: a measured track, profile or throttle table."""
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, list):

@@ -12,12 +12,17 @@ from scipy.signal import decimate, welch
 
 from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.config.control import load_controller
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs.loop import LOG_ACCELERATION, LOG_FORCE, LOG_HYDRAULIC, LOG_TRACK_SHIFT
 from sayd_env.envs.rollout import Rollout
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.passive import Assessed, Sweep, assessed_run, gathered, runs_table
+from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
 from sayd_env.stability import assessed_span, distance_run
-from sayd_env.runs.passive import Array, Run, Sweep, gathered, run_from, runs_table
-
-KMH = 3.6
 
 SAYD_SPEEDS = tuple(v / KMH for v in (300, 320, 350, 375, 400))
 """Speed grid of figures 11, 13, 15 and 17, m/s."""
@@ -34,7 +39,7 @@ Single = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class ControlledRun(Run):
+class ControlledRun(Assessed):
     """One assessed run with controlled dampers, of d dampers and b bogies; forces are over its 5 km."""
 
     policy: str
@@ -55,6 +60,53 @@ class ControlledRun(Run):
     """(n,) force of one damper of the rear bogie, N: the first 40 s behind the run-in."""
     trace_period: float
     """Time between two values of the trace, s."""
+
+
+def controlled_specs(
+    scenario: Scenario,
+    environment: EnvironmentConfig,
+    seeds: Sequence[int],
+    required: Iterable[tuple[str, float, float]],
+) -> list[Run]:
+    """Runs that the rows of a claim need.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The vehicle on worn wheels; semi-active dampers replace passive ones.
+    environment : EnvironmentConfig
+        Sensors and clock of the controllers.
+    seeds : sequence of int
+        Track seeds.
+    required : iterable of tuple
+        Controller, speed (m/s) and initial current of each group of seeds.
+    """
+    runs: list[Run] = []
+    for name, speed, current in required:
+        policy = PolicySpec(name, load_controller(name, {}).model_dump())
+        fitted = for_policy(scenario, policy)
+        config = environment_of(fitted, environment)
+        runs += [Run(policy, fitted, config, speed, seed, current) for seed in seeds]
+    return runs
+
+
+def controlled_runs(runs: Sequence[Run], context: RunContext, what: str = "") -> ControlledRuns:
+    """Make and assess runs, or take them from the cache.
+
+    Raises
+    ------
+    ConfigError, StudyError
+        See `roll_out_runs` and `controlled_run_of`.
+    """
+    return ControlledRuns(context.records(assessed_controlled, runs, ControlledRun, what))
+
+
+def assessed_controlled(runs: list[Run]) -> list[ControlledRun]:
+    """Make runs that are companions, and assess them."""
+    return [
+        controlled_run_of(run.policy.name, rollout, run.scenario.assessment)
+        for run, rollout in zip(runs, roll_out_runs(runs), strict=True)
+    ]
 
 
 def controlled_run_from(
@@ -109,7 +161,7 @@ def controlled_run_from(
         )
     if not np.isfinite(damper_force).all():
         raise DataError("the damper force holds a value that is not a number")
-    assessed = run_from(acceleration, track_shift, speed, seed, settings)
+    assessed = assessed_run(acceleration, track_shift, speed, seed, settings)
     distance = distance_run(speed, rate, samples)
     first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
     force = damper_force[first:last]

@@ -1,55 +1,35 @@
-"""Policies on the scenarios of a tuning, one after another, and a table of what came out that is not lost."""
+"""Policies on the scenarios of a tuning, one after another."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.config import ConfigError, StudyError
-from sayd_env.config.control import load_controller, load_online
+from sayd_env.config import StudyError
+from sayd_env.config.control import load_online
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
-from sayd_env.config.loader import read_text
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.tuning import Gains, TuningConfig
+from sayd_env.config.tuning import TuningConfig
+from sayd_env.config.units import Array
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.fleet import Fleet, VehicleState
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.loop import NOT_FINITE, RUNNING
 from sayd_env.envs.rollout import first_state
-from sayd_env.runs.cache import fingerprint
-from sayd_env.report.files import ResultDirectory, csv_bytes
 from sayd_env.runs.policies import PASSIVE, PolicySpec
-
-Array = npt.NDArray[np.float64]
-KMH = 3.6
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class Costs:
     """A policy on all scenarios."""
 
-    policy: str
-    stage: str
-    """What asked for it: ``reference``, ``search`` or ``polish``."""
-    gains: Gains
-    """What was tuned; empty for a reference."""
-    costs: tuple[float, ...]
+    costs: Array
     """J of each scenario, with the charge for a derailment."""
     derailed: int
     """Scenarios that ended early."""
-
-    @property
-    def mean(self) -> float:
-        """Mean of J."""
-        return float(np.mean(self.costs))
 
 
 class Proving:
@@ -80,8 +60,14 @@ class Proving:
         settings = self._settings
         return configured(settings.environment, damper=damper, episode_s=settings.episode_s, reward="mppt2")
 
-    def costs(self, policy: PolicySpec) -> tuple[Array, int]:
-        """J of a policy in each scenario, and how many of them ended early.
+    def inputs(self) -> tuple[Any, ...]:
+        """What the costs depend on beside the policy; J is taken by the on-line filter."""
+        settings = self._settings
+        what = settings.model_dump(include={"episode_s", "initial_current", "scenarios"})
+        return what, self.environment, self.scenario, load_online()
+
+    def costs(self, policy: PolicySpec) -> Costs:
+        """J of a policy in each scenario.
 
         J is minus the mean reward per second of the episode: by the on-line filter, with the charge for a
         derailment.
@@ -104,7 +90,8 @@ class Proving:
             observation, rewards, _, _ = fleet.step(action)
             total -= rewards
         self._refuse_diverged(policy, fleet)
-        return total / fleet.config.episode_s, int(np.count_nonzero(fleet.lanes.status != RUNNING))
+        derailed = int(np.count_nonzero(fleet.lanes.status != RUNNING))
+        return Costs(total / fleet.config.episode_s, derailed)
 
     def _refuse_diverged(self, policy: PolicySpec, fleet: Fleet) -> None:
         for i in np.flatnonzero(fleet.lanes.status == NOT_FINITE):
@@ -125,116 +112,3 @@ class Proving:
             fleet.reset(range(fleet.count), episodes, listen=True)
             self._ready[damper] = fleet, [fleet.get_state(i) for i in range(fleet.count)]
         return self._ready[damper]
-
-
-def inputs_of(proving: Proving, settings: TuningConfig, policies: Sequence[PolicySpec]) -> str:
-    """Fingerprint of all that the evaluations depend on beside the gains.
-
-    Parameters
-    ----------
-    proving : Proving
-    settings : TuningConfig
-    policies : sequence of PolicySpec
-        Policies whose parameters count.
-    """
-    what = settings.model_dump(include={"episode_s", "initial_current", "scenarios"})
-    parameters = {
-        spec.title: load_controller(spec.name, spec.parameters) if spec.stored is None else spec.parameters
-        for spec in policies
-    }
-    modules = [Path(__file__)]
-    online = load_online()  # J is taken by its filter
-    return fingerprint(what, proving.environment, proving.scenario, parameters, online, modules=modules)
-
-
-class Record:
-    """Evaluations that survive an interruption: a CSV file, written anew after each, complete or not at all.
-
-    Rows of other inputs (scenarios, software) are left out when it is read: they are computed again.
-
-    Parameters
-    ----------
-    path : Path or None
-        The file; None keeps nothing.
-    inputs : str
-        Fingerprint of what the evaluations depend on.
-    gains : sequence of str
-        Names of what is tuned.
-    seeds : sequence of int
-        Of the scenarios.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be read, or is no such table.
-    """
-
-    def __init__(self, path: Path | None, inputs: str, gains: Sequence[str], seeds: Sequence[int]) -> None:
-        self._inputs, self._gains = inputs, tuple(gains)
-        self._costs = tuple(f"J_{seed}" for seed in seeds)
-        self._path = path
-        self._directory = None if path is None else ResultDirectory(path.parent)
-        self._known: dict[tuple[Any, ...], Evaluation] = {}
-        if path is not None and path.is_file():
-            self._read(path)
-
-    @property
-    def header(self) -> tuple[str, ...]:
-        """Columns of the table."""
-        return ("inputs", "policy", "stage", *self._gains, "J", "derailed", *self._costs)
-
-    def __len__(self) -> int:
-        """Evaluations that are known."""
-        return len(self._known)
-
-    def get(self, policy: str, gains: Gains) -> Evaluation | None:
-        """Return what is known of a policy with some gains, or None."""
-        return self._known.get(_key(policy, gains))
-
-    def put(self, found: Evaluation) -> None:
-        """Keep an evaluation.
-
-        Raises
-        ------
-        ConfigError
-            The file cannot be written.
-        """
-        self._known[_key(found.policy, found.gains)] = found
-        if self._directory is not None and self._path is not None:
-            self._directory.write({self._path.name: csv_bytes(self.header, self.rows())})
-
-    def rows(self) -> list[list[Any]]:
-        """All evaluations as rows of the table."""
-        return [
-            [self._inputs, e.policy, e.stage, *map(e.gains.get, self._gains), e.mean, e.derailed, *e.costs]
-            for e in self._known.values()
-        ]
-
-    def _read(self, path: Path) -> None:
-        lines = csv.DictReader(io.StringIO(read_text(path, "table of evaluations"), newline=""))
-        try:
-            rows, header = list(lines), set(lines.fieldnames or ())
-        except csv.Error:
-            rows, header = [], set()
-        if not {"inputs", "policy", "stage", "derailed"} <= header:
-            raise ConfigError(f"{path}: is no table of evaluations; choose another --out or remove it")
-        for number, row in enumerate(rows, start=2):
-            if row["inputs"] == self._inputs:
-                found = self._evaluation(row, f"{path}: line {number}")
-                self._known[_key(found.policy, found.gains)] = found
-
-    def _evaluation(self, row: Mapping[str, Any], where: str) -> Evaluation:
-        try:
-            return Evaluation(
-                policy=row["policy"],
-                stage=row["stage"],
-                gains={name: float(row[name]) for name in self._gains if row[name]},
-                costs=tuple(float(row[name]) for name in self._costs),
-                derailed=int(row["derailed"]),
-            )
-        except (KeyError, TypeError, ValueError):
-            raise ConfigError(f"{where}: is no evaluation; remove the line") from None
-
-
-def _key(policy: str, gains: Gains) -> tuple[Any, ...]:
-    return policy, *sorted(gains.items())

@@ -1,9 +1,10 @@
-"""One run of one policy, judged: cost, limits of EN 14363, forces, valves, ride comfort."""
+"""Runs of policies, judged: cost, limits of EN 14363, forces, valves, ride comfort."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from sayd_env.config import StudyError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.environment import EnvironmentConfig, charge_a_second
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs.loop import (
     BOGIES,
     LOG_ACCELERATION,
@@ -24,14 +26,13 @@ from sayd_env.envs.loop import (
 from sayd_env.envs.rollout import Rollout
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.stability import Limits, assessed_span, averaged_spectra, band_pass, distance_run
-from sayd_env.stability.comfort import mean_comfort
+from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import controlled_run_of
 from sayd_env.runs.policies import PASSIVE
-from sayd_env.runs.rollouts import Group
+from sayd_env.runs.rollouts import Run, roll_out_runs
+from sayd_env.stability import Limits, assessed_span, averaged_spectra, band_pass, distance_run
+from sayd_env.stability.comfort import mean_comfort
 
-Array = npt.NDArray[np.float64]
-KMH = 3.6
 LOWER, UPPER = 0.25, 0.75
 """A valve switches when its command goes from the lower quarter of its range to the upper one, or back."""
 IMPOSSIBLE = 1e5
@@ -83,17 +84,45 @@ class Row:
     """Passages of the valve command between the outer quarters of its range, mean over the valves."""
     ending: str | None = None
     """Why the run ended early; None if it did not."""
+    duration_s: float = math.nan
+    """From step 0 to the end of the run."""
 
 
-def policy_row(group: Group, rollout: Rollout) -> Row:
+def rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:
+    """Make runs, or take them from the cache, and judge them.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    context : RunContext
+    what : str
+        Names the runs where progress is reported.
+
+    Raises
+    ------
+    ConfigError
+        A policy that does not fit.
+    StudyError
+        A run that diverged.
+    """
+    found = context.records(judged, runs, Row, what)
+    return [replace(row, policy=run.policy.title) for run, row in zip(runs, found, strict=True)]
+
+
+def judged(runs: list[Run]) -> list[Row]:
+    """Make runs that are companions, and judge them."""
+    return [policy_row(run, rollout) for run, rollout in zip(runs, roll_out_runs(runs), strict=True)]
+
+
+def policy_row(run: Run, rollout: Rollout) -> Row:
     """Judge a run.
 
     Parameters
     ----------
-    group : Group
+    run : Run
         What ran.
     rollout : Rollout
-        The run: run-in and at least the assessed length, unless it ended early.
+        Its run-in and at least the assessed length, unless it ended early.
 
     Raises
     ------
@@ -102,14 +131,14 @@ def policy_row(group: Group, rollout: Rollout) -> Row:
     ConfigError
         The environment's run-in is not the assessment's.
     """
-    scenario = group.scenario
+    scenario = run.scenario
     weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
-    parts = episode_cost(rollout, group.config)
-    charge = termination_charge(rollout, group)
+    parts = episode_cost(rollout, run.environment)
+    charge = termination_charge(rollout, run)
     over_the_length = _derailed() if rollout.ending is not None else _measured(rollout, scenario, weights)
     return Row(
-        policy=group.policy.title,
-        speed_kmh=round(group.speed * KMH, 6),
+        policy=run.policy.title,
+        speed_kmh=round(run.speed * KMH, 6),
         wear=scenario.wear,
         friction=scenario.friction,
         seed=rollout.episode.seed,
@@ -117,8 +146,9 @@ def policy_row(group: Group, rollout: Rollout) -> Row:
         J_acceleration=parts[0],
         J_force=parts[1],
         **over_the_length,
-        **valve_use(group, rollout),
+        **valve_use(run, rollout),
         ending=rollout.ending,
+        duration_s=len(rollout.terms) * rollout.control_period,
     )
 
 
@@ -133,7 +163,7 @@ def episode_cost(rollout: Rollout, config: EnvironmentConfig) -> tuple[float, fl
     return rollout.cost(math.floor(run + 1e-9) if short else config.episode_s)
 
 
-def termination_charge(rollout: Rollout, group: Group) -> float:
+def termination_charge(rollout: Rollout, run: Run) -> float:
     """What the environment charges for the seconds that a derailment has cut off, as a part of J.
 
     Raises
@@ -148,9 +178,9 @@ def termination_charge(rollout: Rollout, group: Group) -> float:
         raise StudyError(
             f"the run of seed {rollout.episode.seed} at {rollout.episode.speed * KMH:g} km/h diverged"
         )
-    episode = group.config.episode_s
+    episode = run.environment.episode_s
     remaining = max(episode - len(rollout.terms) * rollout.control_period, 0.0)
-    return charge_a_second(group.config, group.scenario.cost) * remaining / episode
+    return charge_a_second(run.environment, run.scenario.cost) * remaining / episode
 
 
 def offline_cost(
@@ -251,19 +281,19 @@ def _derailed() -> dict[str, float]:
     return dict.fromkeys((*costs, *ratios, *forces, "comfort"), math.inf)
 
 
-def valve_use(group: Group, rollout: Rollout) -> dict[str, Any]:
+def valve_use(run: Run, rollout: Rollout) -> dict[str, Any]:
     """What the commands did between step 0 and the end of the assessed length: columns of a `Row`.
 
     Empty for passive dampers, and for a run that ended before step 0.
     """
-    length, period = group.scenario.assessment.length or 0.0, rollout.control_period
-    command = rollout.actions[: int(length / group.speed / period + 1e-6)]
-    if group.policy.name == PASSIVE or not len(command):
+    length, period = run.scenario.assessment.length or 0.0, rollout.control_period
+    command = rollout.actions[: int(length / run.speed / period + 1e-6)]
+    if run.policy.name == PASSIVE or not len(command):
         return {}
     time = len(command) * period
     travel = np.abs(np.diff(command, axis=0)).sum(axis=0, dtype=np.float64).mean()
     return {
         "valve_mean": float(command.mean(dtype=np.float64)),
-        "valve_travel_per_km": float(travel / (group.speed * time * 1e-3)),
+        "valve_travel_per_km": float(travel / (run.speed * time * 1e-3)),
         "switching_per_s": switchings(command) / time,
     }

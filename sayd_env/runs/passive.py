@@ -1,28 +1,25 @@
-"""Many assessed runs: a vehicle over speeds and track seeds, in parallel, with progress."""
+"""Assessed runs of a vehicle by itself: over speeds and track seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from queue import Empty, SimpleQueue
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.physics.simulator import RUN_OUT, Simulator, Telemetry, VehicleModel, threads
+from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH, Array
+from sayd_env.physics.batch import BatchSimulator
+from sayd_env.physics.simulator import RUN_OUT, Simulator, VehicleModel
+from sayd_env.runs.context import RunContext
 from sayd_env.stability import assess
-from sayd_env.runs.cache import RunStore
-from sayd_env.report.files import Progress, silent
-
-Array = npt.NDArray[np.float64]
-T = TypeVar("T")
-U = TypeVar("U")
 
 
 @dataclass(frozen=True)
-class Run:
+class Assessed:
     """One assessed run: maxima over the 5 km, one value for each of the w wheelsets."""
 
     speed: float
@@ -51,75 +48,96 @@ class Sweep:
     track_shift: Array
 
 
-def simulate(model: VehicleModel, speed: float, seed: int) -> Telemetry:
-    """Signals of one run over run-in and assessed length, and a little beyond."""
-    simulator, assessment = Simulator(model, speed, seed), model.scenario.assessment
-    assert assessment.length is not None  # the simulator's track has refused it
-    return simulator.run(assessment.run_in + assessment.length + RUN_OUT)
+@dataclass(frozen=True, eq=False)
+class PassiveRun:
+    """One run of a vehicle whose dampers need no controller."""
 
+    scenario: Scenario
+    speed: float
+    """m/s."""
+    seed: int
 
-def assessed_run(model: VehicleModel, speed: float, seed: int) -> Run:
-    """Simulate and assess one run."""
-    signals = simulate(model, speed, seed)
-    return run_from(signals.acceleration, signals.track_shift, speed, seed, model.scenario.assessment)
+    def inputs(self) -> Sequence[Any]:
+        """What the run depends on."""
+        return self.scenario, (round(self.speed, 9), self.seed)
 
-
-def run_from(
-    acceleration: Array, track_shift: Array, speed: float, seed: int, settings: AssessmentConfig
-) -> Run:
-    """Assess the signals of a run, both of shape (t, w) and run-in included."""
-    result = assess(np.hstack([acceleration, track_shift]), settings.sample_rate, speed, settings)
-    w = acceleration.shape[1]
-    f, peak = result.dominant_frequency, result.maximum
-    return Run(speed, seed, f[:w], f[w:], peak[:w], peak[w:])
+    def companions(self) -> Hashable:
+        """Runs that end together run side by side."""
+        return id(self.scenario), self.speed
 
 
 def sweep(
-    model: VehicleModel,
+    scenario: Scenario,
     speeds: Sequence[float],
     seeds: Sequence[int],
-    *,
-    workers: int | None = None,
-    progress: Progress = silent,
-    store: RunStore[Run] | None = None,
+    context: RunContext | None = None,
+    what: str = "",
 ) -> Sweep:
     """Assess a vehicle at every speed on every track realisation.
 
     Parameters
     ----------
-    model : VehicleModel
-        The vehicle.
+    scenario : Scenario
     speeds : sequence of float
-        Speeds, m/s.
+        Speeds, m/s, rising.
     seeds : sequence of int
         Track seeds.
-    workers : int, optional
-        Threads; all cores by default. The result does not depend on it.
-    progress : Progress
-        Told after each run.
-    store : RunStore, optional
-        Where finished runs are kept, and looked for first.
+    context : RunContext, optional
+    what : str
+        Names the runs where progress is reported.
+
+    Raises
+    ------
+    ConfigError
+        A speed outside the vehicle's range.
+    StudyError
+        A run that diverged.
     """
+    model = VehicleModel(scenario)
     for speed in speeds:
         model.check_speed(speed)  # refused before any work
-    model.table  # noqa: B018 - made once, before the threads ask for it
-    cases = [(speed, seed) for seed in seeds for speed in speeds]
-
-    def run(case: tuple[float, int]) -> Run:
-        if store is None:
-            return assessed_run(model, *case)
-        return store.remembered(run_name(*case), lambda: assessed_run(model, *case))
-
-    runs = parallel(run, cases, workers, progress)
-    return gathered(runs, speeds, seeds)
+    runs = [PassiveRun(scenario, speed, seed) for seed in seeds for speed in speeds]
+    return gathered((context or RunContext()).records(assessed, runs, Assessed, what), speeds, seeds)
 
 
-def run_name(speed: float, seed: int) -> str:
-    """Name of a run in a store, from its speed (m/s) and its seed."""
-    return f"{speed * 3.6:.9g}_kmh_seed_{seed}"
+def assessed(runs: list[PassiveRun]) -> list[Assessed]:
+    """Make runs that are companions, and assess them."""
+    settings = runs[0].scenario.assessment
+    return [
+        assessed_run(*signals, run.speed, run.seed, settings)
+        for run, signals in zip(runs, simulated(runs), strict=True)
+    ]
 
 
-def gathered(runs: Sequence[Run], speeds: Sequence[float], seeds: Sequence[int]) -> Sweep:
+def simulated(runs: Sequence[PassiveRun]) -> list[tuple[Array, Array]]:
+    """Make runs that are companions, over run-in and assessed length and a little beyond.
+
+    Returns
+    -------
+    list of tuple of ndarray, shape (t, w)
+        Lateral acceleration of the bogie frame (m/s2) and track shift force (N) at each wheelset.
+    """
+    settings, speed = runs[0].scenario.assessment, runs[0].speed
+    assert settings.length is not None  # the simulator's track refuses it
+    model = VehicleModel(runs[0].scenario)
+    batch = BatchSimulator([Simulator(model, speed, run.seed) for run in runs], num_threads=1)
+    distance = settings.run_in + settings.length + RUN_OUT
+    signals = batch.advance(math.ceil(distance / speed * settings.sample_rate))
+    w = len(model.multibody.wheelset_x)
+    return [(each[:, :w], each[:, w : 2 * w]) for each in signals]
+
+
+def assessed_run(
+    acceleration: Array, track_shift: Array, speed: float, seed: int, settings: AssessmentConfig
+) -> Assessed:
+    """Assess the signals of a run, both of shape (t, w) and run-in included."""
+    result = assess(np.hstack([acceleration, track_shift]), settings.sample_rate, speed, settings)
+    w = acceleration.shape[1]
+    f, peak = result.dominant_frequency, result.maximum
+    return Assessed(speed, seed, f[:w], f[w:], peak[:w], peak[w:])
+
+
+def gathered(runs: Sequence[Assessed], speeds: Sequence[float], seeds: Sequence[int]) -> Sweep:
     """Put runs on a grid: all speeds (m/s, rising) of the first seed, then those of the next."""
     shape = (len(seeds), len(speeds), -1)
 
@@ -154,50 +172,9 @@ def runs_table(grid: Sweep, wheelsets: Sequence[str]) -> tuple[Sequence[str], li
         (grid.track_shift, 1e-3),
     )
     rows = [
-        [v * 3.6, seed, name, *(values[i, j, k] * scale for values, scale in columns)]
+        [v * KMH, seed, name, *(values[i, j, k] * scale for values, scale in columns)]
         for i, v in enumerate(grid.speeds)
         for j, seed in enumerate(grid.seeds)
         for k, name in enumerate(wheelsets)
     ]
     return header, rows
-
-
-def parallel(
-    work: Callable[[U], T], cases: Iterable[U], workers: int | None = None, progress: Progress = silent
-) -> list[T]:
-    """Results of `work` for all cases, in their order, computed in threads; the first error ends it all."""
-    todo = list(cases)
-    # Not `concurrent.futures.wait`: interrupted while it holds the futures' locks, it keeps them for ever.
-    outcomes: SimpleQueue[tuple[int, T | None, BaseException | None]] = SimpleQueue()
-
-    def run(i: int) -> None:
-        try:
-            outcomes.put((i, work(todo[i]), None))
-        except BaseException as error:  # the thread that waits raises it
-            outcomes.put((i, None, error))
-
-    results: dict[int, Any] = {}
-    with threads(workers) as pool:
-        try:
-            for i in range(len(todo)):
-                pool.submit(run, i)
-            for i, result, error in _completed(outcomes, len(todo)):
-                if error is not None:
-                    raise error
-                results[i] = result
-                progress(len(results), len(todo))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return [results[i] for i in range(len(todo))]
-
-
-def _completed(outcomes: SimpleQueue[T], count: int) -> Iterator[T]:
-    # A short timeout lets Ctrl-C through while all threads are in compiled code.
-    while count:
-        try:
-            outcome = outcomes.get(timeout=0.2)
-        except Empty:
-            continue
-        count -= 1
-        yield outcome

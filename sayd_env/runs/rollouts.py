@@ -1,100 +1,140 @@
-"""Policies on the environment's vehicles, as studies run them: groups of episodes in threads."""
+"""Policies on the environment's vehicles, several runs side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
+from sayd_env.config import ConfigError
+from sayd_env.config.control import load_online
+from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.fleet import Fleet
 from sayd_env.envs.rollout import Rollout, assessed_steps, roll_out
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Progress, silent
-from sayd_env.runs.passive import parallel
-from sayd_env.runs.policies import PolicySpec
-
-T = TypeVar("T")
-KMH = 3.6
-
-LANES = 5
-"""Vehicles side by side in one thread: enough to hide the controllers' time behind the vehicles'."""
+from sayd_env.runs.policies import PASSIVE, PolicySpec, for_policy
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
-    """Runs that differ in their seeds alone."""
+class Run:
+    """One policy over the assessed distance of one scenario."""
 
     policy: PolicySpec
     scenario: Scenario
     """With the dampers that the policy needs: `for_policy`."""
-    config: EnvironmentConfig
+    environment: EnvironmentConfig
+    """Sensors and clock, as `environment_of` has them."""
     speed: float
     """m/s."""
-    seeds: tuple[int, ...]
+    seed: int
     initial_current: float = 0.0
+    """Valve command of the run-in."""
+
+    def inputs(self) -> Sequence[Any]:
+        """What the run depends on; the on-line filter is seen by policies, and J is taken by it."""
+        numbers = (round(self.speed, 9), self.seed, self.initial_current)
+        return self.scenario, self.environment, self.policy.identity(), load_online(), numbers
+
+    def companions(self) -> Hashable:
+        """Runs of one batch share everything but speed and seed."""
+        return id(self.policy), id(self.scenario), id(self.environment), self.initial_current
 
 
-def run_groups(
-    groups: Sequence[Group],
-    analyse: Callable[[Group, Rollout], T],
-    *,
-    workers: int | None = None,
-    progress: Progress = silent,
-) -> list[list[T]]:
-    """Run the assessed distance with every seed of every group.
-
-    Parameters
-    ----------
-    groups : sequence of Group
-    analyse : callable
-        What is kept of each run; called in the thread that ran it.
-    workers : int, optional
-        Threads; all cores by default. The results do not depend on it.
-    progress : Progress
-        Told the number of finished runs.
-
-    Returns
-    -------
-    list of list
-        The results of each group in the order of its seeds.
+def roll_out_runs(runs: Sequence[Run]) -> list[Rollout]:
+    """Run-in and assessed length of runs that are companions, on one thread.
 
     Raises
     ------
     ConfigError
-        A speed outside the vehicle's range, or a policy that does not fit.
+        A policy that does not fit.
     StudyError
         A run that diverged.
     """
-    for group in groups:
-        VehicleModel(group.scenario).check_speed(group.speed)  # refused before any work
-    parts = [
-        (i, group.seeds[start : start + LANES])
-        for i, group in enumerate(groups)
-        for start in range(0, len(group.seeds), LANES)
+    first = runs[0]
+    config = first.policy.environment(first.environment)
+    fleet = Fleet(config, len(runs), scenario=first.scenario, num_threads=1)
+    episodes = [
+        draw_episode(
+            config, run.seed, 0, {"speed_kmh": run.speed * KMH, "initial_current": run.initial_current}
+        )
+        for run in runs
+    ]
+    steps = [assessed_steps(config, first.scenario, run.speed) for run in runs]
+    return roll_out(fleet, first.policy.make(fleet), episodes, steps)
+
+
+def own_policy(scenario: Scenario) -> PolicySpec:
+    """What the dampers of a scenario do without a controller."""
+    damper = scenario.damper
+    if isinstance(damper, SaydDamperConfig):
+        return PolicySpec("constant", {"current": damper.current}, f"constant:{damper.current:g}")
+    return PolicySpec(PASSIVE)
+
+
+def conditions(
+    scenario: Scenario, wear: Sequence[float] = (), friction: Sequence[float] = ()
+) -> list[Scenario]:
+    """Scenarios of every wear with every friction; the scenario's own where there is none.
+
+    Raises
+    ------
+    ConfigError
+        No distance is assessed.
+    """
+    if scenario.assessment.length is None:
+        raise ConfigError("assessment.length: a simulation needs a distance, found null")
+    return [
+        scenario.model_copy(update={"wear": w, "friction": mu})
+        for w in tuple(wear) or (scenario.wear,)
+        for mu in tuple(friction) or (scenario.friction,)
     ]
 
-    def work(part: tuple[int, tuple[int, ...]]) -> list[T]:
-        group, seeds = groups[part[0]], part[1]
-        return [analyse(group, rollout) for rollout in _roll_out(group, seeds)]
 
-    runs = sum(len(seeds) for _, seeds in parts)
+def policy_runs(
+    policies: Iterable[PolicySpec],
+    scenarios: Sequence[Scenario],
+    speeds: Sequence[float],
+    seeds: Sequence[int],
+    environment: EnvironmentConfig,
+    *,
+    initial_current: float = 0.0,
+) -> Iterator[Run]:
+    """Runs of every policy in every scenario at every speed (m/s) with every seed, in this order.
 
-    def report(done: float, total: float, what: str = "") -> None:
-        progress(round(runs * done / total), runs, what)
+    Raises
+    ------
+    ConfigError
+        A policy that is named twice, or that does not fit the scenario's dampers; a speed outside the
+        vehicle's range.
+    """
+    seen: set[str] = set()
+    for policy in policies:
+        if policy.title in seen:
+            raise ConfigError(f"policy '{policy.title}' is named twice")
+        seen.add(policy.title)
+        for scenario in scenarios:
+            fitted = for_policy(scenario, policy)
+            config = environment_of(fitted, environment)
+            model = VehicleModel(fitted)
+            for speed in speeds:
+                model.check_speed(speed)  # refused before any work
+                for seed in seeds:
+                    yield Run(policy, fitted, config, speed, seed, initial_current)
 
-    results: list[list[T]] = [[] for _ in groups]
-    for (i, _), found in zip(parts, parallel(work, parts, workers, report), strict=True):
-        results[i] += found
-    return results
 
-
-def _roll_out(group: Group, seeds: Sequence[int]) -> list[Rollout]:
-    config = group.policy.environment(group.config)
-    fleet = Fleet(config, len(seeds), scenario=group.scenario, num_threads=1)
-    options = {"speed_kmh": group.speed * KMH, "initial_current": group.initial_current}
-    episodes = [draw_episode(config, seed, 0, options) for seed in seeds]
-    steps = [assessed_steps(config, group.scenario, group.speed)] * len(seeds)
-    return roll_out(fleet, group.policy.make(fleet), episodes, steps)
+def environment_of(scenario: Scenario, environment: EnvironmentConfig) -> EnvironmentConfig:
+    """Environment whose wear, friction, track and run-in are those of a scenario, none of them drawn."""
+    distributions = environment.randomisation.model_copy(
+        update={"wear": None, "friction": None, "tracks": ()}
+    )
+    return environment.model_copy(
+        update={
+            "randomisation": distributions,
+            "damper": scenario.damper.type,
+            "run_in": scenario.assessment.run_in,
+        }
+    )

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config import ConfigError
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH, Array
+from sayd_env.physics.contact.creep import LAWS
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Progress, silent
-from sayd_env.runs.passive import Sweep, runs_table, simulate, sweep
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.passive import PassiveRun, Sweep, runs_table, simulated, sweep
 from sayd_env.stability import (
     CriticalSpeed,
     Crossing,
@@ -26,16 +29,16 @@ from sayd_env.stability import (
     limits,
     thinned_grids,
 )
-from sayd_env.studies.creep_laws import CreepLawComparison, check_laws, with_law
 from sayd_env.studies.paper.passive_claims import NEW_SPEEDS, WORN_SPEEDS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-Array = npt.NDArray[np.float64]
-KMH = 3.6
 HALF_WORN = 0.5
+LAW_SPEEDS = tuple(v / KMH for v in range(260, 441, 20))
+"""Speeds of a comparison of creep laws (m/s): wide enough for all of them on new and on worn wheels."""
+CRITERIA = ("acceleration", "track_shift_force")
 
 
 @dataclass(frozen=True)
@@ -273,6 +276,44 @@ def draw_trends(
     axes[-1].legend(fontsize="small")
 
 
+@dataclass(frozen=True)
+class CreepLawComparison:
+    """Critical speeds by creep law."""
+
+    results: Mapping[str, CriticalSpeedResult]
+    """By the law's name."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Critical speed and criteria by law, with the keys of ``sayd critical-speed --json``."""
+        kept = ("critical_speed_kmh", "criterion", "by_criterion")
+        return {
+            law: {key: value for key, value in result.as_dict().items() if key in kept}
+            for law, result in self.results.items()
+        }
+
+    def table(self) -> tuple[Sequence[str], list[list[Any]]]:
+        """Critical speed (km/h) by law and criterion; empty where the grid does not hold it."""
+        rows: list[list[Any]] = []
+        for law, result in self.results.items():
+            found = result.crossing()
+            for name in CRITERIA:
+                speed, status = found[name].speed, found[name].crossing.name.lower()
+                rows.append([law, name, None if speed is None else speed * KMH, status])
+        return ("creep_law", "criterion", "critical_speed_kmh", "status"), rows
+
+    def summary(self, console: Console, title: str) -> None:
+        """Print the critical speeds by law."""
+        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+
+        table = Table(title=title)
+        table.add_column("creep law")
+        for name in CRITERIA:
+            table.add_column(f"by {name.replace('_', ' ')}", justify="right")
+        for law, result in self.results.items():
+            table.add_row(law, *(result.verdict(name) for name in CRITERIA))
+        console.print(table)
+
+
 def default_speeds(wear: float) -> tuple[float, ...]:
     """Speed grid of the paper (m/s): figure 8 for new wheels, figure 10 for worn ones."""
     return NEW_SPEEDS if wear < HALF_WORN else WORN_SPEEDS
@@ -289,8 +330,7 @@ def find_critical_speed(
     seeds: Sequence[int] = range(10),
     *,
     creep_laws: Sequence[str] = (),
-    workers: int | None = None,
-    progress: Progress = silent,
+    context: RunContext | None = None,
 ) -> CriticalSpeedResult:
     """Assess a vehicle over speed and find where it exceeds a limit of EN 14363.
 
@@ -304,10 +344,7 @@ def find_critical_speed(
         Track seeds.
     creep_laws : sequence of str
         Creep laws by which the critical speed is found besides, all else equal.
-    workers : int, optional
-        Threads.
-    progress : Progress
-        Told after each run.
+    context : RunContext, optional
 
     Raises
     ------
@@ -317,32 +354,76 @@ def find_critical_speed(
         A run that diverged.
     """
     check_laws(creep_laws, "creep laws")
-    own = scenario.contact.creep_law
-    laws = (own, *(law for law in creep_laws if law != own))
+    context = context or RunContext()
     chosen = default_speeds(scenario.wear) if speeds is None else tuple(speeds)
-    runs, results = len(chosen) * len(seeds), {}
-    for number, law in enumerate(laws):
-        model = VehicleModel(with_law(scenario, law))
-        report = partial(_report, progress, number * runs, len(laws) * runs)
-        found = sweep(model, chosen, seeds, workers=workers, progress=report)
-        names = tuple(name.removeprefix("wheelset.") for name, _ in model.multibody.measuring_points)
-        history = _history(model, chosen[0], seeds[0], names)
-        results[law] = CriticalSpeedResult(model.scenario, found, model_limits(model), names, history)
+    each = len(chosen) * len(seeds)
+    total = each * (1 + len(creep_laws))
+    own = _found(scenario, chosen, seeds, context.part(0, total))
     if not creep_laws:
-        return results[own]
-    return replace(results[own], laws=CreepLawComparison({law: results[law] for law in creep_laws}))
+        return own
+    return replace(own, laws=compare_laws(scenario, chosen, seeds, creep_laws, context.part(each, total)))
 
 
-def _report(progress: Progress, before: int, total: int, done: float, _: float, what: str = "") -> None:
-    """Progress by one creep law, as a part of all."""
-    progress(before + done, total, what)
+def compare_laws(
+    scenario: Scenario,
+    speeds: Sequence[float],
+    seeds: Sequence[int],
+    creep_laws: Sequence[str],
+    context: RunContext,
+) -> CreepLawComparison:
+    """Critical speeds by several creep laws; parameters and errors as of `find_critical_speed`."""
+    each = len(speeds) * len(seeds)
+    return CreepLawComparison(
+        {
+            law: _found(
+                with_law(scenario, law), speeds, seeds, context.part(i * each, len(creep_laws) * each)
+            )
+            for i, law in enumerate(creep_laws)
+        }
+    )
 
 
-def _history(model: VehicleModel, speed: float, seed: int, names: Sequence[str]) -> History:
-    settings = model.scenario.assessment
-    signals = simulate(model, speed, seed)
-    assessed = assess(signals.acceleration, settings.sample_rate, speed, settings)
-    worst = int(np.argmax(assessed.maximum))
-    column = signals.acceleration[:, [worst]]
-    filtered = band_pass(column, settings.sample_rate, assessed.dominant_frequency[[worst]], settings)[:, 0]
-    return History(speed, names[worst], signals.time, filtered, assessed.position, assessed.rms[:, worst])
+def _found(
+    scenario: Scenario, speeds: Sequence[float], seeds: Sequence[int], context: RunContext
+) -> CriticalSpeedResult:
+    found = sweep(scenario, speeds, seeds, context)
+    model = VehicleModel(scenario)
+    history = _history(PassiveRun(scenario, speeds[0], seeds[0]), wheelset_names(model))
+    return CriticalSpeedResult(scenario, found, model_limits(model), wheelset_names(model), history)
+
+
+def wheelset_names(model: VehicleModel) -> tuple[str, ...]:
+    """Names of the wheelsets in the order of the assessed quantities."""
+    return tuple(name.removeprefix("wheelset.") for name, _ in model.multibody.measuring_points)
+
+
+def _history(run: PassiveRun, names: Sequence[str]) -> History:
+    settings = run.scenario.assessment
+    ((acceleration, _),) = simulated([run])
+    found = assess(acceleration, settings.sample_rate, run.speed, settings)
+    worst = int(np.argmax(found.maximum))
+    frequency = found.dominant_frequency[[worst]]
+    filtered = band_pass(acceleration[:, [worst]], settings.sample_rate, frequency, settings)[:, 0]
+    time = np.arange(1, len(filtered) + 1) / settings.sample_rate
+    return History(run.speed, names[worst], time, filtered, found.position, found.rms[:, worst])
+
+
+def check_laws(laws: Sequence[str], option: str) -> None:
+    """Refuse names that are no creep law, or are named twice.
+
+    Raises
+    ------
+    ConfigError
+        Naming the option, the name and what is expected.
+    """
+    for law in laws:
+        if law not in LAWS:
+            raise ConfigError(f"{option} {law}: unknown creep law; expected {', '.join(LAWS)}")
+        if laws.count(law) > 1:
+            raise ConfigError(f"{option}: '{law}' is named twice")
+
+
+def with_law(scenario: Scenario, law: str) -> Scenario:
+    """Return the same scenario with another creep law."""
+    contact = scenario.contact.model_copy(update={"creep_law": law})
+    return scenario.model_copy(update={"contact": contact})

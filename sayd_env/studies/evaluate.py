@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sayd_env.config import ConfigError
-from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.keywords import REWARDS
-from sayd_env.report.files import Progress, silent
-from sayd_env.runs.metrics import Row, policy_row
-from sayd_env.runs.policies import PASSIVE, PolicySpec, for_policy
-from sayd_env.runs.rollouts import Group, run_groups
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.metrics import Row, rows
+from sayd_env.runs.policies import PolicySpec
+from sayd_env.runs.rollouts import conditions, own_policy, policy_runs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
-KMH = 3.6
 COSTS = (
     *("J", "J_acceleration", "J_force", "J_run"),
     *("J_offline", "J_offline_acceleration", "J_offline_force"),
@@ -256,8 +254,7 @@ def evaluate(
     friction: Sequence[float] = (),
     environment: EnvironmentConfig | None = None,
     initial_current: float = 0.0,
-    workers: int | None = None,
-    progress: Progress = silent,
+    context: RunContext | None = None,
 ) -> EvaluateResult:
     """Run policies over speeds, wear, friction and seeds, all of them on the same tracks.
 
@@ -278,10 +275,7 @@ def evaluate(
         Sensors, control period, length of an episode, charge for a derailment; ``nominal`` by default.
     initial_current : float
         Valve command of the run-in.
-    workers : int, optional
-        Threads.
-    progress : Progress
-        Told after each run.
+    context : RunContext, optional
 
     Raises
     ------
@@ -291,8 +285,8 @@ def evaluate(
         A run that diverged.
     """
     specs = tuple(policies) or (own_policy(scenario),)
-    groups = list(
-        policy_groups(
+    runs = list(
+        policy_runs(
             specs,
             conditions(scenario, wear, friction),
             speeds,
@@ -301,75 +295,7 @@ def evaluate(
             initial_current=initial_current,
         )
     )
-    rows = run_groups(groups, policy_row, workers=workers, progress=progress)
-    return EvaluateResult(scenario, [row for group in rows for row in group])
-
-
-def own_policy(scenario: Scenario) -> PolicySpec:
-    """What the dampers of a scenario do without a controller."""
-    damper = scenario.damper
-    if isinstance(damper, SaydDamperConfig):
-        return PolicySpec("constant", {"current": damper.current}, f"constant:{damper.current:g}")
-    return PolicySpec(PASSIVE)
-
-
-def conditions(
-    scenario: Scenario, wear: Sequence[float] = (), friction: Sequence[float] = ()
-) -> list[Scenario]:
-    """Scenarios of every wear with every friction; the scenario's own where there is none.
-
-    Raises
-    ------
-    ConfigError
-        No distance is assessed.
-    """
-    if scenario.assessment.length is None:
-        raise ConfigError("assessment.length: a simulation needs a distance, found null")
-    return [
-        scenario.model_copy(update={"wear": w, "friction": mu})
-        for w in tuple(wear) or (scenario.wear,)
-        for mu in tuple(friction) or (scenario.friction,)
-    ]
-
-
-def policy_groups(
-    policies: Iterable[PolicySpec],
-    scenarios: Sequence[Scenario],
-    speeds: Sequence[float],
-    seeds: Sequence[int],
-    environment: EnvironmentConfig,
-    *,
-    initial_current: float = 0.0,
-) -> Iterator[Group]:
-    """Runs of every policy in every scenario at every speed.
-
-    Raises
-    ------
-    ConfigError
-        A policy that stands there twice, or that does not fit the scenario's dampers.
-    """
-    seen: set[str] = set()
-    for spec in policies:
-        if spec.title in seen:
-            raise ConfigError(f"policy '{spec.title}' stands there twice")
-        seen.add(spec.title)
-        for scenario in scenarios:
-            fitted = for_policy(scenario, spec)
-            config = environment_of(fitted, environment)
-            for speed in speeds:
-                yield Group(spec, fitted, config, speed, tuple(seeds), initial_current)
-
-
-def environment_of(scenario: Scenario, environment: EnvironmentConfig) -> EnvironmentConfig:
-    """Environment whose wear, friction, track and run-in are those of a scenario, none of them drawn."""
-    laws = environment.randomisation.model_copy(update={"wear": None, "friction": None, "tracks": ()})
-    return environment.model_copy(
-        update={
-            "randomisation": laws,
-            "damper": scenario.damper.type,
-            "run_in": scenario.assessment.run_in,
-        }
-    )
+    return EvaluateResult(scenario, rows(runs, context or RunContext()))
 
 
 def with_reward(scenario: Scenario, reward: str) -> Scenario:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
-from sayd_env.report.files import Plot, Progress, Table, git_state, silent, versions
+from sayd_env.report.files import Plot, Table, git_state, versions
+from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from itertools import pairwise, product
-from pathlib import Path
+from itertools import islice, pairwise, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,25 +14,20 @@ from sayd_env.config import ConfigError
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
-from sayd_env.envs.rollout import Rollout
+from sayd_env.config.units import KMH
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.throttle import overlap
-from sayd_env.report.files import Progress, silent
-from sayd_env.runs.cache import RunStore
-from sayd_env.runs.kept import constant_command, identity, identity_of_constants, run_kept
-from sayd_env.runs.metrics import policy_row
-from sayd_env.runs.passive import run_name
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PolicySpec, for_policy
-from sayd_env.runs.rollouts import Group
+from sayd_env.runs.rollouts import Run, conditions, policy_runs
 from sayd_env.stability import Crossing, critical_speed
-from sayd_env.studies.evaluate import conditions, policy_groups
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
-KMH = 3.6
 POLICIES = ("passive", "mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
 WEAR = (0.0, 0.25, 0.5, 0.75, 1.0)
 FRICTION = (0.2, 0.3, 0.4, 0.5)
@@ -80,18 +74,6 @@ QUICK = MapGrid(
     refinements=1,
 )
 """For a look at what comes out, within a minute or two."""
-
-
-@dataclass(frozen=True)
-class MapRun:
-    """One run."""
-
-    J: float
-    """Cost by the on-line filter over the environment's episode."""
-    J_offline: float
-    """Cost by the off-line filter over the assessed length."""
-    acceleration_ratio: float
-    track_shift_ratio: float
 
 
 @dataclass(frozen=True)
@@ -148,8 +130,6 @@ class MapResult:
     seeds: tuple[int, ...]
     cells: list[Cell]
     best: list[BestConstant]
-    reused: int = 0
-    """Runs that an earlier start had finished."""
 
     @property
     def policies(self) -> tuple[str, ...]:
@@ -225,8 +205,6 @@ class MapResult:
             console.print(self._best_table())
         if count < LEAST_SEEDS:
             console.print(f"medians of fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
-        if self.reused:
-            console.print(f"{self.reused} runs had been finished by an earlier start and were not repeated")
 
     def _best_table(self) -> Any:
         from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
@@ -321,9 +299,7 @@ def stability_map(
     grid: MapGrid | None = None,
     best_constant: bool = True,
     environment: EnvironmentConfig | None = None,
-    workers: int | None = None,
-    progress: Progress = silent,
-    folder: Path | None = None,
+    context: RunContext | None = None,
 ) -> MapResult:
     """Map critical speeds over wear and friction, and the best constant current for each condition.
 
@@ -340,21 +316,16 @@ def stability_map(
         Whether the best constant current is looked for, too.
     environment : EnvironmentConfig, optional
         ``nominal`` by default.
-    workers : int, optional
-        Threads.
-    progress : Progress
-        Told after each run.
-    folder : Path, optional
-        Where finished runs are kept, so that an interrupted study goes on from there.
+    context : RunContext, optional
 
     Raises
     ------
     ConfigError
-        A policy that does not fit, a value outside its range, a folder that cannot be written to.
+        A policy that does not fit, a value outside its range.
     StudyError
         A run that diverged.
     """
-    study = _Study(scenario, tuple(seeds), environment or load_environment(), folder, workers, progress)
+    study = _Study(scenario, tuple(seeds), environment or load_environment(), context or RunContext())
     chosen = grid or MapGrid()
     if len(chosen.speeds) < 2 and policies:
         raise ConfigError("--speeds: a critical speed needs at least two speeds")
@@ -364,7 +335,7 @@ def stability_map(
         model.check_speed(speed)  # refused before any work
     cells = study.critical(policies, chosen) if policies else []
     best = study.best_constant(chosen) if best_constant else []
-    return MapResult(scenario, chosen, tuple(seeds), cells, best, study.finish())
+    return MapResult(scenario, chosen, tuple(seeds), cells, best)
 
 
 Key = tuple[str, float, float, float]
@@ -372,21 +343,17 @@ Key = tuple[str, float, float, float]
 
 
 class _Study:
-    """Runs of the maps: each once, whoever asks for it, and kept on the disk."""
+    """Runs of the maps: each once, whoever asks for it."""
 
     def __init__(
         self,
         scenario: Scenario,
         seeds: tuple[int, ...],
         environment: EnvironmentConfig,
-        folder: Path | None,
-        workers: int | None,
-        progress: Progress,
+        context: RunContext,
     ) -> None:
-        self.scenario, self.seeds, self.environment = scenario, seeds, environment
-        self.folder, self.workers, self.progress = folder, workers, progress
-        self._found: dict[Key, list[MapRun]] = {}
-        self._stores: dict[str, RunStore[MapRun]] = {}
+        self.scenario, self.seeds, self.environment, self.context = scenario, seeds, environment, context
+        self._found: dict[Key, list[Row]] = {}
 
     def critical(self, policies: Sequence[PolicySpec], grid: MapGrid) -> list[Cell]:
         """Critical speeds on the grid and, where a limit is crossed, on it with the interval halved."""
@@ -430,12 +397,6 @@ class _Study:
         damper = for_policy(self.scenario, _constant(0.0)).damper
         assert isinstance(damper, SaydDamperConfig)  # `for_policy` sees to it
         return overlap(damper.throttle)
-
-    def finish(self) -> int:
-        """Forget what other inputs have left; return how many runs came from the disk."""
-        for store in self._stores.values():
-            store.forget_former()
-        return sum(store.reused for store in self._stores.values())
 
     def _best(self, place: tuple[float, float, float], currents: set[float]) -> BestConstant:
         on_line, off_line = (self._lowest(name, place, currents) for name in ("J", "J_offline"))
@@ -494,40 +455,17 @@ class _Study:
 
     def _run(self, cases: Iterable[tuple[PolicySpec, float, float, float]], what: str) -> None:
         """Run what has not been run before."""
-        groups: dict[Key, Group] = {}
+        asked: dict[tuple[str, float, float], tuple[PolicySpec, dict[float, None]]] = {}
         for spec, wear, friction, speed in cases:
-            key = (spec.title, wear, friction, speed)
-            if key not in self._found and key not in groups:
-                scenarios = conditions(self.scenario, [wear], [friction])
-                (groups[key],) = policy_groups([spec], scenarios, [speed], self.seeds, self.environment)
-        found = run_kept(
-            list(groups.values()),
-            _map_run,
-            self._place,
-            workers=self.workers,
-            progress=lambda done, total, _="": self.progress(done, total, what),
-        )
-        self._found.update(zip(groups, found, strict=True))
-
-    def _place(self, group: Group, seed: int) -> tuple[RunStore[MapRun] | None, str]:
-        if self.folder is None:
-            return None, ""
-        # One store for all conditions and currents of a policy: they stand in the names of the runs.
-        spec = group.policy
-        command = constant_command(spec)
-        key = spec.title if command is None else spec.name
-        if key not in self._stores:
-            scenario = group.scenario.model_copy(update={"wear": 0.0, "friction": 1.0})
-            who = identity(spec) if command is None else identity_of_constants()
-            self._stores[key] = RunStore(self.folder, f"map-{key}", MapRun, scenario, group.config, who)
-        current = "" if command is None else f"_V_{command:.9g}"
-        where = f"wear_{group.scenario.wear:.9g}_friction_{group.scenario.friction:.9g}"
-        return self._stores[key], f"{where}{current}_{run_name(group.speed, seed)}"
-
-
-def _map_run(group: Group, rollout: Rollout) -> MapRun:
-    row = policy_row(group, rollout)
-    return MapRun(row.J, row.J_offline, row.acceleration_ratio, row.track_shift_ratio)
+            if (spec.title, wear, friction, speed) not in self._found:
+                asked.setdefault((spec.title, wear, friction), (spec, {}))[1][speed] = None
+        runs: dict[Key, list[Run]] = {}
+        for (title, wear, friction), (spec, speeds) in asked.items():
+            scenarios = conditions(self.scenario, [wear], [friction])
+            for run in policy_runs([spec], scenarios, list(speeds), self.seeds, self.environment):
+                runs.setdefault((title, wear, friction, run.speed), []).append(run)
+        found = iter(rows([run for group in runs.values() for run in group], self.context, what))
+        self._found |= {key: list(islice(found, len(group))) for key, group in runs.items()}
 
 
 def halfway(current: float, currents: Iterable[float], closed: float) -> list[float]:

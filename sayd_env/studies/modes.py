@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sayd_env.physics.linear import HUNTING_BAND, RootLocus, linear_critical_speed, root_locus
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Progress, silent
+from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,8 +21,9 @@ from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, RUNNING
 from sayd_env.envs.recorder import Recorder
 from sayd_env.envs.rollout import first_state, listens
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Plot, Progress, Table, silent
+from sayd_env.report.files import Plot, Table
 from sayd_env.report.video import Picture, checked_film, write_film
+from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.policies import PolicySpec, for_policy
 
 if TYPE_CHECKING:

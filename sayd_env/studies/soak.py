@@ -19,7 +19,8 @@ import numpy.typing as npt
 from sayd_env.config import ConfigError
 from sayd_env.envs.loop import NOT_FINITE, RUNNING
 from sayd_env.envs.vector import SaydVectorEnv
-from sayd_env.report.files import Progress, Table, silent
+from sayd_env.report.files import Table
+from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,7 +15,7 @@ import pytest
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics import kernel as kernel_module
-from sayd_env.physics.batch import BatchSimulator, advance_batch
+from sayd_env.physics.batch import BatchSimulator, advance_units_in_parallel
 from sayd_env.physics.formation import FEWEST, WIDTH, Formation
 from sayd_env.physics.kernel import announced_compilation, kernel
 from sayd_env.physics.plant import Plant, State
@@ -117,7 +117,7 @@ def advance_to_the_end(
     """The same, and how many samples each vehicle took."""
     signals, done = np.zeros((len(formation), SAMPLES, 16)), np.zeros(len(formation), dtype=np.int64)
     units = formation.units(active)
-    advance_batch(units, *formation.arguments(), np.array(substeps), signals, done)
+    advance_units_in_parallel(units, *formation.arguments(), np.array(substeps), signals, done)
     return signals, done
 
 

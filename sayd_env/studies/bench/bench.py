@@ -18,7 +18,7 @@ import numpy as np
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.parts import PARTS, SAYD_PARTS
 from sayd_env.physics.simulator import Simulator, VehicleModel
-from sayd_env.report.files import Progress, silent
+from sayd_env.runs.context import Progress, silent
 from sayd_env.studies.bench.environment import (
     ID,
     RATES,

@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from sayd_env.studies.comparison.compare import CompareResult
+    from sayd_env.studies.comparison.result import Comparison
 
 Array = npt.NDArray[np.float64]
 THRESHOLDS = np.linspace(0.0, 2.0, 101)
 
 
-def draw(result: CompareResult, figure: Figure) -> None:
+def draw(result: Comparison, figure: Figure) -> None:
     """Draw cost over speed, distribution and mean against MPPT2, training seeds, bound, and the targets."""
     figure.set_size_inches(15.0, 9.5)
     config = result.config
     figure.suptitle(
-        f"{len(result.arena.conditions)} conditions x {len(config.seeds)} seeds, J on line"
+        f"{len(result.grid.conditions)} conditions x {len(config.seeds)} seeds, J on line"
         + (", --quick: a look, no result" if result.quick else "")
     )
     axes = figure.subplots(2, 3)
@@ -43,8 +43,8 @@ def draw(result: CompareResult, figure: Figure) -> None:
         axis.grid(alpha=0.3)
 
 
-def _speeds(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
-    speeds = np.array([condition.speed_kmh for condition in result.arena.conditions])
+def _speeds(result: Comparison, axis: Axes, colours: dict[str, str]) -> None:
+    speeds = np.array([condition.speed_kmh for condition in result.grid.conditions])
     grid = np.unique(speeds)
     lines = {name: found.by_condition for name, found in result.scores[OWN].items()}
     for name, costs in lines.items():
@@ -56,10 +56,10 @@ def _speeds(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
     axis.set(title="mean J over speed", xlabel="speed (km/h)", ylabel="J", yscale="log")
 
 
-def _profiles(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
+def _profiles(result: Comparison, axis: Axes, colours: dict[str, str]) -> None:
     """Share of the scenarios in which J over MPPT2's does not exceed a threshold."""
     settings = result.config
-    bootstrap = Bootstrap(len(result.arena.conditions), len(settings.seeds), settings.bootstrap)
+    bootstrap = Bootstrap(len(result.grid.conditions), len(settings.seeds), settings.bootstrap)
     costs = result.costs[OWN]
     for name, table in costs.items():
         if name == "mppt2":
@@ -71,7 +71,7 @@ def _profiles(result: CompareResult, axis: Axes, colours: dict[str, str]) -> Non
     axis.set(title="share of the runs with J / J of MPPT2 up to x", xlabel="x", ylabel="share")
 
 
-def _middles(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
+def _middles(result: Comparison, axis: Axes, colours: dict[str, str]) -> None:
     controlled = _controlled(result)
     for i, (name, found) in enumerate(controlled.items()):
         middle = found.to_mppt2
@@ -83,7 +83,7 @@ def _middles(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None
     axis.set(title="IQM of J / J of MPPT2, 95 % interval", xlabel="ratio")
 
 
-def _trainings(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
+def _trainings(result: Comparison, axis: Axes, colours: dict[str, str]) -> None:
     controlled = _controlled(result)
     for i, (name, found) in enumerate(controlled.items()):
         axis.plot(found.by_training, [i] * len(found.by_training), "o", color=colours[name], alpha=0.7)
@@ -93,7 +93,7 @@ def _trainings(result: CompareResult, axis: Axes, colours: dict[str, str]) -> No
     axis.set(title="mean J of each training seed; bar: mean of all", xlabel="J")
 
 
-def _bounds(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
+def _bounds(result: Comparison, axis: Axes, colours: dict[str, str]) -> None:
     """J of each condition over that of its best constant command, conditions in the order of the latter."""
     bound = result.bounds[OWN].costs[0].mean(axis=1)
     order = np.argsort(bound)
@@ -108,12 +108,12 @@ def _bounds(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
     )
 
 
-def _controlled(result: CompareResult) -> dict[str, Score]:
+def _controlled(result: Comparison) -> dict[str, Score]:
     """Scores without the passive vehicle's, beside which all others would be one point where it hunts."""
     return {name: found for name, found in result.scores[OWN].items() if name != "passive"}
 
 
-def _reductions(result: CompareResult, axis: Axes, colours: dict[str, str]) -> None:
+def _reductions(result: Comparison, axis: Axes, colours: dict[str, str]) -> None:
     """Reduction against the best of the paper's controllers by each way of taking J."""
     chosen = [each.name for each in result.contestants if each.learned] or [
         each.name for each in result.contestants if each.name != "passive"

@@ -3,41 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from itertools import product
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice, product
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import ConfigError
 from sayd_env.config.comparison import ComparedTrack, ComparisonConfig
 from sayd_env.config.environment import EnvironmentConfig, charge_a_second, load_environment
 from sayd_env.config.scenario import CostConfig, Scenario, load_scenario
 from sayd_env.config.track import IrregularityConfig
-from sayd_env.envs.rollout import Rollout
+from sayd_env.config.units import KMH, Array
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Progress, silent
-from sayd_env.runs.cache import RunStore
-from sayd_env.runs.kept import (
-    CONSTANT,
-    constant_command,
-    identity,
-    identity_of_constants,
-    run_kept,
-)
-from sayd_env.runs.metrics import policy_row
-from sayd_env.runs.passive import run_name
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PolicySpec, for_policy
-from sayd_env.runs.rollouts import Group
-from sayd_env.studies.evaluate import environment_of
+from sayd_env.runs.rollouts import Run, environment_of
 
-Array = npt.NDArray[np.float64]
 Filter = Literal["online", "offline"]
 FILTERS: tuple[Filter, ...] = ("online", "offline")
-KMH = 3.6
 
 
 class Condition(NamedTuple):
@@ -80,39 +66,20 @@ OWN = Variant("online", 1.0)
 """The environment's J, in MPPT2's weighting."""
 
 
-@dataclass(frozen=True)
-class CompareRun:
-    """What is kept of a run; NaN where there is nothing to measure, infinite where the run derailed."""
-
-    acceleration: float
-    """(psi_y / y_lim)^2 over the episode of the environment, on-line filter."""
-    force: float
-    """(psi_F / F_max)^2 of this."""
-    lost: float
-    """Share of the episode that a derailment has cut off."""
-    offline_lost: float
-    """Share of the assessed length that it has cut off."""
-    offline_acceleration: float
-    """(psi_y / y_lim)^2 over the assessed length, off-line filter."""
-    offline_force: float
-    """(psi_F / F_max)^2 of this."""
-    acceleration_ratio: float
-    """Largest over the limit of EN 14363."""
-    track_shift_ratio: float
-    """The same of the track shift force."""
-    force_rms_n: float
-    comfort: float
-    valve_mean: float
-    valve_travel_per_km: float
-    switching_per_s: float
-
-
+MEASURED = (
+    *("J_acceleration", "J_force", "J_offline_acceleration", "J_offline_force"),
+    *("acceleration_ratio", "track_shift_ratio", "force_rms_n", "comfort"),
+    *("valve_mean", "valve_travel_per_km", "switching_per_s"),
+)
+"""Fields of a `Row` that a comparison reads."""
 Runs = Mapping[str, Array]
-"""Fields of `CompareRun` by name, over conditions and seeds: shape (C, S)."""
+"""`MEASURED` by name, over conditions and seeds: shape (C, S); NaN where nothing is measured, infinite
+where the run derailed. ``lost`` is the share of the episode that a derailment has cut off, ``offline_lost``
+that of the assessed length."""
 
 
 @dataclass(frozen=True)
-class Arena:
+class ScenarioGrid:
     """The conditions of a comparison, and what they stand on.
 
     Attributes
@@ -133,8 +100,8 @@ class Arena:
     irregularities: tuple[IrregularityConfig, ...]
 
     @classmethod
-    def of(cls, config: ComparisonConfig) -> Arena:
-        """Arena of a comparison.
+    def of(cls, config: ComparisonConfig) -> ScenarioGrid:
+        """ScenarioGrid of a comparison.
 
         Raises
         ------
@@ -153,12 +120,12 @@ class Arena:
         conditions = tuple(Condition(*each) for each in spans)
         return cls(config, environment, scenario, conditions, tuple(t.irregularity for t in config.tracks))
 
-    def groups(self, policy: PolicySpec) -> list[Group]:
-        """Runs of a policy: one group for each condition."""
+    def runs(self, policy: PolicySpec) -> list[Run]:
+        """Runs of a policy: condition by condition, seed by seed."""
         fitted = for_policy(self.scenario, policy)
         environment = environment_of(fitted, self.environment)
         scenarios: dict[tuple[int, float, float], Scenario] = {}
-        groups = []
+        runs = []
         for condition in self.conditions:
             number = self.config.tracks.index(condition.track)
             key = (number, condition.wear, condition.friction)
@@ -166,17 +133,11 @@ class Arena:
                 track = fitted.track.model_copy(update={"irregularity": self.irregularities[number]})
                 changes = {"track": track, "wear": condition.wear, "friction": condition.friction}
                 scenarios[key] = fitted.model_copy(update=changes)
-            groups.append(
-                Group(
-                    policy,
-                    scenarios[key],
-                    environment,
-                    condition.speed_kmh / KMH,
-                    self.config.seeds,
-                    self.config.initial_current,
-                )
-            )
-        return groups
+            speed, current = condition.speed_kmh / KMH, self.config.initial_current
+            runs += [
+                Run(policy, scenarios[key], environment, speed, seed, current) for seed in self.config.seeds
+            ]
+        return runs
 
     def costs(self, runs: Runs, variant: Variant) -> Array:
         """J of runs, charge for derailments included.
@@ -192,67 +153,18 @@ class Arena:
         own = self.scenario.cost
         cost = own.model_copy(update={"force_weight": own.force_weight * variant.factor})
         charge = charge_a_second(self.environment, cost)
-        online = _weighted(cost, runs["acceleration"], runs["force"])
+        online = _weighted(cost, runs["J_acceleration"], runs["J_force"])
         if variant.filter == "online":
             return online + charge * runs["lost"]
-        offline = _weighted(cost, runs["offline_acceleration"], runs["offline_force"])
+        offline = _weighted(cost, runs["J_offline_acceleration"], runs["J_offline_force"])
         charged = online + charge * np.maximum(runs["lost"], runs["offline_lost"])
         return np.where(np.isfinite(offline), offline, charged)
 
 
-class Keeper:
-    """Where finished runs are kept.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        None keeps nothing.
-    arena : Arena
-    """
-
-    def __init__(self, folder: Path | None, arena: Arena) -> None:
-        self.folder, self.arena = folder, arena
-        self._stores: dict[tuple[str, int], RunStore[CompareRun]] = {}
-
-    def place(self, group: Group, seed: int) -> tuple[RunStore[CompareRun] | None, str]:
-        """Store and name of a run; constant commands share a store, they stand in the names of the runs."""
-        if self.folder is None:
-            return None, ""
-        command = constant_command(group.policy)
-        title = group.policy.title if command is None else CONSTANT
-        key = (title, self.arena.irregularities.index(group.scenario.track.irregularity))
-        if key not in self._stores:
-            scenario = group.scenario.model_copy(update={"wear": 0.0, "friction": 1.0})
-            who = identity(group.policy) if command is None else identity_of_constants()
-            self._stores[key] = RunStore(
-                self.folder,
-                f"compare-{title}-track-{key[1]}",
-                CompareRun,
-                scenario,
-                group.config,
-                who,
-                group.initial_current,
-            )
-        current = "" if command is None else f"_V_{command:.9g}"
-        where = f"wear_{group.scenario.wear:.9g}_friction_{group.scenario.friction:.9g}"
-        return self._stores[key], f"{where}{current}_{run_name(group.speed, seed)}"
-
-    def finish(self) -> int:
-        """Forget what other inputs have left; return how many runs came from the disk."""
-        for store in self._stores.values():
-            store.forget_former()
-        return sum(store.reused for store in self._stores.values())
-
-
 def run_all(
-    arena: Arena,
-    policies: Sequence[PolicySpec],
-    keeper: Keeper,
-    *,
-    workers: int | None = None,
-    progress: Progress = silent,
+    grid: ScenarioGrid, policies: Sequence[PolicySpec], context: RunContext, what: str
 ) -> dict[str, Runs]:
-    """Run policies in all conditions.
+    """Run policies in all conditions; `what` names them where progress is reported.
 
     Returns
     -------
@@ -262,49 +174,21 @@ def run_all(
     Raises
     ------
     ConfigError
-        A policy that does not fit, a folder that cannot be written to.
+        A policy that does not fit.
     StudyError
         A run that diverged.
     """
-    groups = [(policy.title, group) for policy in policies for group in arena.groups(policy)]
-    found = run_kept(
-        [group for _, group in groups], compare_run, keeper.place, workers=workers, progress=progress
-    )
-    rows: dict[str, list[list[CompareRun]]] = {policy.title: [] for policy in policies}
-    for (title, _), records in zip(groups, found, strict=True):
-        rows[title].append(records)
-    return {title: _arrays(records) for title, records in rows.items()}
-
-
-def compare_run(group: Group, rollout: Rollout) -> CompareRun:
-    """Judge a run.
-
-    Raises
-    ------
-    StudyError
-        The simulation diverged.
-    """
-    row = policy_row(group, rollout)
-    return CompareRun(
-        acceleration=row.J_acceleration,
-        force=row.J_force,
-        lost=_lost(rollout, group.config.episode_s),
-        offline_lost=_lost(rollout, (group.scenario.assessment.length or 0.0) / group.speed),
-        offline_acceleration=row.J_offline_acceleration,
-        offline_force=row.J_offline_force,
-        acceleration_ratio=row.acceleration_ratio,
-        track_shift_ratio=row.track_shift_ratio,
-        force_rms_n=row.force_rms_n,
-        comfort=row.comfort,
-        valve_mean=_number(row.valve_mean),
-        valve_travel_per_km=_number(row.valve_travel_per_km),
-        switching_per_s=_number(row.switching_per_s),
-    )
+    each = [grid.runs(policy) for policy in policies]
+    found = iter(rows([run for runs in each for run in runs], context, what))
+    return {
+        policy.title: _arrays(grid, list(islice(found, len(runs))))
+        for policy, runs in zip(policies, each, strict=True)
+    }
 
 
 def constant(current: float) -> PolicySpec:
-    """The policy of one command for ever."""
-    return PolicySpec(CONSTANT, {"current": current}, f"{CONSTANT}:{current:g}")
+    """The policy of one command that never changes."""
+    return PolicySpec("constant", {"current": current}, f"constant:{current:g}")
 
 
 def variants(config: ComparisonConfig) -> tuple[Variant, ...]:
@@ -322,24 +206,24 @@ def _check_episode(config: ComparisonConfig, environment: EnvironmentConfig) -> 
         )
 
 
-def _lost(rollout: Rollout, time: float) -> float:
-    """Share of a time (s) from step 0 on that an early end has cut off."""
-    if rollout.ending is None:
-        return 0.0
-    run = len(rollout.terms) * rollout.control_period
-    return max(1.0 - run / time, 0.0)
+def _arrays(grid: ScenarioGrid, found: Sequence[Row]) -> Runs:
+    shape = (len(grid.conditions), len(grid.config.seeds))
 
+    def table(values: Iterable[float | None]) -> Array:
+        return np.array([math.nan if value is None else value for value in values]).reshape(shape)
 
-def _arrays(records: Sequence[Sequence[CompareRun]]) -> Runs:
+    length = grid.scenario.assessment.length or 0.0
     return {
-        field.name: np.array([[getattr(record, field.name) for record in line] for line in records])
-        for field in fields(CompareRun)
+        **{name: table(getattr(row, name) for row in found) for name in MEASURED},
+        "lost": table(_lost(row, grid.environment.episode_s) for row in found),
+        "offline_lost": table(_lost(row, length / row.speed_kmh * KMH) for row in found),
     }
+
+
+def _lost(row: Row, time: float) -> float:
+    """Share of a time (s) from step 0 on that an early end has cut off."""
+    return 0.0 if row.ending is None else max(1.0 - row.duration_s / time, 0.0)
 
 
 def _weighted(cost: CostConfig, acceleration: Array, force: Array) -> Array:
     return cost.acceleration_weight * acceleration + cost.force_weight * force
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value

@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.report.files import Table
-from sayd_env.studies.comparison.compare import MATRIX, CompareResult
 from sayd_env.studies.comparison.entrants import Contestant
 from sayd_env.studies.comparison.grid import OWN, Variant
+from sayd_env.studies.comparison.result import MATRIX, Comparison
 from sayd_env.studies.comparison.scores import Stability
 from sayd_env.studies.comparison.statistics import Estimate
 from sayd_env.studies.map import RATIO
@@ -34,7 +34,7 @@ _SCORES = (
 )
 
 
-def tables(result: CompareResult) -> dict[str, Table]:
+def tables(result: Comparison) -> dict[str, Table]:
     """Tables by file name: scores by policy and way of taking J, pairs, score matrix, targets, bounds."""
     found: dict[str, Table] = {
         "scores": (_SCORES, _scores(result)),
@@ -49,7 +49,7 @@ def tables(result: CompareResult) -> dict[str, Table]:
             [
                 [*condition.as_dict().values(), current, cost.mean()]
                 for condition, current, cost in zip(
-                    result.arena.conditions,
+                    result.grid.conditions,
                     result.bounds[OWN].currents,
                     result.bounds[OWN].costs[0],
                     strict=True,
@@ -65,7 +65,7 @@ def tables(result: CompareResult) -> dict[str, Table]:
     return found
 
 
-def show(result: CompareResult, console: Console) -> None:
+def show(result: Comparison, console: Console) -> None:
     """Print the scores, the targets, and what a reader has to know about them."""
     if result.quick:
         console.print("--quick: a few of the conditions, one seed of each; a look, no result")
@@ -89,12 +89,12 @@ def show(result: CompareResult, console: Console) -> None:
         console.print(table)
 
 
-def _scores_table(result: CompareResult) -> Any:
+def _scores_table(result: Comparison) -> Any:
     from rich.table import Table as Printed  # noqa: PLC0415 - only who prints pays for it
 
     config = result.config
     table = Printed(
-        title=f"{len(result.arena.conditions)} conditions x {len(config.seeds)} seeds: J on line, IQM of its "
+        title=f"{len(result.grid.conditions)} conditions x {len(config.seeds)} seeds: J on line, IQM of its "
         "ratio to the passive vehicle's and to MPPT2's"
     )
     headers = (
@@ -114,7 +114,7 @@ def _scores_table(result: CompareResult) -> Any:
     return table
 
 
-def _against_table(result: CompareResult) -> Any:
+def _against_table(result: Comparison) -> Any:
     """Mean J of the learned policies beside that of each controller."""
     from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
     from rich.table import Table as Printed  # noqa: PLC0415
@@ -129,7 +129,7 @@ def _against_table(result: CompareResult) -> Any:
     return table
 
 
-def _line(result: CompareResult, contestant: Contestant) -> list[str]:
+def _line(result: Comparison, contestant: Contestant) -> list[str]:
     from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
 
     own = result.scores[OWN][contestant.name]
@@ -148,7 +148,7 @@ def _line(result: CompareResult, contestant: Contestant) -> list[str]:
     ]
 
 
-def _notes(result: CompareResult) -> list[str]:
+def _notes(result: Comparison) -> list[str]:
     worn = result.config.critical_speed
     notes = [
         "ratios: largest of all runs, to the limits of EN 14363; km/h: critical speed at wear "
@@ -168,12 +168,10 @@ def _notes(result: CompareResult) -> list[str]:
     ]
     if result.missing and any(each.learned for each in result.contestants):
         notes.append(f"no targets are judged without {', '.join(result.missing)}")
-    if result.reused:
-        notes.append(f"{result.reused} runs had been finished by an earlier start and were not repeated")
     return notes
 
 
-def _scores(result: CompareResult) -> list[list[Any]]:
+def _scores(result: Comparison) -> list[list[Any]]:
     rows = []
     for variant, found in result.scores.items():
         for each in result.contestants:
@@ -194,7 +192,7 @@ def _scores(result: CompareResult) -> list[list[Any]]:
     return rows
 
 
-def _against(result: CompareResult) -> list[list[Any]]:
+def _against(result: Comparison) -> list[list[Any]]:
     controllers = [each.name for each in result.contestants if not each.learned]
     rows = []
     for variant, found in result.scores.items():
@@ -205,16 +203,16 @@ def _against(result: CompareResult) -> list[list[Any]]:
     return rows
 
 
-def _scenario_header(result: CompareResult) -> tuple[str, ...]:
-    return (*result.arena.conditions[0].as_dict(), "seed")
+def _scenario_header(result: Comparison) -> tuple[str, ...]:
+    return (*result.grid.conditions[0].as_dict(), "seed")
 
 
-def _matrix(result: CompareResult) -> list[list[Any]]:
+def _matrix(result: Comparison) -> list[list[Any]]:
     rows = []
     for each in result.contestants:
         columns = result.columns(each)
         for r, title in enumerate(each.titles):
-            for c, condition in enumerate(result.arena.conditions):
+            for c, condition in enumerate(result.grid.conditions):
                 for s, seed in enumerate(result.config.seeds):
                     cells = [columns[name][r, c, s] for name in MATRIX]
                     rows.append([each.name, title, *condition.as_dict().values(), seed, *cells])

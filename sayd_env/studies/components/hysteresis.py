@@ -14,7 +14,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
 from sayd_env.physics.rig import Cycle, steady_cycle, steady_sayd_cycles
 from sayd_env.physics.sayd import steady_force
-from sayd_env.report.files import Progress, silent
+from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

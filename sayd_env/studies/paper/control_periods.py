@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 from sayd_env.config import ConfigError, validate
@@ -13,8 +11,8 @@ from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Progress, silent
-from sayd_env.runs.controlled_groups import controlled_groups, controlled_runs
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.controlled import controlled_runs, controlled_specs
 from sayd_env.studies.paper.claims import Claim
 from sayd_env.studies.paper.controlled_claims import skyhook_claims, skyhook_runs
 
@@ -28,8 +26,6 @@ class PeriodSensitivity:
 
     claims: dict[float, list[Claim]]
     """By control period (s)."""
-    reused: int = 0
-    """Runs that an earlier start had finished."""
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -61,9 +57,7 @@ def period_sensitivity(
     periods: Sequence[float] = PERIODS,
     *,
     environment: EnvironmentConfig | None = None,
-    workers: int | None = None,
-    progress: Progress = silent,
-    folder: Path | None = None,
+    context: RunContext | None = None,
 ) -> PeriodSensitivity:
     """Judge rows S1 to S6 with controllers that act at several periods.
 
@@ -77,34 +71,25 @@ def period_sensitivity(
         Control periods (s), different ones.
     environment : EnvironmentConfig, optional
         Sensors of the controllers; those of ``nominal`` by default.
-    workers : int, optional
-        Threads.
-    progress : Progress
-        Told after each run.
-    folder : Path, optional
-        Where finished runs are kept; each period has a folder of its own in it.
+    context : RunContext, optional
 
     Raises
     ------
     ConfigError
-        A period that does not divide a second or stands there twice, or dampers that do not fit.
+        A period that does not divide a second or is named twice, or dampers that do not fit.
     StudyError
         A run that diverged or derailed.
     """
     configs = environments_at(periods, environment or load_environment())
     limits = model_limits(VehicleModel(scenario))
-    total = len(periods) * len(skyhook_runs()) * len(seeds)
+    context = context or RunContext()
+    each = len(skyhook_runs()) * len(seeds)
     claims: dict[float, list[Claim]] = {}
-    reused = 0
     for number, (period, config) in enumerate(zip(periods, configs, strict=True)):
-        before = number * total // len(periods)
-        report = partial(_report, progress, before, total, f"control period {1e3 * period:g} ms")
-        place = None if folder is None else folder / f"period_{1e3 * period:g}_ms"
-        groups = controlled_groups(scenario, config, seeds, skyhook_runs())
-        runs, found = controlled_runs(groups, place, workers, report)
-        claims[period] = skyhook_claims(runs, limits)
-        reused += found
-    return PeriodSensitivity(claims, reused)
+        part = context.part(number * each, len(periods) * each, f"control period {1e3 * period:g} ms")
+        specs = controlled_specs(scenario, config, seeds, skyhook_runs())
+        claims[period] = skyhook_claims(controlled_runs(specs, part), limits)
+    return PeriodSensitivity(claims)
 
 
 def environments_at(periods: Sequence[float], base: EnvironmentConfig) -> list[EnvironmentConfig]:
@@ -113,7 +98,7 @@ def environments_at(periods: Sequence[float], base: EnvironmentConfig) -> list[E
     Raises
     ------
     ConfigError
-        A period that does not divide a second or stands there twice, or none at all.
+        A period that does not divide a second or is named twice, or none at all.
     """
     if len(set(periods)) < len(periods) or not periods:
         raise ConfigError(f"control periods {list(periods)}: expected different ones, at least one")
@@ -121,10 +106,3 @@ def environments_at(periods: Sequence[float], base: EnvironmentConfig) -> list[E
         validate(EnvironmentConfig, dict(base) | {"control_period": period}, "control periods")
         for period in periods
     ]
-
-
-def _report(
-    progress: Progress, before: int, total: int, what: str, done: float, _total: float, _what: str = ""
-) -> None:
-    """Progress of one period, as a part of all."""
-    progress(before + done, total, what)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
-from pathlib import Path
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
@@ -14,17 +13,21 @@ from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics import sayd
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Progress, silent
-from sayd_env.runs.cache import RunStore
-from sayd_env.runs.controlled import ControlledRuns
-from sayd_env.runs.controlled_groups import controlled_groups, controlled_runs
-from sayd_env.runs.passive import Run, Sweep, runs_table, sweep
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.controlled import ControlledRuns, controlled_runs, controlled_specs
+from sayd_env.runs.passive import Sweep, runs_table, sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.components.conicity import conicity, plot_conicity
 from sayd_env.studies.components.hysteresis import HysteresisResult, hysteresis
-from sayd_env.studies.creep_laws import SPEEDS as LAW_SPEEDS
-from sayd_env.studies.creep_laws import CreepLawComparison, check_laws, with_law
-from sayd_env.studies.critical_speed import draw_trends, find_critical_speed, model_limits
+from sayd_env.studies.critical_speed import (
+    LAW_SPEEDS,
+    CreepLawComparison,
+    check_laws,
+    compare_laws,
+    draw_trends,
+    model_limits,
+    wheelset_names,
+)
 from sayd_env.studies.paper.claims import Claim, once
 from sayd_env.studies.paper.control_periods import PeriodSensitivity, environments_at, period_sensitivity
 from sayd_env.studies.paper.controlled_claims import controlled_claims, required_runs, skyhook_runs
@@ -36,7 +39,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-KMH = 3.6
 DEGREES_OF_FREEDOM = 62
 YAW_DAMPERS = 8
 SAYD_STATES = 6
@@ -65,8 +67,6 @@ class ReproduceResult:
     loops: HysteresisResult
     controlled: ControlledRuns
     """Runs with semi-active dampers."""
-    reused: int = 0
-    """Runs that an earlier start had finished."""
     sensitivity: PeriodSensitivity | None = None
     """Rows S1 to S6 at other control periods."""
     creep_laws: Mapping[str, CreepLawComparison] = field(default_factory=dict)
@@ -141,8 +141,6 @@ class ReproduceResult:
             f"{held} of {len(self.claims)} rows hold"
             + (f"; not: {', '.join(self.failed)}" if self.failed else "")
         )
-        if self.reused:
-            console.print(f"{self.reused} runs had been finished by an earlier start and were not repeated")
 
     def _draw_sweep(self, figure: Figure, grid: Sweep, title: str) -> None:
         draw_trends(figure, grid, self.limits, self.wheelsets, f"passive yaw dampers, {title}")
@@ -159,9 +157,7 @@ def reproduce(
     environment: EnvironmentConfig | None = None,
     control_periods: Sequence[float] = (),
     creep_laws: Sequence[str] = (),
-    workers: int | None = None,
-    progress: Progress = silent,
-    folder: Path | None = None,
+    context: RunContext | None = None,
 ) -> ReproduceResult:
     """Measure all rows of the paper's statements.
 
@@ -178,13 +174,7 @@ def reproduce(
         Control periods (s) at which rows S1 to S6 are judged besides.
     creep_laws : sequence of str
         Creep laws by which the passive critical speeds are found besides, on a grid wide enough for all.
-    workers : int, optional
-        Threads.
-    progress : Progress
-        Told after each run.
-    folder : Path, optional
-        Where finished runs are kept: after an interruption the study goes on from there, and with the same
-        inputs nothing is computed twice.
+    context : RunContext, optional
 
     Raises
     ------
@@ -200,46 +190,34 @@ def reproduce(
     if control_periods:
         environments_at(control_periods, laws)  # refused before any work
     check_laws(creep_laws, "creep laws")
+    context = context or RunContext()
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
-    groups = controlled_groups(models[1].scenario, laws, seeds, required_runs())
-    rest = len(control_periods) * len(skyhook_runs())
-    compared = len(models) * len(creep_laws) * len(LAW_SPEEDS)
-    total = len(seeds) * (len(NEW_SPEEDS) + len(WORN_SPEEDS) + len(groups) + rest + compared)
-    done_before = 0
-    sweeps = []
-    stores = [_store(folder, model) for model in models]
-    for model, speeds, store in zip(models, (NEW_SPEEDS, WORN_SPEEDS), stores, strict=True):
-        report = partial(_report, progress, done_before, total)
-        sweeps.append(sweep(model, speeds, seeds, workers=workers, progress=report, store=store))
-        done_before += len(seeds) * len(speeds)
-    new, worn = sweeps
-    runs, taken = controlled_runs(groups, folder, workers, partial(_report, progress, done_before, total))
-    done_before += len(seeds) * len(groups)
+    new_wheels, worn_wheels = (model.scenario for model in models)
+    specs = controlled_specs(worn_wheels, laws, seeds, required_runs())
+    sizes = {
+        "new": len(seeds) * len(NEW_SPEEDS),
+        "worn": len(seeds) * len(WORN_SPEEDS),
+        "controlled": len(specs),
+        "periods": len(seeds) * len(control_periods) * len(skyhook_runs()),
+        "laws new": len(seeds) * len(creep_laws) * len(LAW_SPEEDS),
+        "laws worn": len(seeds) * len(creep_laws) * len(LAW_SPEEDS),
+    }
+    begin = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
+
+    def part(name: str) -> RunContext:
+        return context.part(begin[name], sum(sizes.values()))
+
+    new = sweep(new_wheels, NEW_SPEEDS, seeds, part("new"))
+    worn = sweep(worn_wheels, WORN_SPEEDS, seeds, part("worn"))
+    runs = controlled_runs(specs, part("controlled"))
     sensitivity = None
     if control_periods:
         sensitivity = period_sensitivity(
-            models[1].scenario,
-            seeds,
-            control_periods,
-            environment=laws,
-            workers=workers,
-            progress=partial(_report, progress, done_before, total),
-            folder=None if folder is None else folder / "control_periods",
+            worn_wheels, seeds, control_periods, environment=laws, context=part("periods")
         )
-    done_before += len(seeds) * rest
     by_law: dict[str, CreepLawComparison] = {}
-    for wheels, model in zip(("new", "worn"), models if creep_laws else (), strict=False):
-        found = find_critical_speed(
-            with_law(model.scenario, creep_laws[0]),
-            LAW_SPEEDS,
-            seeds,
-            creep_laws=creep_laws,
-            workers=workers,
-            progress=partial(_report, progress, done_before, total),
-        )
-        assert found.laws is not None  # some were asked for
-        by_law[wheels] = found.laws
-        done_before += len(seeds) * len(creep_laws) * len(LAW_SPEEDS)
+    for wheels, vehicle in (("new", new_wheels), ("worn", worn_wheels)) if creep_laws else ():
+        by_law[wheels] = compare_laws(vehicle, LAW_SPEEDS, seeds, creep_laws, part(f"laws {wheels}"))
     limits = model_limits(models[0])
     loops = hysteresis(scenario)
     claims = [
@@ -248,26 +226,8 @@ def reproduce(
         *controlled_claims(runs, limits),
         model_claim(models[0]),
     ]
-    names = tuple(name.removeprefix("wheelset.") for name, _ in models[0].multibody.measuring_points)
-    kept = [store for store in stores if store is not None]
-    for store in kept:
-        store.forget_former()
-    reused = taken + sum(store.reused for store in kept)
-    reused += 0 if sensitivity is None else sensitivity.reused
-    return ReproduceResult(
-        scenario, claims, new, worn, limits, names, loops, runs, reused, sensitivity, by_law
-    )
-
-
-def _store(folder: Path | None, model: VehicleModel) -> RunStore[Run] | None:
-    """Where the runs of a passive vehicle are kept."""
-    scenario = model.scenario
-    return None if folder is None else RunStore(folder, f"passive-wear-{scenario.wear:g}", Run, scenario)
-
-
-def _report(progress: Progress, before: int, total: int, done: float, _: float, what: str = "") -> None:
-    """Progress of one of several sweeps, as a part of all."""
-    progress(before + done, total, what)
+    names = wheelset_names(models[0])
+    return ReproduceResult(scenario, claims, new, worn, limits, names, loops, runs, sensitivity, by_law)
 
 
 def damper_claim(result: HysteresisResult) -> Claim:

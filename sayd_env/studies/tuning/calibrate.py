@@ -8,24 +8,20 @@ Crossings are extrapolated beyond the speed grid, so that a search can start any
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from sayd_env.config import ConfigError, StudyError
+from sayd_env.config import StudyError
 from sayd_env.config.calibration import CalibrationConfig, Search
-from sayd_env.config.loader import read_text
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.units import KMH, Array
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Progress, silent
+from sayd_env.runs.context import RunContext, silent
 from sayd_env.runs.passive import Sweep, sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.critical_speed import model_limits
@@ -35,8 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-Array = npt.NDArray[np.float64]
-KMH = 3.6
 WORST = 8.0
 """Largest penalty of one row: beyond it, further away is no worse, and other rows matter more."""
 ROWS = tuple(f"P{i}" for i in range(1, 11))
@@ -186,9 +180,7 @@ def calibrate(
     config: CalibrationConfig,
     *,
     seed: int = 0,
-    workers: int | None = None,
-    progress: Progress = silent,
-    log: Path | None = None,
+    context: RunContext | None = None,
 ) -> CalibrationResult:
     """Search for the parameters that meet most of rows P1 to P10.
 
@@ -198,35 +190,25 @@ def calibrate(
         Parameters and budget.
     seed : int
         Seed of the Latin hypercube (not of the tracks).
-    workers : int, optional
-        Threads.
-    progress : Progress
-        Told after each evaluation.
-    log : Path, optional
-        A file of evaluations, one JSON object a line. What it holds already is not computed again, so an
-        interrupted calibration goes on where it stopped.
+    context : RunContext, optional
 
     Raises
     ------
-    ConfigError
-        The log belongs to other parameters.
     StudyError
         No parameters gave a finite run.
     """
-    memory = _Memory(config, log)
+    context = context or RunContext()
+    runs = replace(context, progress=silent)
     each = len(config.parameters) + 1
     total = config.screening_samples + sum(1 + s.iterations * each for s in config.searches)
     evaluations: list[Evaluation] = []
 
     def evaluate(stage: str, place: Array, seeds: int) -> Evaluation:
         key = tuple(round(float(u), 9) for u in np.clip(place, 0.0, 1.0))
-        found = memory.get(stage, key)
-        if found is None:
-            found = _evaluate(config, stage, key, seeds, workers)
-            memory.put(found)
+        found = _evaluate(config, stage, key, seeds, runs)
         evaluations.append(found)
         best = min(e.cost for e in evaluations if e.stage == stage)
-        progress(min(len(evaluations), total), total, f"{stage}, best cost {best:.2f}")
+        context.progress(min(len(evaluations), total), total, f"{stage}, best cost {best:.2f}")
         return found
 
     guess = [p.place(p.guess) for p in config.parameters]
@@ -258,17 +240,17 @@ def _search(search: Search, start: Array, evaluate: Callable[[str, Array, int], 
 
 
 def _evaluate(
-    config: CalibrationConfig, stage: str, place: tuple[float, ...], seeds: int, workers: int | None
+    config: CalibrationConfig, stage: str, place: tuple[float, ...], seeds: int, context: RunContext
 ) -> Evaluation:
     keys = [f"{key}={value!r}" for key, value in assignments(config, place).items()]
     tracks = range(config.first_seed, config.first_seed + seeds)
     try:
-        models = [VehicleModel(load_scenario(config.base, [*keys, f"wear={wear}"])) for wear in (0.0, 1.0)]
-        grids = (config.new_speeds, config.worn_speeds)
-        new, worn = (sweep(m, v, tracks, workers=workers) for m, v in zip(models, grids, strict=True))
+        new_wheels, worn_wheels = (load_scenario(config.base, [*keys, f"wear={wear}"]) for wear in (0.0, 1.0))
+        new = sweep(new_wheels, config.new_speeds, tracks, context)
+        worn = sweep(worn_wheels, config.worn_speeds, tracks, context)
     except StudyError:
         return Evaluation(stage, place, DIVERGED, {}, {})
-    penalties, measures = penalties_of(new, worn, model_limits(models[0]))
+    penalties, measures = penalties_of(new, worn, model_limits(VehicleModel(new_wheels)))
     cost = float(np.sum(np.square(residuals_of(penalties, measures))))
     return Evaluation(stage, place, cost, penalties, measures)
 
@@ -336,60 +318,3 @@ def _extrapolated(grid: Sweep, values: Array, limit: float) -> float:
         return float(v[i] + (limit - peak[i]) / slope)
     end = i if above.size == 0 else 0
     return float(v[end] + (limit - peak[end]) / max(slope, limit / 200.0))
-
-
-def _line(text: str) -> dict[str, Any]:
-    """Content of a line of the log; empty if it holds none."""
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError:
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
-class _Memory:
-    """Evaluations that survive an interruption: a file to which each one is appended at once."""
-
-    def __init__(self, config: CalibrationConfig, log: Path | None) -> None:
-        self.log = log
-        self.known: dict[tuple[str, tuple[float, ...]], Evaluation] = {}
-        # Budgets may grow from one run to the next; what an evaluation means may not change.
-        meaning = config.model_dump_json(
-            exclude={"screening_samples": True, "searches": {"__all__": {"iterations"}}}
-        )
-        if log is None:
-            return
-        if log.exists() and log.stat().st_size:
-            self._read(log, meaning)
-        else:
-            self._write(json.dumps({"calibration": meaning}) + "\n", "w")
-
-    def _read(self, log: Path, meaning: str) -> None:
-        text = read_text(log, "log of a calibration")
-        whole, _, cut_off = text.rpartition("\n")
-        head, *lines = whole.split("\n")
-        if _line(head).get("calibration") != meaning:
-            raise ConfigError(f"{log}: belongs to another calibration; choose another --out or remove it")
-        for number, line in enumerate(lines, start=2):
-            try:
-                e = Evaluation(**{**_line(line), "place": tuple(_line(line)["place"])})
-            except (KeyError, TypeError):
-                raise ConfigError(f"{log}: line {number}: is no evaluation; remove the line") from None
-            self.known[e.stage, e.place] = e
-        if cut_off:  # by an interruption: what follows shall not join it
-            os.truncate(log, len(whole.encode()) + 1)
-
-    def get(self, stage: str, place: tuple[float, ...]) -> Evaluation | None:
-        return self.known.get((stage, place))
-
-    def put(self, e: Evaluation) -> None:
-        if self.log is not None:
-            self._write(json.dumps(e.__dict__) + "\n", "a")
-
-    def _write(self, text: str, mode: Literal["a", "w"]) -> None:
-        assert self.log is not None
-        try:
-            with self.log.open(mode, encoding="utf-8") as stream:
-                stream.write(text)
-        except OSError as error:
-            raise ConfigError(f"{self.log}: cannot be written ({error.strerror})") from None

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
-from sayd_env.config.errors import Interrupted
 from sayd_env.config.loader import packaged_names
+from sayd_env.config.software import git_state
 from sayd_env.config.tuning import Gains, TuningConfig
-from sayd_env.report.files import Progress, git_state, silent
-from sayd_env.runs.evaluator import Evaluation, Proving, Record, inputs_of
+from sayd_env.config.units import Array
+from sayd_env.runs.cache import fingerprint
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.evaluator import Costs, Proving
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning.search import minimise
 
@@ -26,10 +27,29 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-Array = npt.NDArray[np.float64]
 REFERENCE = "reference"
 COMMENT_COLUMN = 28
 """Where the comments of a file of parameters stand."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A policy on all scenarios."""
+
+    policy: str
+    stage: str
+    """What asked for it: ``reference``, ``search`` or ``polish``."""
+    gains: Gains
+    """What was tuned; empty for a reference."""
+    costs: tuple[float, ...]
+    """J of each scenario, with the charge for a derailment."""
+    derailed: int
+    """Scenarios that ended early."""
+
+    @property
+    def mean(self) -> float:
+        """Mean of J."""
+        return float(np.mean(self.costs))
 
 
 @dataclass(frozen=True)
@@ -43,9 +63,6 @@ class TuneResult:
     command: str
     commit: str | None
     evaluations: list[Evaluation]
-    reused: int = 0
-    """Evaluations that an earlier start had finished."""
-    record: tuple[Sequence[str], list[list[Any]]] = field(default=((), []), repr=False)
 
     @property
     def title(self) -> str:
@@ -95,10 +112,16 @@ class TuneResult:
             [*(getattr(case, name) for name in conditions), *(e.costs[i] for e in everything.values())]
             for i, case in enumerate(self.settings.scenarios)
         ]
-        tables: dict[str, tuple[Sequence[str], list[list[Any]]]] = {
-            "scenarios": ((*conditions, *everything), rows)
+        gains = list(self.settings.of(self.controller).gains)
+        costs = [f"J_{case.seed}" for case in self.settings.scenarios]
+        tried = [
+            [e.policy, e.stage, *map(e.gains.get, gains), e.mean, e.derailed, *e.costs]
+            for e in self.evaluations
+        ]
+        return {
+            "scenarios": ((*conditions, *everything), rows),
+            "evaluations": (("policy", "stage", *gains, "J", "derailed", *costs), tried),
         }
-        return tables | ({"evaluations": self.record} if self.record[0] else {})
 
     def plots(self) -> dict[str, Callable[[Figure], None]]:
         """The search, and J over speed before and after."""
@@ -127,8 +150,6 @@ class TuneResult:
                 name, f"{e.mean:.5f}", f"{e.mean / self.before.mean - 1.0:+.1%}", f"{better} of {count}{lost}"
             )
         console.print(costs)
-        if self.reused:
-            console.print(f"{self.reused} evaluations had been made by an earlier start")
 
     def control_file(self) -> str:
         """Text of a file of parameters: the controller's own, with the tuned gains in their places."""
@@ -202,10 +223,8 @@ def tune(
     *,
     name: str = "tuning",
     seed: int = 0,
-    table: Path | None = None,
     command: str = "",
-    workers: int | None = None,
-    progress: Progress = silent,
+    context: RunContext | None = None,
 ) -> TuneResult:
     """Find the gains of a controller with the smallest mean J over a list of scenarios.
 
@@ -219,73 +238,41 @@ def tune(
         What the scenarios are called in the controller's file.
     seed : int
         Seed of the global search (not of the scenarios).
-    table : Path, optional
-        CSV file of the evaluations. What it holds already is not computed again, so an interrupted tuning
-        goes on where it stopped.
     command : str
         How to repeat it.
-    workers : int, optional
-        Threads.
-    progress : Progress
-        Told after each evaluation.
+    context : RunContext, optional
+        Its cache keeps evaluations, its executor gives the number of threads.
 
     Raises
     ------
     ConfigError
-        An unknown controller or reference, conditions that are not allowed, a table that cannot be used.
+        An unknown controller or reference, conditions that are not allowed.
     StudyError
         A run that diverged.
-    Interrupted
-        By Ctrl-C, with a table: it keeps what was evaluated.
     """
     tuning = settings.of(controller)
-    commit, _ = git_state(Path(__file__).resolve().parents[2])  # of the software that runs, not of its end
+    context = context or RunContext()
+    commit, _ = git_state()  # of the software that runs, not of its end
     asked = [policy_spec(reference) for reference in dict.fromkeys((*settings.references, controller))]
-    proving = Proving(settings, workers)
-    seeds = [case.seed for case in settings.scenarios]
-    inputs = inputs_of(proving, settings, asked)
-    record = Record(table, inputs, list(tuning.gains), seeds)
-    run = _Run(controller, settings, proving, record, len(asked), progress)
-    try:
-        for spec in asked:
-            run.evaluate(spec, REFERENCE, {})
-        own = load_controller(controller).model_dump()
-        own |= {k: settings.initial_current for k in ("initial",) if k in own and own[k] is None}
-        minimise(tuning, own, run.cost_at, seed)
-    except KeyboardInterrupt:
-        if table is None:
-            raise
-        raise Interrupted(
-            f"{len(record)} evaluations are kept in {table}; the same command goes on"
-        ) from None
+    run = _Tuning(controller, settings, len(asked), context)
+    for spec in asked:
+        run.evaluate(spec, REFERENCE, {})
+    own = load_controller(controller).model_dump()
+    own |= {k: settings.initial_current for k in ("initial",) if k in own and own[k] is None}
+    minimise(tuning, own, run.cost_at, seed)
     return TuneResult(
-        controller,
-        settings,
-        name,
-        command or f"sayd tune {controller}",
-        commit,
-        run.evaluations,
-        run.reused,
-        (record.header, record.rows()),
+        controller, settings, name, command or f"sayd tune {controller}", commit, run.evaluations
     )
 
 
-class _Run:
+class _Tuning:
     """A tuning under way."""
 
-    def __init__(
-        self,
-        controller: str,
-        settings: TuningConfig,
-        proving: Proving,
-        record: Record,
-        references: int,
-        progress: Progress,
-    ) -> None:
+    def __init__(self, controller: str, settings: TuningConfig, references: int, context: RunContext) -> None:
         self.evaluations: list[Evaluation] = []
-        self.reused = 0
         self._controller, self._settings, self._tuning = controller, settings, settings.of(controller)
-        self._proving, self._record, self._progress = proving, record, progress
+        self._proving, self._context = Proving(settings, context.executor.workers), context
+        self._inputs = fingerprint(*self._proving.inputs())
         self._total = references + self._tuning.search + self._tuning.polish
         self._asked = 0
         self._seen: dict[tuple[float, ...], Evaluation] = {}
@@ -302,23 +289,22 @@ class _Run:
         return self._seen[key].mean
 
     def evaluate(self, spec: PolicySpec, stage: str, gains: Gains) -> Evaluation:
-        """Evaluate a policy, unless it is known."""
-        found = self._record.get(spec.title, gains)
+        """Evaluate a policy, unless it is in the cache."""
+        key = fingerprint(self._inputs, spec.identity())
+        found = self._context.cache.get(key, Costs)
         if found is None:
-            costs, derailed = self._proving.costs(spec)
-            found = Evaluation(spec.title, stage, gains, tuple(map(float, costs)), derailed)
-            self._record.put(found)
-        else:
-            self.reused += 1
-        self.evaluations.append(found)
+            found = self._proving.costs(spec)
+            self._context.cache.put(key, found)
+        evaluation = Evaluation(spec.title, stage, gains, tuple(map(float, found.costs)), found.derailed)
+        self.evaluations.append(evaluation)
         self._tell(stage)
-        return found
+        return evaluation
 
     def _tell(self, stage: str) -> None:
         self._asked += 1
         tried = [e.mean for e in self.evaluations if e.stage != REFERENCE]
         best = f", best J {min(tried):.5f}" if tried else ""
-        self._progress(min(self._asked, self._total), self._total, f"{stage}{best}")
+        self._context.progress(min(self._asked, self._total), self._total, f"{stage}{best}")
 
 
 def refuse_packaged(file: Path) -> None:

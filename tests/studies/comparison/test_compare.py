@@ -22,7 +22,7 @@ from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison import compare as module
 from sayd_env.studies.comparison.compare import CompareResult, compare, fewer
 from sayd_env.studies.comparison.entrants import Contestant, contestants
-from sayd_env.studies.comparison.grid import OWN, Arena, Keeper, Variant, constant
+from sayd_env.studies.comparison.grid import OWN, ScenarioGrid, Keeper, Variant, constant
 from sayd_env.studies.comparison.scores import Stability
 
 ENVIRONMENT = "base: randomized\nepisode_s: 4.0\n"
@@ -139,7 +139,7 @@ def test_who_cannot_take_part_is_refused(text: str, message: str, folder: Path):
 
 def test_a_comparison_needs_the_length_of_an_episode(config: ComparisonConfig):
     with pytest.raises(ConfigError, match=r"300 m are over before the 4 s .* at 350 km/h; expected 389"):
-        Arena.of(config.model_copy(update={"length": 300.0}))
+        ScenarioGrid.of(config.model_copy(update={"length": 300.0}))
 
 
 def test_what_cannot_be_is_refused_before_any_work(
@@ -158,25 +158,25 @@ def test_conditions_are_all_combinations_and_reach_the_vehicle(config: Compariso
             "wear": (0.0, 1.0),
         }
     )
-    arena = Arena.of(many)
-    groups = arena.groups(PolicySpec("mppt2"))
-    assert len(groups) == len(arena.conditions) == 2 * 2 * 2
+    grid = ScenarioGrid.of(many)
+    groups = grid.groups(PolicySpec("mppt2"))
+    assert len(groups) == len(grid.conditions) == 2 * 2 * 2
     last = groups[-1]
     assert (last.speed * 3.6, last.scenario.wear, last.scenario.friction) == (350.0, 1.0, 0.35)
     assert getattr(last.scenario.track.irregularity, "scale") == 0.4  # noqa: B009 - of one kind of track
     assert last.scenario.damper.type == "sayd"
     assert not last.config.randomisation.tracks
     assert last.config.randomisation.tolerances  # still drawn from the seed
-    assert arena.groups(PolicySpec("passive"))[0].scenario.damper.type == "passive"
+    assert grid.groups(PolicySpec("passive"))[0].scenario.damper.type == "passive"
 
 
 def test_the_constant_s_run_is_that_of_its_command(config: ComparisonConfig, tmp_path: Path):
     """By name, with the command of its file, it shares the store of those with a command of their own."""
-    arena = Arena.of(config)
+    grid = ScenarioGrid.of(config)
     own = load_controller("constant").model_dump()["current"]
-    keeper = Keeper(tmp_path, arena)
+    keeper = Keeper(tmp_path, grid)
     places = [
-        keeper.place(arena.groups(policy)[0], 5)
+        keeper.place(grid.groups(policy)[0], 5)
         for policy in (PolicySpec("constant"), constant(own), constant(1.0))
     ]
     assert places[0] == places[1]
@@ -186,7 +186,7 @@ def test_the_constant_s_run_is_that_of_its_command(config: ComparisonConfig, tmp
 
 def test_j_has_the_weights_and_the_charge_of_its_variant(config: ComparisonConfig):
     """k_y = 1 and k_F = 0.5; J_term = 12 a second, doubled with k_F because 2 k_F then exceeds k_y."""
-    arena = Arena.of(config)
+    grid = ScenarioGrid.of(config)
     columns = {
         "acceleration": 0.3,
         "force": 0.2,
@@ -198,14 +198,14 @@ def test_j_has_the_weights_and_the_charge_of_its_variant(config: ComparisonConfi
     runs = {name: np.array([[value, value]]) for name, value in columns.items()}
     runs["lost"][0, 0] = 0.0
     runs["offline_acceleration"][0, 1] = np.inf
-    assert arena.costs(runs, OWN)[0] == pytest.approx([0.3 + 0.1, 0.4 + 0.25 * 12])
-    assert arena.costs(runs, Variant("online", 2.0))[0] == pytest.approx([0.5, 0.5 + 0.25 * 24])
-    assert arena.costs(runs, Variant("online", 0.5))[0] == pytest.approx([0.35, 0.35 + 0.25 * 12])
+    assert grid.costs(runs, OWN)[0] == pytest.approx([0.3 + 0.1, 0.4 + 0.25 * 12])
+    assert grid.costs(runs, Variant("online", 2.0))[0] == pytest.approx([0.5, 0.5 + 0.25 * 24])
+    assert grid.costs(runs, Variant("online", 0.5))[0] == pytest.approx([0.35, 0.35 + 0.25 * 12])
     # Off line, what derailed counts as on line, also if it was behind the episode.
-    assert arena.costs(runs, Variant("offline", 1.0))[0] == pytest.approx([0.55, 0.4 + 0.25 * 12])
+    assert grid.costs(runs, Variant("offline", 1.0))[0] == pytest.approx([0.55, 0.4 + 0.25 * 12])
     runs["lost"][0, 1] = 0.0
-    assert arena.costs(runs, OWN)[0, 1] == pytest.approx(0.4)
-    assert arena.costs(runs, Variant("offline", 1.0))[0, 1] == pytest.approx(0.4 + 0.25 * 12)
+    assert grid.costs(runs, OWN)[0, 1] == pytest.approx(0.4)
+    assert grid.costs(runs, Variant("offline", 1.0))[0, 1] == pytest.approx(0.4 + 0.25 * 12)
 
 
 def test_quick_takes_a_few(config: ComparisonConfig):

@@ -1,0 +1,1 @@
+"""Runs of a vehicle, with a policy or without: rollouts, metrics, run cache, executors."""

@@ -1,0 +1,126 @@
+"""How a study has its runs made: who computes, where finished runs are kept, who is told of progress."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from sayd_env.runs.cache import RunCache, fingerprint
+from sayd_env.runs.executors import ExecutorChoice, computed
+
+Record = TypeVar("Record")
+ABREAST = 8
+"""Runs of one piece of work: as many vehicles as the simulator advances side by side."""
+
+
+class Progress(Protocol):
+    """How a study reports how far it is; called from the thread that started it."""
+
+    def __call__(self, done: float, total: float, what: str = "") -> None:
+        """Report `done` of `total` steps; `what` names the current one."""
+
+
+def silent(done: float, total: float, what: str = "") -> None:
+    """Report no progress: the default of every study."""
+
+
+class RunSpec(Protocol):
+    """All that a run depends on; it travels to the worker as a pickle."""
+
+    def inputs(self) -> Sequence[Any]:
+        """What the run's result depends on, as `fingerprint` takes it; equal objects may be shared."""
+
+    def companions(self) -> Hashable:
+        """Key of the runs with which this one can be computed in one piece."""
+
+
+Spec = TypeVar("Spec", bound=RunSpec)
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """How runs are made. It changes no result."""
+
+    executor: ExecutorChoice = field(default_factory=ExecutorChoice)
+    cache: RunCache = field(default_factory=RunCache)
+    """By default one in memory."""
+    progress: Progress = silent
+
+    def part(self, before: float, total: float, what: str = "") -> RunContext:
+        """The same for a part of a study: its progress counts from `before` to `total` of the whole."""
+        progress = self.progress
+
+        def report(done: float, _: float, name: str = "") -> None:
+            progress(before + done, total, what or name)
+
+        return replace(self, progress=report)
+
+    def records(
+        self,
+        work: Callable[[list[Spec]], list[Record]],
+        specs: Sequence[Spec],
+        kind: type[Record],
+        what: str = "",
+    ) -> list[Record]:
+        """Records of runs, in their order: what is kept from the cache, the others computed and kept.
+
+        Parameters
+        ----------
+        work : callable
+            Makes the runs of one piece of work and returns their records; a function of a module, because it
+            may be called in another process.
+        specs : sequence
+            What is to be run.
+        kind : type
+            Dataclass of the records, see `RunCache.get`.
+        what : str
+            Names the runs where progress is reported.
+
+        Raises
+        ------
+        StudyError
+            See `computed` and `RunCache.put`.
+        Exception
+            The first one that `work` raises.
+        """
+        keys = _keys(work, specs)
+        found = {i: record for i, key in enumerate(keys) if (record := self.cache.get(key, kind)) is not None}
+        missing = [i for i in range(len(specs)) if i not in found]
+        pieces = _pieces(specs, missing, self.executor.count)
+        for number, records in computed(work, [[specs[i] for i in piece] for piece in pieces], self.executor):
+            for i, record in zip(pieces[number], records, strict=True):
+                self.cache.put(keys[i], record)
+                found[i] = record
+            self.progress(len(found), len(specs), what)
+        return [found[i] for i in range(len(specs))]
+
+
+def _keys(work: Callable[..., Any], specs: Sequence[RunSpec]) -> list[str]:
+    """Names of the runs in the cache; an object that many specs share is read once."""
+    known: dict[int, str] = {}
+
+    def digest(value: Any) -> str:
+        if id(value) not in known:
+            known[id(value)] = fingerprint(value)
+        return known[id(value)]
+
+    inputs = [spec.inputs() for spec in specs]  # all of them live until the end: no id is used twice
+    maker = f"{work.__module__}.{work.__qualname__}"
+    return [fingerprint(maker, [digest(value) for value in each]) for each in inputs]
+
+
+def _pieces(specs: Sequence[RunSpec], which: Sequence[int], workers: int) -> list[list[int]]:
+    """Numbers of the specs of each piece of work: equal pieces, and one for each worker where that can be."""
+    groups: dict[Hashable, list[int]] = {}
+    for i in which:
+        groups.setdefault(specs[i].companions(), []).append(i)
+    widest = min(ABREAST, max(1, math.ceil(len(which) / workers)))
+    return [
+        part.tolist()
+        for group in groups.values()
+        for part in np.array_split(group, math.ceil(len(group) / widest))
+    ]

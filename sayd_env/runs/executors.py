@@ -1,0 +1,285 @@
+"""Who computes: threads, processes, a Ray or a Dask cluster, all as a `concurrent.futures.Executor`.
+
+A worker that dies, a lost node, a scheduler that goes away: what is finished has been handed out, the rest is
+computed again by a new executor, or the study ends with one message.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
+from contextlib import contextmanager
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from typing import Any, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from sayd_env.config.errors import ConfigError, StudyError
+
+T = TypeVar("T")
+U = TypeVar("U")
+
+THREADS, PROCESSES, RAY, DASK = KINDS = ("threads", "processes", "ray", "dask")
+ATTEMPTS = 3
+"""Executors in a row that may break without having finished anything."""
+PROCESSES_FROM = 24
+"""Pieces of work for which starting processes, some seconds each, pays."""
+CONNECT_SECONDS = 20
+
+
+@dataclass(frozen=True)
+class ExecutorChoice:
+    """Which executor computes; it changes no result."""
+
+    kind: str = THREADS
+    """One of `KINDS`, or empty: processes where there is enough to do, threads otherwise."""
+    address: str = ""
+    """Of a running Ray or Dask cluster; empty starts one on this machine."""
+    workers: int | None = None
+    """Threads or processes; all cores by default."""
+
+    @classmethod
+    def parse(cls, text: str | None, workers: int | None = None) -> ExecutorChoice:
+        """Read ``threads``, ``processes``, ``ray``, ``ray://ADDRESS``, ``dask`` or ``dask://ADDRESS``.
+
+        Raises
+        ------
+        ConfigError
+            Anything else, or a number of workers for a cluster that has its own.
+        """
+        kind, slashes, address = (text or "").partition("://")
+        clusters = kind in {RAY, DASK}
+        if text is not None and (kind not in KINDS or (slashes and not (clusters and address))):
+            raise ConfigError(
+                f"--executor {text}: expected threads, processes, ray, ray://ADDRESS, dask or dask://ADDRESS"
+            )
+        if address and workers is not None:
+            raise ConfigError(f"--workers {workers}: the cluster at {address} has its own number of workers")
+        return cls(kind, address, workers)
+
+    def __str__(self) -> str:
+        """As on a command line."""
+        return f"{self.kind}://{self.address}" if self.address else self.kind
+
+    @property
+    def count(self) -> int:
+        """Workers on this machine."""
+        return self.workers or os.cpu_count() or 1
+
+    @contextmanager
+    def open(self, pieces: int) -> Iterator[Executor]:
+        """Start the executor for some pieces of work; it ends with the context, at once if by an exception.
+
+        Raises
+        ------
+        ConfigError
+            Ray or Dask are not installed, or nobody answers at the address.
+        """
+        kind = self.kind or (PROCESSES if pieces >= PROCESSES_FROM and self.count > 1 else THREADS)
+        executor = _STARTED[kind](self)
+        try:
+            yield executor
+        except BaseException:
+            executor.shutdown(wait=False, cancel_futures=True)
+            _end_processes(executor)
+            raise
+        executor.shutdown()
+
+
+def computed(work: Callable[[T], U], pieces: Sequence[T], choice: ExecutorChoice) -> Iterator[tuple[int, U]]:
+    """Compute pieces of work; give each one's number and result as soon as it is finished.
+
+    Parameters
+    ----------
+    work : callable
+        A function of a module; it, the pieces and the results travel as pickles unless threads compute.
+    pieces : sequence
+    choice : ExecutorChoice
+
+    Raises
+    ------
+    StudyError
+        The executor broke `ATTEMPTS` times without finishing anything.
+    Exception
+        The first one that `work` raises ends it all.
+    """
+    todo = dict(enumerate(pieces))
+    broken = 0
+    while todo:
+        try:
+            with choice.open(len(todo)) as executor:
+                for i, result in _finished(executor, work, todo):
+                    del todo[i]
+                    broken = 0
+                    yield i, result
+        except BrokenExecutor as error:
+            broken += 1
+            if broken == ATTEMPTS:
+                raise StudyError(
+                    f"--executor {choice}: the workers ended {ATTEMPTS} times without a result "
+                    f"({' '.join(str(error).split())[:200]}); what is finished is kept"
+                ) from None
+
+
+def _finished(executor: Executor, work: Callable[[T], U], pieces: dict[int, T]) -> Iterator[tuple[int, U]]:
+    # Not `concurrent.futures.wait`: interrupted while it holds the futures' locks, it never gives them back.
+    done: SimpleQueue[Future[U]] = SimpleQueue()
+    numbers: dict[Future[U], int] = {}
+    for i, piece in pieces.items():
+        future = executor.submit(work, piece)
+        numbers[future] = i
+    for future in numbers:
+        future.add_done_callback(done.put)
+    for _ in range(len(numbers)):
+        future = _next(done)
+        try:
+            result = future.result()
+        except CancelledError as error:
+            raise BrokenExecutor(f"work was cancelled ({error or 'the executor is gone'})") from None
+        except Exception as error:
+            raise _cause(error) from None
+        yield numbers.pop(future), result
+
+
+def _next(queue: SimpleQueue[Future[U]]) -> Future[U]:
+    while True:
+        try:
+            # A short timeout lets Ctrl-C through while all threads are in compiled code.
+            return queue.get(timeout=0.2)
+        except Empty:
+            continue
+
+
+def _cause(error: Exception) -> Exception:
+    """What a cluster's exception stands for: the one that the work raised, or the loss of a worker."""
+    module = type(error).__module__.partition(".")[0]
+    raised = getattr(error, "cause", None)
+    if isinstance(raised, Exception):  # Ray wraps what the work raises
+        return raised
+    if module in {RAY, "distributed"} or isinstance(error, ConnectionError | TimeoutError):
+        return BrokenExecutor(str(error) or type(error).__name__)
+    return error
+
+
+def _start_threads(choice: ExecutorChoice) -> Executor:
+    return ThreadPoolExecutor(choice.workers, thread_name_prefix="sayd")
+
+
+def _start_processes(choice: ExecutorChoice) -> Executor:
+    # A process that forks after a parallel kernel has run would abort in its own first one.
+    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    context = multiprocessing.get_context(method)
+    if method == "forkserver":
+        context.set_forkserver_preload(["sayd_env.runs.rollouts"])
+    return ProcessPoolExecutor(choice.count, mp_context=context, initializer=_prepare_process)
+
+
+def _prepare_process() -> None:
+    """Let one process be one thread that ends with its parent and leaves Ctrl-C to it."""
+    threadpool_limits(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    multiprocessing.connection.wait([sentinel])
+    os._exit(1)
+
+
+def _end_processes(executor: Executor) -> None:
+    if isinstance(executor, ProcessPoolExecutor):
+        for process in multiprocessing.active_children():
+            process.terminate()
+
+
+def _start_ray(choice: ExecutorChoice) -> Executor:
+    try:
+        import ray  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError:
+        raise ConfigError(
+            "--executor ray: Ray is not installed; install it with pip install 'sayd-env[ray]'"
+        ) from None
+    return _Ray(ray, choice)
+
+
+class _Ray(Executor):
+    """Ray's tasks behind the interface of the standard library."""
+
+    def __init__(self, ray: Any, choice: ExecutorChoice) -> None:
+        self._ray = ray
+        quiet = {"log_to_driver": False, "logging_level": "error"}
+        try:
+            if choice.address:
+                ray.init(address=_ray_address(choice.address), **quiet)
+            else:
+                ray.init(num_cpus=choice.count, include_dashboard=False, **quiet)
+        except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise ConfigError(f"--executor {choice}: no connection ({reason})") from None
+        self._remote: dict[Callable[..., Any], Any] = {}
+
+    def submit(self, function: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        if function not in self._remote:
+            self._remote[function] = self._ray.remote(function)
+        future: Future[T] = self._remote[function].remote(*args, **kwargs).future()
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._ray.shutdown()
+
+
+def _ray_address(address: str) -> str:
+    """``auto`` and ``HOST:6379`` join a cluster from one of its nodes, ``HOST:10001`` is Ray's client."""
+    return f"ray://{address}" if address.endswith(":10001") else address
+
+
+def _start_dask(choice: ExecutorChoice) -> Executor:
+    try:
+        from distributed import Client  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError:
+        raise ConfigError(
+            "--executor dask: Dask is not installed; install it with pip install 'sayd-env[dask]'"
+        ) from None
+    return _Dask(Client, choice)
+
+
+class _Dask(Executor):
+    """A client of Dask, whose executor leaves its cluster open."""
+
+    def __init__(self, client: Any, choice: ExecutorChoice) -> None:
+        where = {"address": f"tcp://{choice.address}"} if choice.address else {"n_workers": choice.count}
+        alone = {} if choice.address else {"threads_per_worker": 1, "dashboard_address": None}
+        try:
+            self._client = client(**where, **alone, timeout=CONNECT_SECONDS)
+        except (OSError, TimeoutError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise ConfigError(f"--executor {choice}: no connection ({reason})") from None
+
+    def submit(self, function: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        future: Future[T] = self._client.get_executor(pure=False).submit(function, *args, **kwargs)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._client.close()
+
+
+_STARTED: dict[str, Callable[[ExecutorChoice], Executor]] = {
+    THREADS: _start_threads,
+    PROCESSES: _start_processes,
+    RAY: _start_ray,
+    DASK: _start_dask,
+}
