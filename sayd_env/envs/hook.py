@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from sayd_env.envs.recorder import Recorder
 
 if TYPE_CHECKING:
-    from sayd_env.envs.rendering import Scene
+    from sayd_env.envs.rendering import Renderer
 
 
-def open_scene(recorder: Recorder, mode: str) -> Scene:
+def open_scene(recorder: Recorder, mode: str) -> Renderer:
     """Pictures of the vehicle that a recorder watches.
 
     Parameters
@@ -24,6 +24,6 @@ def open_scene(recorder: Recorder, mode: str) -> Scene:
     gymnasium.error.DependencyNotInstalled
         pygame is not installed, or ``human`` finds no screen.
     """
-    from sayd_env.envs.rendering import Scene  # noqa: PLC0415 - Matplotlib's typeface takes its time
+    from sayd_env.envs.rendering import Renderer  # noqa: PLC0415 - Matplotlib's typeface takes its time
 
-    return Scene(recorder, mode)
+    return Renderer(recorder, mode)

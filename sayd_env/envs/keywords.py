@@ -12,7 +12,7 @@ from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, 
 from sayd_env.config.explain import shown
 from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
-from sayd_env.envs.fleet import environment_scenario
+from sayd_env.envs.episode_batch import environment_scenario
 from sayd_env.envs.options import checked_number
 
 INFOS = ("basic", "full")
@@ -137,9 +137,9 @@ def _sensors(sensors: Any) -> SensorsConfig:
 
 
 def _randomisation(
-    laws: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
+    drawn: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
 ) -> RandomisationConfig:
-    """Laws of an environment, less those of what a keyword fixes."""
+    """Distributions of an environment, less those of what a keyword fixes."""
     fixed: dict[str, Any] = {}
     if speed_kmh is not None:
         fixed["speed_kmh"] = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
@@ -149,7 +149,7 @@ def _randomisation(
             fixed[key] = None
         elif key == "track" or key.startswith("track.irregularity"):
             fixed["tracks"] = ()
-    return validate(RandomisationConfig, dict(laws) | fixed, "keywords") if fixed else laws
+    return validate(RandomisationConfig, dict(drawn) | fixed, "keywords") if fixed else drawn
 
 
 def _weights(reward: Any) -> tuple[float, float] | None:

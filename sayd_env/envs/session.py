@@ -1,4 +1,4 @@
-"""A fleet under a user's hands: seeds and their episodes, what is told of them, saved states.
+"""A batch under a user's hands: seeds and their episodes, what is told of them, saved states.
 
 What the single and the vector environment share.
 """
@@ -19,12 +19,12 @@ from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.explain import shown
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Flags, Fleet, Observation, VehicleState
+from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, Flags, Observation
+from sayd_env.envs.info import vehicle_info
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.loop import LOG
 from sayd_env.envs.recorder import Recorder
-from sayd_env.envs.running import RunningValues
-from sayd_env.envs.telling import of_the_vehicle
+from sayd_env.envs.sliding_rms import SlidingRms
 
 Array = npt.NDArray[np.float64]
 
@@ -36,10 +36,10 @@ SEEDS = 2**31
 class EnvironmentState:
     """All of an environment at an instant. It can be pickled, and set any number of times."""
 
-    vehicles: tuple[VehicleState, ...]
+    vehicles: tuple[EpisodeState, ...]
     seeds: tuple[int | None, ...]
     numbers: tuple[int, ...]
-    running: tuple[RunningValues | None, ...]
+    running: tuple[SlidingRms | None, ...]
     over: npt.NDArray[np.bool_]
     """Vehicles whose episode has ended."""
     random: np.random.Generator | None
@@ -60,7 +60,7 @@ class Session:
     count : int
         Number of vehicles.
     num_threads : int, optional
-        As in `Lanes`.
+        As in `VehicleBatch`.
     full : bool
         Tell all of a vehicle.
     """
@@ -74,19 +74,19 @@ class Session:
         num_threads: int | None = None,
         full: bool = False,
     ) -> None:
-        self.fleet = Fleet(config, count, scenario=scenario, num_threads=num_threads)
+        self.batch = EpisodeBatch(config, count, scenario=scenario, num_threads=num_threads)
         self.over = np.ones(count, dtype=np.bool_)
         self.full = full
         self._seeds: list[int | None] = [None] * count
         self._numbers = [0] * count
-        self._running: list[RunningValues | None] = [None] * count
-        self._log = np.zeros((count, self.fleet.settings.samples, LOG)) if full else None
+        self._running: list[SlidingRms | None] = [None] * count
+        self._log = np.zeros((count, self.batch.settings.samples, LOG)) if full else None
         self._recorder: Recorder | None = None
 
     def watch(self) -> Recorder:
         """Keep what pictures of the first vehicle show, from now on."""
         if self._recorder is None:
-            self._recorder = Recorder(self.fleet)
+            self._recorder = Recorder(self.batch)
         return self._recorder
 
     def begin(
@@ -114,7 +114,7 @@ class Session:
         ConfigError
             Options that are not allowed; nothing has changed then.
         """
-        fleet, chosen = self.fleet, []
+        batch, chosen = self.batch, []
         for i, seed in zip(which, seeds, strict=True):
             known = self._seeds[i]
             if seed is not None:
@@ -123,8 +123,8 @@ class Session:
                 chosen.append((known, self._numbers[i] + 1))
             else:
                 chosen.append((draw_seed(), 0))
-        episodes = [draw_episode(fleet.config, seed, number, options) for seed, number in chosen]
-        rows = fleet.reset(which, episodes, log=self.full)
+        episodes = [draw_episode(batch.config, seed, number, options) for seed, number in chosen]
+        rows = batch.reset(which, episodes, log=self.full)
         for i, (seed, number), before in zip(which, chosen, rows, strict=True):
             self._seeds[i], self._numbers[i], self.over[i] = seed, number, False
             if self.full:
@@ -133,11 +133,11 @@ class Session:
             self._recorder.begin()
 
     def step(self, actions: Array, active: Flags | None = None) -> tuple[Observation, Array, Flags, Flags]:
-        """Run one control period, as `Fleet.step` does."""
-        fleet = self.fleet
+        """Run one control period, as `EpisodeBatch.step` does."""
+        batch = self.batch
         # f_0 moves at the end of a period: its samples were filtered in the bands before.
         choice = self._choice() if self._log is not None else None
-        result = fleet.step(actions, log=self._log, active=active)
+        result = batch.step(actions, log=self._log, active=active)
         if self._recorder is not None:
             self._recorder.take()
         if self._log is not None and choice is not None:
@@ -148,13 +148,13 @@ class Session:
 
     def _choice(self) -> npt.NDArray[np.int64]:
         """Indices of f_0 of each vehicle's bogies, a new array of shape (count, BOGIES)."""
-        return self.fleet.lanes.choice()
+        return self.batch.vehicles.choice()
 
     def _run_in(self, i: int, rows: Array) -> None:
-        fleet, episode = self.fleet, self.fleet.episodes[i]
+        batch, episode = self.batch, self.batch.episodes[i]
         assert episode is not None  # it has begun just now
-        band = fleet.lanes.band
-        running = RunningValues(band, fleet.scenario.assessment, episode.speed, fleet.settings.sample_rate)
+        band = batch.vehicles.band
+        running = SlidingRms(band, batch.scenario.assessment, episode.speed, batch.settings.sample_rate)
         if len(rows):
             running.run_in(rows, self._choice()[i])
         self._running[i] = running
@@ -162,12 +162,12 @@ class Session:
     def told(self, i: int) -> dict[str, Any]:
         """Forces, valves and running values of a vehicle, if all is to be told."""
         running = self._running[i]
-        return {} if running is None else of_the_vehicle(self.fleet, i, running)
+        return {} if running is None else vehicle_info(self.batch, i, running)
 
     def get_state(self, random: np.random.Generator | None, random_seed: int | None) -> EnvironmentState:
         """All of the session, as copies."""
         return EnvironmentState(
-            vehicles=tuple(self.fleet.get_state(i) for i in range(self.fleet.count)),
+            vehicles=tuple(self.batch.get_state(i) for i in range(self.batch.count)),
             seeds=tuple(self._seeds),
             numbers=tuple(self._numbers),
             running=tuple(copy.deepcopy(self._running)),
@@ -186,7 +186,7 @@ class Session:
         """
         if not isinstance(state, EnvironmentState):
             raise ConfigError(f"state: found {shown(state)}; expected what get_state has returned")
-        self.fleet.set_state(state.vehicles)
+        self.batch.set_state(state.vehicles)
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._running = list(copy.deepcopy(state.running))
         self.over[:] = state.over

@@ -12,12 +12,12 @@ from gymnasium.error import ResetNeeded
 
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.sensors import SensorsConfig
-from sayd_env.envs.fleet import Fleet, checked_actions
+from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
 from sayd_env.envs.hook import open_scene
+from sayd_env.envs.info import ending_info, episode_info, step_info
 from sayd_env.envs.interface import Interface, Signal
 from sayd_env.envs.keywords import INFOS, RENDER_MODES, checked_choice, configured, refuse_unknown
 from sayd_env.envs.session import SEEDS, EnvironmentState, Session, action_box, observation_box
-from sayd_env.envs.telling import of_the_end, of_the_episode, of_the_step
 
 KEYWORDS = (
     "environment",
@@ -200,7 +200,7 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
         self._session = Session(config, scenario, 1, num_threads=1, full=info == "full")
         if self.render_mode is not None:
             self._session.watch()
-        self._scene: Any = None
+        self._renderer: Any = None
         self.metadata = {**self.metadata, "render_fps": round(1.0 / config.control_period)}
         self.observation_space = observation_box(self.interface)
         self.action_space = action_box(self.interface)
@@ -209,17 +209,17 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     @property
     def config(self) -> EnvironmentConfig:
         """What the environment is."""
-        return self.fleet.config
+        return self.batch.config
 
     @property
-    def fleet(self) -> Fleet:
+    def batch(self) -> EpisodeBatch:
         """The simulated vehicle behind the environment: what no train could measure."""
-        return self._session.fleet
+        return self._session.batch
 
     @property
     def interface(self) -> Interface:
         """What a policy may know of the environment."""
-        return self.fleet.interface
+        return self.batch.interface
 
     @property
     def signals(self) -> tuple[Signal, ...]:
@@ -247,7 +247,7 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
         self._session.begin([0], [seed], lambda: int(self.np_random.integers(SEEDS)), options)
         if self.render_mode == "human":
             self.render()
-        return self.fleet.observations()[0], of_the_episode(self.fleet, 0)
+        return self.batch.observations()[0], episode_info(self.batch, 0)
 
     def step(
         self, action: npt.NDArray[np.float32]
@@ -279,9 +279,9 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
 
     def _info(self, ended: bool) -> dict[str, Any]:
         session = self._session
-        info = of_the_step(session.fleet, 0)
+        info = step_info(session.batch, 0)
         if ended:
-            info |= of_the_end(session.fleet, 0)
+            info |= ending_info(session.batch, 0)
         return info | session.told(0) if session.full else info
 
     def render(self) -> Any:
@@ -289,15 +289,15 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: give make render_mode='rgb_array' or 'human'")
             return None
-        if self._scene is None:
-            self._scene = open_scene(self._session.watch(), self.render_mode)
-        return self._scene.draw()
+        if self._renderer is None:
+            self._renderer = open_scene(self._session.watch(), self.render_mode)
+        return self._renderer.draw()
 
     def close(self) -> None:
         """Close the window, if there is one. Closing twice does no harm."""
-        if self._scene is not None:
-            self._scene.close()
-            self._scene = None
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
     def get_state(self) -> EnvironmentState:
         """All of the environment, as a copy: for search, model-predictive control and continuation."""

@@ -9,7 +9,7 @@ from typing import TypeVar
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.rollout import Rollout, assessed_steps, roll_out
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.files import Progress, silent
@@ -93,8 +93,8 @@ def run_groups(
 
 def _roll_out(group: Group, seeds: Sequence[int]) -> list[Rollout]:
     config = group.policy.environment(group.config)
-    fleet = Fleet(config, len(seeds), scenario=group.scenario, num_threads=1)
+    batch = EpisodeBatch(config, len(seeds), scenario=group.scenario, num_threads=1)
     options = {"speed_kmh": group.speed * KMH, "initial_current": group.initial_current}
     episodes = [draw_episode(config, seed, 0, options) for seed in seeds]
     steps = [assessed_steps(config, group.scenario, group.speed)] * len(seeds)
-    return roll_out(fleet, group.policy.make(fleet), episodes, steps)
+    return roll_out(batch, group.policy.make(batch), episodes, steps)

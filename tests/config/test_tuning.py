@@ -11,8 +11,8 @@ import yaml
 
 from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
+from sayd_env.config.distribution import UniformDistribution
 from sayd_env.config.environment import load_environment
-from sayd_env.config.law import UniformLaw
 from sayd_env.config.tuning import load_tuning
 
 STUDIES = Path(__file__).parents[2] / "configs" / "study"
@@ -47,7 +47,7 @@ def test_the_scenarios_are_of_the_training_and_of_no_comparison():
     laws = load_environment(tuning.environment).randomisation
     for name in ("speed_kmh", "wear", "friction"):
         law = getattr(laws, name)
-        assert isinstance(law, UniformLaw)
+        assert isinstance(law, UniformDistribution)
         assert law.step
         for scenario in tuning.scenarios:
             steps = (getattr(scenario, name) - law.low) / law.step

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sayd_env.config.comparison import ComparisonConfig, CriticalSpeedConfig
 from sayd_env.config.environment import load_environment
-from sayd_env.config.frozen import frozen
+from sayd_env.config.fingerprint import fingerprint
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.files import Progress, Table, silent
@@ -137,7 +137,7 @@ class CompareResult:
             "best_constant": self._bound_dict(),
             "matrix": {each.name: self._matrix(each) for each in self.contestants},
             "learned": self.learned,
-            "frozen": frozen(self.arena.scenario, self.arena.environment),
+            "frozen": fingerprint(self.arena.scenario, self.arena.environment),
             "quick": self.quick,
         }
 
