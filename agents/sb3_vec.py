@@ -12,9 +12,9 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from sayd_env.config import ConfigError
+from sayd_env.envs.environment import SEEDS
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE
-from sayd_env.envs.session import SEEDS
 from sayd_env.envs.vector import SaydVectorEnv
 
 Step = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]

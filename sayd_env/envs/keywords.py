@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from sayd_env.config import ConfigError, nearest, validate
 from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, load_environment
@@ -22,19 +22,23 @@ REWARDS: Mapping[str, tuple[float, float] | None] = {"mppt1": (1.0, 0.0), "mppt2
 RENDER_MODES = ("rgb_array", "human")
 
 
+class Keywords(TypedDict, total=False):
+    """Keywords of `configured`, which says what they are."""
+
+    damper: str | None
+    valves: str | None
+    observation: str | None
+    history: int | None
+    reward: str | Sequence[float] | Mapping[str, float] | None
+    control_period: float | None
+    episode_s: float | None
+    sensors: str | SensorsConfig | None
+    speed_kmh: float | None
+    settings: Iterable[str]
+
+
 def configured(
-    environment: str = "nominal",
-    *,
-    damper: str | None = None,
-    valves: str | None = None,
-    observation: str | None = None,
-    history: int | None = None,
-    reward: str | Sequence[float] | Mapping[str, float] | None = None,
-    control_period: float | None = None,
-    episode_s: float | None = None,
-    sensors: str | SensorsConfig | None = None,
-    speed_kmh: float | None = None,
-    settings: Iterable[str] = (),
+    environment: str = "nominal", **keywords: Unpack[Keywords]
 ) -> tuple[EnvironmentConfig, Scenario]:
     """Configuration and scenario of an environment.
 
@@ -63,27 +67,21 @@ def configured(
         raise ConfigError(
             f"environment: found {shown(environment)}; expected the name of an environment or a path"
         )
-    assignments = _assignments(settings)
+    refuse_unknown(keywords, Keywords.__annotations__)
+    given: dict[str, Any] = {key: value for key, value in keywords.items() if value is not None}
+    assignments = _assignments(given.pop("settings", ()))
+    weights = _weights(given.pop("reward", None))
     config = load_environment(environment)
-    given = {
-        "damper": damper,
-        "valves": valves,
-        "observation": observation,
-        "history": history,
-        "control_period": control_period,
-        "episode_s": episode_s,
-        "sensors": None if sensors is None else _sensors(sensors),
-        "randomisation": _randomisation(config.randomisation, speed_kmh, assignments),
-    }
-    changes = {key: value for key, value in given.items() if value is not None}
-    config = validate(EnvironmentConfig, dict(config) | changes, "keywords")
+    if "sensors" in given:
+        given["sensors"] = _sensors(given["sensors"])
+    given["randomisation"] = _randomisation(config.randomisation, given.pop("speed_kmh", None), assignments)
+    config = validate(EnvironmentConfig, dict(config) | given, "keywords")
     scenario = environment_scenario(config, assignments, "settings")
     if scenario.damper.type != config.damper:
         raise ConfigError(
             f"settings: found a damper of type '{scenario.damper.type}', the environment has "
             f"'{config.damper}'; give damper='{scenario.damper.type}' too"
         )
-    weights = _weights(reward)
     if weights is not None:
         content = {"acceleration_weight": weights[0], "force_weight": weights[1]}
         cost = validate(CostConfig, dict(scenario.cost) | content, "keywords")
@@ -91,7 +89,7 @@ def configured(
     return config, scenario
 
 
-def refuse_unknown(unknown: Mapping[str, Any], known: Iterable[str]) -> None:
+def refuse_unknown(keywords: Mapping[str, Any], known: Iterable[str]) -> None:
     """Refuse keywords that an environment does not have.
 
     Raises
@@ -100,8 +98,11 @@ def refuse_unknown(unknown: Mapping[str, Any], known: Iterable[str]) -> None:
         There is one.
     """
     allowed = sorted(known)
-    for key in unknown:
-        raise ConfigError(f"unknown keyword '{key}'{nearest(key, allowed)}; allowed: {', '.join(allowed)}")
+    for key in keywords:
+        if key not in allowed:
+            raise ConfigError(
+                f"unknown keyword '{key}'{nearest(key, allowed)}; allowed: {', '.join(allowed)}"
+            )
 
 
 def checked_choice(name: str, value: Any, allowed: Iterable[str | None]) -> Any:

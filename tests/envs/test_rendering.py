@@ -375,7 +375,7 @@ def test_a_batch_shows_its_first_vehicle(quick: str) -> None:
 def test_a_new_episode_begins_with_empty_charts(env: SaydEnv) -> None:
     env.step(HALF)
     state = env.get_state()
-    watcher = env._session.watch()
+    watcher = env._recorder
     assert len(watcher.frame().times) == 1
     env.reset()
     assert len(watcher.frame().times) == 0
