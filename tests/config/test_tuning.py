@@ -66,8 +66,8 @@ def test_the_scenarios_are_of_the_training_and_of_no_comparison():
 
 def test_nothing_about_the_tuning_reads_the_comparison_s_file():
     root = Path(__file__).parents[2]
-    for path in ("sayd_env/config/tuning.py", "sayd_env/studies/tune.py", "sayd_env/studies/tuning_runs.py"):
-        assert "heldout" not in (root / path).read_text()
+    for path in ("config/tuning.py", *(f"studies/tuning/{name}.py" for name in ("tune", "search"))):
+        assert "heldout" not in (root / "sayd_env" / path).read_text()
 
 
 def test_a_look_has_fewer_scenarios_and_evaluations():
