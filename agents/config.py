@@ -77,7 +77,7 @@ class PpoConfig(Model):
     algorithm: Literal["ppo"]
     learning_rate: float = quantity("-", "Step of Adam at the start", gt=0.0, le=1.0)
     anneal: bool = Field(False, description="The step falls linearly, to 0 at the last of `total_steps`")
-    n_steps: Count = Field(description="Steps of each lane between updates")
+    n_steps: Count = Field(description="Steps of each vehicle between updates")
     batch_size: int = Field(description="Samples in a minibatch", strict=True, ge=2)
     n_epochs: Count = Field(description="Passes over the samples in an update")
     gae_lambda: float = quantity("-", "Lambda of the generalised advantage", ge=0.0, le=1.0)
@@ -98,7 +98,7 @@ class SacConfig(Model):
     learning_starts: int = Field(description="Random steps before learning", strict=True, ge=0)
     batch_size: int = Field(description="Samples in a minibatch", strict=True, ge=2)
     tau: float = quantity("-", "Share of the way that the target networks go", gt=0.0, le=1.0)
-    train_freq: Count = Field(description="Steps of each lane between updates")
+    train_freq: Count = Field(description="Steps of each vehicle between updates")
     gradient_steps: Count = Field(description="Updates each time")
     target_entropy: Number = Field(description="Entropy of an output to which its weight is tuned")
 
@@ -143,7 +143,7 @@ class TrainConfig(Model):
 
     description: str = ""
     seed: int = Field(description="Of weights, exploration and episodes", strict=True, ge=0, lt=1_000_000)
-    total_steps: Count = Field(description="Steps of all lanes together")
+    total_steps: Count = Field(description="Steps of all vehicles together")
     torch_threads: Count = Field(description="Threads of torch; small networks want one")
     discount_s: float = quantity("s", "Time after which a reward counts 1/e", gt=0.0)
     reward_scale: float = quantity("-", "Factor on the reward per second", gt=0.0)
@@ -178,14 +178,16 @@ class TrainConfig(Model):
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
         learning = self.learning
-        lanes = self.environment.lanes * (2 if self.view == "bogie" else 1)
-        if isinstance(learning, PpoConfig) and learning.n_steps * lanes % learning.batch_size:
+        vehicles = self.environment.lanes * (2 if self.view == "bogie" else 1)
+        if isinstance(learning, PpoConfig) and learning.n_steps * vehicles % learning.batch_size:
             raise ValueError(
                 f"learning.batch_size ({learning.batch_size}) must divide n_steps x networks "
-                f"({learning.n_steps} x {lanes})"
+                f"({learning.n_steps} x {vehicles})"
             )
-        if isinstance(learning, SacConfig) and learning.buffer_size < lanes:
-            raise ValueError(f"learning.buffer_size ({learning.buffer_size}) must hold a step of all lanes")
+        if isinstance(learning, SacConfig) and learning.buffer_size < vehicles:
+            raise ValueError(
+                f"learning.buffer_size ({learning.buffer_size}) must hold a step of all vehicles"
+            )
         return self
 
 

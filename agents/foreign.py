@@ -26,9 +26,9 @@ from sayd_env.agents.policy_file import Layers, LearnedPolicy, StoredPolicy, des
 from sayd_env.config import ConfigError, DataError, validate
 from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig
-from sayd_env.envs.fleet import environment_scenario, make_interface
+from sayd_env.envs.environment import action_box, observation_box
+from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import ACTIONS, Interface
-from sayd_env.envs.session import action_box, observation_box
 
 Array = npt.NDArray[np.float32]
 

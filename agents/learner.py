@@ -29,10 +29,10 @@ class Progress:
 
     steps: int
     updates: int
-    life: int
+    restarts: int
     """How often it was resumed."""
     seconds: float
-    """Time of all lives."""
+    """Time of all starts together."""
 
 
 def make_model(config: TrainConfig, env: EncodedVecEnv) -> Any:

@@ -19,9 +19,9 @@ Numbers = Callable[[], Array]
 
 SEEDS_APART = 1_000_000
 """Seeds of a training begin here, those of evaluations and comparisons lie below."""
-SEEDS_OF_A_LIFE = 4096
-"""Seeds from one start of a training to the next: as many as there may be lanes."""
-LIVES = SEEDS_APART // SEEDS_OF_A_LIFE
+SEEDS_OF_A_START = 4096
+"""Seeds from one start of a training to the next: as many as there may be environments."""
+STARTS = SEEDS_APART // SEEDS_OF_A_START
 
 
 class EncodedVecEnv(VecEnvWrapper):
@@ -57,7 +57,7 @@ class EncodedVecEnv(VecEnvWrapper):
         self._seen: Observation = np.zeros(0, np.float32)
 
     def reset(self) -> Observation:
-        """Begin an episode in every lane."""
+        """Begin an episode of every vehicle."""
         self._seen = self.venv.reset()
         self._factor = self._factors()
         return self._encoding.encode(self._seen)
@@ -132,7 +132,7 @@ def reward_factors(config: TrainConfig, vehicles: SaydVecEnv) -> Array:
     reference = config.reward_reference
     if reference is None:
         return np.full(vehicles.num_envs, per_second)
-    episodes = [episode for episode in vehicles.batch.fleet.episodes if episode is not None]
+    episodes = [episode for episode in vehicles.vector.batch.episodes if episode is not None]
     speed = np.array([episode.speed for episode in episodes]) / reference.speed
     level = np.array([episode.track_scale or reference.track_level for episode in episodes])
     cost = reference.cost * speed**reference.speed_exponent
@@ -140,15 +140,15 @@ def reward_factors(config: TrainConfig, vehicles: SaydVecEnv) -> Array:
     return factors
 
 
-def seed_lanes(env: EncodedVecEnv, seed: int, life: int) -> None:
-    """Seed the lanes of a training.
+def seed_environments(env: EncodedVecEnv, seed: int, restarts: int) -> None:
+    """Seed the environments of a training.
 
     Parameters
     ----------
     env : EncodedVecEnv
     seed : int
         Of the training.
-    life : int
+    restarts : int
         How often the training was resumed: each time its episodes are others.
     """
-    env.seed((seed + 1) * SEEDS_APART + (life % LIVES) * SEEDS_OF_A_LIFE)
+    env.seed((seed + 1) * SEEDS_APART + (restarts % STARTS) * SEEDS_OF_A_START)

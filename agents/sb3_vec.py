@@ -12,9 +12,9 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from sayd_env.config import ConfigError
+from sayd_env.envs.environment import SEEDS
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE
-from sayd_env.envs.session import SEEDS
 from sayd_env.envs.vector import SaydVectorEnv
 
 Step = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]
@@ -23,8 +23,8 @@ Step = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bo
 class SaydVecEnv(VecEnv):
     """Many vehicles for algorithms of Stable-Baselines3, one compiled call for a step of all.
 
-    Lane i gives the same bits as `DummyVecEnv` with the environment of one vehicle. `seed(s)` gives lane i
-    the seed s + i at the next reset; without, a lane goes on with the next episode of its own.
+    Environment i gives the same bits as `DummyVecEnv` with the environment of one vehicle. `seed(s)` gives it
+    the seed s + i at the next reset; without, it goes on with the next episode of its own.
 
     Parameters
     ----------
@@ -44,23 +44,23 @@ class SaydVecEnv(VecEnv):
     def __init__(self, environment: str = "nominal", num_envs: int = 1, **keywords: Any) -> None:
         if "autoreset_mode" in keywords:
             raise ConfigError("autoreset_mode: Stable-Baselines3 prescribes 'SameStep'; leave it out")
-        self.batch = SaydVectorEnv(
+        self.vector = SaydVectorEnv(
             environment, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **keywords
         )
         self._begun = False
         self._actions: Any = None
-        super().__init__(num_envs, self.batch.single_observation_space, self.batch.single_action_space)
+        super().__init__(num_envs, self.vector.single_observation_space, self.vector.single_action_space)
 
     @property
     def interface(self) -> Interface:
         """What a policy may know of the environment."""
-        return self.batch.interface
+        return self.vector.interface
 
     def reset(self) -> npt.NDArray[np.float32]:
-        """Begin an episode in every lane, with the seeds and options that were set for it."""
+        """Begin an episode of every vehicle, with the seeds and options that were set for it."""
         first, others = self._options[0], self._options[1:]
         if all(options == first for options in others):
-            observations, infos = self.batch.reset(seed=self._seeds, options=dict(first))
+            observations, infos = self.vector.reset(seed=self._seeds, options=dict(first))
             told = rows(infos, self.num_envs)
         else:
             observations, told = self._reset_apart()
@@ -71,16 +71,16 @@ class SaydVecEnv(VecEnv):
         return observations
 
     def _reset_apart(self) -> tuple[npt.NDArray[np.float32], list[dict[str, Any]]]:
-        """Reset lane after lane, because their options differ."""
+        """Reset vehicle after vehicle, because their options differ."""
         seeds = list(self._seeds)
         if not self._begun:  # all vehicles must be there before one of them can be reset alone
             seeds = [int(np.random.default_rng().integers(SEEDS)) if s is None else s for s in seeds]
-            self.batch.reset(seed=seeds)
+            self.vector.reset(seed=seeds)
         observations, told = np.empty(0, np.float32), []
         for i in range(self.num_envs):
-            alone = [seed if lane == i else None for lane, seed in enumerate(seeds)]
+            alone = [seed if vehicle == i else None for vehicle, seed in enumerate(seeds)]
             options = self._options[i] | {"reset_mask": np.arange(self.num_envs) == i}
-            observations, infos = self.batch.reset(seed=alone, options=options)
+            observations, infos = self.vector.reset(seed=alone, options=options)
             told.append(rows(infos, self.num_envs)[i])
         return observations, told
 
@@ -89,8 +89,8 @@ class SaydVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> Step:
-        """Hold the valve commands for one control period; lanes that end begin their next episode."""
-        observations, rewards, terminated, truncated, batched = self.batch.step(self._actions)
+        """Hold the valve commands for one control period; vehicles that end begin their next episode."""
+        observations, rewards, terminated, truncated, batched = self.vector.step(self._actions)
         last, final_info = batched.pop("final_obs", None), batched.pop("final_info", {})
         dones = terminated | truncated
         infos = rows(batched, self.num_envs)
@@ -104,8 +104,8 @@ class SaydVecEnv(VecEnv):
 
     def bogie_costs(self) -> npt.NDArray[np.float64]:
         """Share of the last period in the J of each bogie, shape (num_envs, 2), weighted as the reward."""
-        fleet = self.batch.fleet
-        cost, terms = fleet.scenario.cost, fleet.lanes.terms
+        batch = self.vector.batch
+        cost, terms = batch.scenario.cost, batch.vehicles.terms
         acceleration = terms[:, COST_ACCELERATION : COST_ACCELERATION + BOGIES]
         force = terms[:, COST_FORCE : COST_FORCE + BOGIES]
         costs: npt.NDArray[np.float64] = cost.acceleration_weight * acceleration + cost.force_weight * force
@@ -113,33 +113,33 @@ class SaydVecEnv(VecEnv):
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        self.batch.close()
+        self.vector.close()
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
-        """A picture of the first lane."""
-        pictures = self.batch.render()
+        """A picture of the first vehicle."""
+        pictures = self.vector.render()
         return (None,) if pictures is None else tuple(pictures)
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the environment, once for each lane."""
-        return [getattr(self.batch, attr_name)] * len(list(self._get_indices(indices)))
+        """An attribute of the environment, once for each vehicle."""
+        return [getattr(self.vector, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the environment: of all lanes, which are one object.
+        """Set an attribute of the environment: of all vehicles, which are one object.
 
         Raises
         ------
         ConfigError
-            Only some lanes are meant.
+            Only some vehicles are meant.
         """
         if len(list(self._get_indices(indices))) != self.num_envs:
-            raise ConfigError(f"{attr_name}: the lanes are one object; set it for all of them")
-        setattr(self.batch, attr_name, value)
+            raise ConfigError(f"{attr_name}: the vehicles are one object; set it for all of them")
+        setattr(self.vector, attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> Any:
-        """Refuse to call a method of one lane, because the lanes are one object.
+        """Refuse to call a method of one vehicle, because the vehicles are one object.
 
         Raises
         ------
@@ -147,38 +147,38 @@ class SaydVecEnv(VecEnv):
             Always.
         """
         raise ConfigError(
-            f"{method_name}: the lanes are one object without methods of their own; call those of `batch`"
+            f"{method_name}: the vehicles are one object without methods of their own; call those of `vector`"
         )
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
-        """Nothing lies around a lane."""
+        """Nothing lies around a vehicle."""
         return [False] * len(list(self._get_indices(indices)))
 
 
 def rows(batched: dict[str, Any], count: int) -> list[dict[str, Any]]:
-    """The info of each lane from Gymnasium's form: an array for each key with a mask ``_key``.
+    """The info of each vehicle from Gymnasium's form: an array for each key with a mask ``_key``.
 
     Parameters
     ----------
     batched : dict
         Info of a vector environment.
     count : int
-        Number of lanes.
+        Number of vehicles.
     """
     infos: list[dict[str, Any]] = [{} for _ in range(count)]
     for key, values in batched.items():
         if key.startswith("_"):
             continue
-        each = _of_lanes(values, count)
+        each = _of_vehicles(values, count)
         for i in np.flatnonzero(batched["_" + key]).tolist():
             infos[i][key] = each[i]
     return infos
 
 
-def _of_lanes(values: Any, count: int) -> Sequence[Any]:
-    """A key's values lane by lane: numbers as Python's own, arrays as rows."""
+def _of_vehicles(values: Any, count: int) -> Sequence[Any]:
+    """A key's values vehicle by vehicle: numbers as Python's own, arrays as rows."""
     if isinstance(values, dict):
         return rows(values, count)
     alone = values.ndim == 1 and values.dtype != object

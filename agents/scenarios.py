@@ -16,7 +16,7 @@ from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.rollout import Policy, Rollout, roll_out
 
@@ -69,34 +69,34 @@ class Judge:
             "control_period": settings.control_period,
         }
         self.cases = cases(config.evaluation)
-        self._fleet: Fleet | None = None
+        self._batch: EpisodeBatch | None = None
 
     def learned(self, policy: StoredPolicy) -> Array:
         """J of a learned policy in each scenario, with the charge for derailments."""
-        if self._fleet is None:
-            self._fleet = self._made(self._learned)
-        return self._costs(self._fleet, policy.bound(self._fleet.interface))
+        if self._batch is None:
+            self._batch = self._made(self._learned)
+        return self._costs(self._batch, policy.bound(self._batch.interface))
 
     def reference(self, name: str) -> Array:
         """J of a controller of `baselines` in each scenario, on the signals and clock of the environment."""
-        fleet = self._made({"damper": "passive"} if name == "passive" else {})
-        return self._costs(fleet, baselines.make(name, fleet.interface))
+        batch = self._made({"damper": "passive"} if name == "passive" else {})
+        return self._costs(batch, baselines.make(name, batch.interface))
 
-    def _made(self, keywords: dict[str, Any]) -> Fleet:
+    def _made(self, keywords: dict[str, Any]) -> EpisodeBatch:
         config, scenario = configured(**self._keywords, **keywords)
-        return Fleet(config, len(self.cases), scenario=scenario, num_threads=self._threads)
+        return EpisodeBatch(config, len(self.cases), scenario=scenario, num_threads=self._threads)
 
-    def _costs(self, fleet: Fleet, policy: Policy) -> Array:
-        semi_active = isinstance(fleet.scenario.damper, SaydDamperConfig)
+    def _costs(self, batch: EpisodeBatch, policy: Policy) -> Array:
+        semi_active = isinstance(batch.scenario.damper, SaydDamperConfig)
         current = {"initial_current": self._evaluation.initial_current} if semi_active else {}
         episodes = [
             draw_episode(
-                fleet.config, case.seed, 0, {"speed_kmh": case.speed_kmh, "wear": case.wear} | current
+                batch.config, case.seed, 0, {"speed_kmh": case.speed_kmh, "wear": case.wear} | current
             )
             for case in self.cases
         ]
-        runs = roll_out(fleet, policy, episodes, [fleet.steps] * len(episodes))
-        return np.array([episode_cost(run, fleet.config, fleet.scenario) for run in runs])
+        runs = roll_out(batch, policy, episodes, [batch.steps] * len(episodes))
+        return np.array([episode_cost(run, batch.config, batch.scenario) for run in runs])
 
 
 def episode_cost(run: Rollout, config: EnvironmentConfig, scenario: Scenario) -> float:

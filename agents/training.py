@@ -34,7 +34,7 @@ import yaml
 from sayd_env.agents.config import TrainConfig, load_train
 from sayd_env.agents.disk import new_folder, remove_leftovers, write_file
 from sayd_env.agents.learner import Progress, load_model, make_model, policy_layers, save_model
-from sayd_env.agents.learning_env import environment_keywords, make_learning_env, seed_lanes
+from sayd_env.agents.learning_env import environment_keywords, make_learning_env, seed_environments
 from sayd_env.agents.policy_file import StoredPolicy, describe, read_policy, save_policy
 from sayd_env.agents.scenarios import Judge
 from sayd_env.agents.table import Table
@@ -146,8 +146,8 @@ class _Run:
             stored = load_model(found[-1], self.model)
             self.origin = Progress(stored.steps, stored.updates, len(starts), stored.seconds)
         self.steps, self.clock = self.origin.steps, time.monotonic()
-        seed_lanes(self.env, config.seed, self.origin.life)
-        self.model.action_space.seed(config.seed + self.origin.life)
+        seed_environments(self.env, config.seed, self.origin.restarts)
+        self.model.action_space.seed(config.seed + self.origin.restarts)
         self.evaluations = Table(folder / "evaluations.csv", until=self.steps)
         self.log = Table(folder / "progress.csv", until=self.steps)
         self.references = Table(folder / "references.csv")
@@ -181,7 +181,7 @@ class _Run:
     def stand(self) -> Progress:
         """How far it has come."""
         seconds = self.origin.seconds + time.monotonic() - self.clock
-        return Progress(self.steps, self.model._n_updates, self.origin.life, seconds)
+        return Progress(self.steps, self.model._n_updates, self.origin.restarts, seconds)
 
     def evaluate(self) -> None:
         """Judge the policy as it is, and keep it if it is the best."""

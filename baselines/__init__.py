@@ -12,10 +12,10 @@ from typing import Any
 
 from sayd_env.baselines.constant import Constant, Passive
 from sayd_env.baselines.mppt import Mppt
+from sayd_env.baselines.observation_layout import interface_of
 from sayd_env.baselines.perturb_observe import PerturbAndObserve
 from sayd_env.baselines.policy import Policy
 from sayd_env.baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
-from sayd_env.baselines.source import interface_of
 
 from sayd_env.config import ConfigError
 from sayd_env.config.control import controller_of, load_controller

@@ -25,13 +25,13 @@ class Unmoved(Policy[ConstantConfig | PassiveControlConfig, int]):
         super().__init__(name, interface, parameters, ())
         self._current = current
 
-    def _lanes(self, state: int) -> int:
+    def _count(self, state: int) -> int:
         return state
 
     def _begin(self, rows: Array) -> int:
         return len(rows)
 
-    def _restart(self, state: int, rows: Array, lanes: npt.NDArray[np.intp]) -> None:
+    def _restart(self, state: int, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
         pass
 
     def _command(self, state: int, rows: Array) -> Array:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from sayd_env.baselines.minimiser import Minimiser
+from sayd_env.baselines.extremum_seeking import ExtremumSeeking
 from sayd_env.baselines.policy import Array
 
 from sayd_env.config.control import MpptConfig
 
 
-class Mppt(Minimiser[MpptConfig]):
+class Mppt(ExtremumSeeking[MpptConfig]):
     """MPPT1 and MPPT2, one controller for each bogie, exactly as the paper prints them.
 
     Once a second, with J^(n+1) of the second just ended and J^n of the one before,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from sayd_env.baselines.minimiser import Minimiser
+from sayd_env.baselines.extremum_seeking import ExtremumSeeking
 from sayd_env.baselines.policy import Array
 
 from sayd_env.config.control import PerturbObserveConfig
 
 
-class PerturbAndObserve(Minimiser[PerturbObserveConfig]):
+class PerturbAndObserve(ExtremumSeeking[PerturbObserveConfig]):
     """Perturb and observe, one controller for each bogie.
 
     Once a second the command moves by one step, in the direction of the last move where J of eq. (27) has

@@ -87,9 +87,9 @@ class Policy(ABC, Generic[Parameters, State]):
         if state is None:
             state = self._begin(rows)
         else:
-            if self._lanes(state) != len(rows):
+            if self._count(state) != len(rows):
                 raise ConfigError(
-                    f"{self.name}: the state is that of {self._lanes(state)} vehicles, "
+                    f"{self.name}: the state is that of {self._count(state)} vehicles, "
                     f"the observation that of {len(rows)}; start with state=None"
                 )
             if episode_start is not None:
@@ -121,7 +121,7 @@ class Policy(ABC, Generic[Parameters, State]):
             self._restart(state, rows, np.flatnonzero(starts))
 
     @abstractmethod
-    def _lanes(self, state: State) -> int:
+    def _count(self, state: State) -> int:
         """Return the number of vehicles of a state."""
 
     @abstractmethod
@@ -129,7 +129,7 @@ class Policy(ABC, Generic[Parameters, State]):
         """Make the state of vehicles that all begin an episode with these readings."""
 
     @abstractmethod
-    def _restart(self, state: State, rows: Array, lanes: npt.NDArray[np.intp]) -> None:
+    def _restart(self, state: State, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
         """Put some vehicles back to the begin of an episode."""
 
     @abstractmethod

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from sayd_env.baselines.characteristic import Characteristic
+from sayd_env.baselines.inverse_damper import InverseDamper
 from sayd_env.baselines.policy import Array, BogiePolicy, of_all_dampers
 from scipy.signal import cont2discrete
 
@@ -74,7 +74,7 @@ class Skyhook(BogiePolicy[SkyhookConfig, Motion]):
     def _wanted(self, velocity: Array, rate: Array) -> Array:
         """Valve commands for x' and dL' (m/s), all of shape (N, 2)."""
 
-    def _lanes(self, state: Motion) -> int:
+    def _count(self, state: Motion) -> int:
         return len(state.velocity)
 
     def _begin(self, rows: Array) -> Motion:
@@ -89,11 +89,11 @@ class Skyhook(BogiePolicy[SkyhookConfig, Motion]):
         state.strokes[:] = _yaw_strokes(rows)
         return state
 
-    def _restart(self, state: Motion, rows: Array, lanes: npt.NDArray[np.intp]) -> None:
+    def _restart(self, state: Motion, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
         for values in (state.displacement, state.velocity, state.rate):
-            values[lanes] = 0.0
-        state.strokes[lanes] = _yaw_strokes(rows[lanes])
-        state.command[lanes] = self.parameters.closed
+            values[vehicles] = 0.0
+        state.strokes[vehicles] = _yaw_strokes(rows[vehicles])
+        state.command[vehicles] = self.parameters.closed
 
     def _command_bogies(self, state: Motion, rows: Array) -> Array:
         _sense(
@@ -153,7 +153,7 @@ class ContinuousSkyhook(Skyhook):
 
     and c_min where the first is less, (35). c_max dL' is the force of the damper at the command `closed` and
     this stroke rate; the command that gives the wanted share of it comes from the damper's own characteristic
-    field (`Characteristic`). x' and dL' as in `OnOffSkyhook`.
+    field (`InverseDamper`). x' and dL' as in `OnOffSkyhook`.
 
     ===============  =====  ============================================================================
     parameter        unit   meaning
@@ -181,13 +181,13 @@ class ContinuousSkyhook(Skyhook):
                 f"{name}: needs the characteristic of semi-active dampers, the environment has passive ones; "
                 "make it with damper='sayd'"
             )
-        self._characteristic = Characteristic(interface.damper, parameters.closed, parameters.open)
+        self._inverse_damper = InverseDamper(interface.damper, parameters.closed, parameters.open)
 
     def _wanted(self, velocity: Array, rate: Array) -> Array:
         share = np.ones_like(velocity)
         with np.errstate(over="ignore"):
             np.divide(velocity, rate, out=share, where=rate != 0.0)
-        return self._characteristic.currents(rate, share)
+        return self._inverse_damper.currents(rate, share)
 
 
 def _yaw_strokes(rows: Array) -> Array:

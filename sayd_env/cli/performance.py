@@ -96,7 +96,7 @@ def soak(
         result = study(
             environment,
             steps,
-            lanes=environments,
+            environments=environments,
             seed=seed,
             settings=assignments or (),
             workers=workers,

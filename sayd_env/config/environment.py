@@ -1,4 +1,4 @@
-"""What an environment is, as data: vehicle, sensors, clock, ending, and the laws of what an episode draws."""
+"""What an environment is, as data: vehicle, sensors, clock, ending, and what an episode draws."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from sayd_env.config.base import Model, quantity
+from sayd_env.config.distribution import Distribution
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin, nearest
 from sayd_env.config.fault import FaultsConfig
-from sayd_env.config.law import Law
 from sayd_env.config.loader import (
     apply_overrides,
     assigned,
@@ -55,24 +55,24 @@ LIMITS: Mapping[str, Limits] = MappingProxyType(
         "factor": Limits(0.1, 10.0, "-"),
     }
 )
-"""For an option of an episode and for the law of a draw alike. (The vehicle's speeds may reach less far.)"""
+"""For options of an episode and for what it draws alike. (The vehicle's speeds may reach less far.)"""
 
 TOLERANT = ("vehicle", "track", "contact_damping", "sayd", "passive")
 """Where a key may begin that tolerances scale: sections of a scenario, or one of its two kinds of damper."""
 
 
-def within(law: Law, name: str) -> Law:
-    """Return a law of a quantity of `LIMITS`.
+def within(distribution: Distribution, name: str) -> Distribution:
+    """Return a distribution of a quantity of `LIMITS`.
 
     Raises
     ------
     ValueError
-        The law reaches beyond what is allowed.
+        The distribution reaches beyond what is allowed.
     """
-    (low, high), allowed = law.bounds, LIMITS[name]
+    (low, high), allowed = distribution.bounds, LIMITS[name]
     if low < allowed.low or high > allowed.high:
-        raise ValueError(f"the law reaches from {low:g} to {high:g}; allowed are {allowed}")
-    return law
+        raise ValueError(f"the distribution reaches from {low:g} to {high:g}; allowed are {allowed}")
+    return distribution
 
 
 class TrackClass(Model):
@@ -80,7 +80,7 @@ class TrackClass(Model):
 
     name: str = Field(min_length=1, description="Name of a track, or a path to its YAML file")
     weight: float = quantity("-", "How often it comes, against the others", default=1.0, ge=0.0)
-    scale: Law | None = Field(
+    scale: Distribution | None = Field(
         None, description="Factor on all amplitudes (-), in place of the track's own; null: its own"
     )
 
@@ -116,7 +116,7 @@ class ToleranceConfig(Model):
         description="Dotted keys of the scenario; sayd. and passive. stand for the damper, where it is of "
         "this type. Lists are scaled as a whole, curves in their ordinates",
     )
-    factor: Law = Field(description="The factor (-)")
+    factor: Distribution = Field(description="The factor (-)")
 
     @field_validator("keys")
     @classmethod
@@ -132,20 +132,22 @@ class ToleranceConfig(Model):
 
     @field_validator("factor")
     @classmethod
-    def _moderate(cls, law: Law) -> Law:
-        return within(law, "factor")
+    def _moderate(cls, distribution: Distribution) -> Distribution:
+        return within(distribution, "factor")
 
 
 class RandomisationConfig(Model):
-    """The laws of what an episode draws."""
+    """The distributions of what an episode draws."""
 
-    speed_kmh: Law = Field(description="Speed (km/h)")
-    wear: Law | None = Field(description="Wear of the treads, 0 new, 1 worn (-); null: the study's")
-    friction: Law | None = Field(description="Coefficient of friction (-); null: the study's")
-    payload: Law = Field(description="Change of the carbody's mass and inertia, as a share of it (-)")
-    initial_current: Law = Field(description="Valve command during the run-in (-)")
-    sensor_bias: Law = Field(description="Error of each sensor, as a share of its bias_spread (-)")
-    sensor_noise: Law = Field(description="Factor on the noise of each sensor (-)")
+    speed_kmh: Distribution = Field(description="Speed (km/h)")
+    wear: Distribution | None = Field(description="Wear of the treads, 0 new, 1 worn (-); null: the study's")
+    friction: Distribution | None = Field(description="Coefficient of friction (-); null: the study's")
+    payload: Distribution = Field(
+        description="Change of the carbody's mass and inertia, as a share of it (-)"
+    )
+    initial_current: Distribution = Field(description="Valve command during the run-in (-)")
+    sensor_bias: Distribution = Field(description="Error of each sensor, as a share of its bias_spread (-)")
+    sensor_noise: Distribution = Field(description="Factor on the noise of each sensor (-)")
     tracks: tuple[TrackClass, ...] = Field((), description="Classes of track; none: the study's track")
     tolerances: dict[str, ToleranceConfig] = Field({}, description="Groups of numbers that vary together")
 
@@ -153,8 +155,8 @@ class RandomisationConfig(Model):
         "speed_kmh", "wear", "friction", "payload", "initial_current", "sensor_bias", "sensor_noise"
     )
     @classmethod
-    def _allowed(cls, law: Law | None, info: ValidationInfo) -> Law | None:
-        return None if law is None else within(law, str(info.field_name))
+    def _allowed(cls, distribution: Distribution | None, info: ValidationInfo) -> Distribution | None:
+        return None if distribution is None else within(distribution, str(info.field_name))
 
     @field_validator("tracks")
     @classmethod
@@ -238,7 +240,7 @@ def load_environment(name: str = "nominal", overrides: Iterable[str] = ()) -> En
     name : str
         A packaged environment (``nominal``, ``randomized``, ``faults``) or a path to a YAML file. A file
         needs only the keys in which it differs from its ``base`` (``nominal`` unless it names another, or
-        null); a law or a list replaces the base's as a whole. Paths in it are relative to it.
+        null); a distribution or a list replaces the base's as a whole. Paths in it are relative to it.
     overrides : iterable of str
         ``key=value`` assignments, applied last, for example ``control_period=0.02`` or ``sensors=realistic``.
 
@@ -317,7 +319,7 @@ def _with_sensors(data: dict[str, Any], source: str) -> tuple[dict[str, Any], tu
 
 
 def _stands_alone(content: Any) -> bool:
-    """Whether content replaces what is below as a whole: a value, a list, a law, a named section."""
+    """Whether content replaces what is below as a whole: a value, a list, a distribution, a named section."""
     return not isinstance(content, dict) or "law" in content or "name" in content
 
 

@@ -1,4 +1,4 @@
-"""Faults of valves, dampers and sensors: one that happens, and the laws by which they are drawn."""
+"""Faults of valves, dampers and sensors: those that happen, and the classes of which they are drawn."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
 from sayd_env.config.base import Model, quantity
+from sayd_env.config.distribution import ChoiceDistribution, Distribution, FixedDistribution
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import shown
-from sayd_env.config.law import ChoiceLaw, FixedLaw, Law
 from sayd_env.config.loader import nearest, validate
 from sayd_env.config.sensors import DAMPERS, KINDS, SIGNALS, SensorKind
 
@@ -136,87 +136,95 @@ def _plain(entry: Any) -> Any:
     return {key: value.item() if isinstance(value, np.generic) else value for key, value in entry.items()}
 
 
-class _FaultLaw(Model):
+class _FaultClass(Model):
     weight: float = quantity("-", "How often this one comes, against the others", default=1.0, ge=0.0)
 
 
-class ValveStuckLaw(_FaultLaw):
+class ValveStuckClass(_FaultClass):
     """A valve of any damper that sticks at a drawn opening."""
 
     kind: Literal["valve_stuck"]
-    current: Law = Field(description="Current at which it is stuck (-)")
+    current: Distribution = Field(description="Current at which it is stuck (-)")
 
     @field_validator("current")
     @classmethod
-    def _opening(cls, law: Law) -> Law:
-        low, high = law.bounds
+    def _opening(cls, distribution: Distribution) -> Distribution:
+        low, high = distribution.bounds
         if low < 0.0 or high > 1.0:
-            raise ValueError(f"the law reaches from {low:g} to {high:g}; allowed are 0 to 1")
-        return law
+            raise ValueError(f"the distribution reaches from {low:g} to {high:g}; allowed are 0 to 1")
+        return distribution
 
 
-class DamperFaultLaw(_FaultLaw):
+class DamperFaultClass(_FaultClass):
     """A fault of any damper that has no further measure."""
 
     kind: Literal["power_lost", "damper_lost"]
 
 
-class SensorFaultLaw(_FaultLaw):
+class SensorFaultClass(_FaultClass):
     """A fault of any sensor of some kinds that has no further measure."""
 
     kind: Literal["sensor_dead", "sensor_frozen"]
     sensors: tuple[SensorKind, ...] = Field(KINDS, min_length=1, description="Kinds of sensors")
 
 
-class SensorErrorLaw(_FaultLaw):
+class SensorErrorClass(_FaultClass):
     """An error of any sensor of some kinds: biased to either side, or noisy."""
 
     kind: Literal["sensor_biased", "sensor_noisy"]
     sensors: tuple[SensorKind, ...] = Field(KINDS, min_length=1, description="Kinds of sensors")
-    share: Law = Field(description="Size of the error, as a share of half the sensor's range (-)")
+    share: Distribution = Field(description="Size of the error, as a share of half the sensor's range (-)")
 
     @field_validator("share")
     @classmethod
-    def _positive(cls, law: Law) -> Law:
-        low, high = law.bounds
+    def _positive(cls, distribution: Distribution) -> Distribution:
+        low, high = distribution.bounds
         if low < 0.0 or high > 1.0:
-            raise ValueError(f"the law reaches from {low:g} to {high:g}; allowed are 0 to 1")
-        return law
+            raise ValueError(f"the distribution reaches from {low:g} to {high:g}; allowed are 0 to 1")
+        return distribution
 
 
-FaultLaw = Annotated[
-    ValveStuckLaw | DamperFaultLaw | SensorFaultLaw | SensorErrorLaw, Field(discriminator="kind")
+FaultClass = Annotated[
+    ValveStuckClass | DamperFaultClass | SensorFaultClass | SensorErrorClass, Field(discriminator="kind")
 ]
 
 
 class FaultsConfig(Model):
     """How many faults an episode has, when, and which."""
 
-    count: Annotated[FixedLaw | ChoiceLaw, Field(discriminator="law")] = Field(
+    count: Annotated[FixedDistribution | ChoiceDistribution, Field(discriminator="law")] = Field(
         description="Number of faults (-)"
     )
-    onset: Law = Field(description="Time after step 0 at which a fault happens (s)")
-    kinds: tuple[FaultLaw, ...] = Field(min_length=1, description="The faults, with their weights")
+    onset: Distribution = Field(description="Time after step 0 at which a fault happens (s)")
+    kinds: tuple[FaultClass, ...] = Field(min_length=1, description="The faults, with their weights")
 
     @field_validator("count")
     @classmethod
-    def _countable(cls, law: FixedLaw | ChoiceLaw) -> FixedLaw | ChoiceLaw:
-        values = law.values if isinstance(law, ChoiceLaw) else (law.value,)
+    def _countable(
+        cls, distribution: FixedDistribution | ChoiceDistribution
+    ) -> FixedDistribution | ChoiceDistribution:
+        values = (
+            distribution.values if isinstance(distribution, ChoiceDistribution) else (distribution.value,)
+        )
         wrong = [value for value in values if value not in range(MOST_FAULTS + 1)]
         if wrong:
-            raise ValueError(f"the law has {wrong[0]:g}; allowed are whole numbers from 0 to {MOST_FAULTS}")
-        return law
+            raise ValueError(
+                f"the distribution has {wrong[0]:g}; allowed are whole numbers from 0 to {MOST_FAULTS}"
+            )
+        return distribution
 
     @field_validator("onset")
     @classmethod
-    def _after_the_start(cls, law: Law) -> Law:
-        if law.bounds[0] < 0.0:
-            raise ValueError(f"the law reaches down to {law.bounds[0]:g} s; allowed are 0 s and more")
-        return law
+    def _after_the_start(cls, distribution: Distribution) -> Distribution:
+        if distribution.bounds[0] < 0.0:
+            raise ValueError(
+                f"the distribution reaches down to {distribution.bounds[0]:g} s; allowed are 0 s and more"
+            )
+        return distribution
 
     @field_validator("kinds")
     @classmethod
-    def _some_weight(cls, kinds: tuple[FaultLaw, ...]) -> tuple[FaultLaw, ...]:
-        if sum(law.weight for law in kinds) == 0.0:
+    def _some_weight(cls, kinds: tuple[FaultClass, ...]) -> tuple[FaultClass, ...]:
+        if sum(each.weight for each in kinds) == 0.0:
             raise ValueError("at least one weight must be positive")
         return kinds

@@ -5,7 +5,7 @@ Seeds
 Episode k of seed s has the seed sequence [s, k]. The track uses this sequence itself, so that the track of
 episode 0 is that of seed s in the studies. Every other component has a child of its own, spawn key (1,) to
 (5,), and every quantity of the scenario has a child of that by its name. So no draw shifts another one:
-neither an option, nor a law that is exchanged, nor the length of the episodes before.
+neither an option, nor another distribution, nor the length of the episodes before.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, validate
+from sayd_env.config.distribution import chosen
 from sayd_env.config.environment import EnvironmentConfig, TrackClass, scalable
 from sayd_env.config.fault import (
     MOST_FAULTS,
-    DamperFaultLaw,
+    DamperFaultClass,
     Fault,
     FaultsConfig,
-    SensorErrorLaw,
-    ValveStuckLaw,
+    SensorErrorClass,
+    ValveStuckClass,
     parse_faults,
 )
-from sayd_env.config.law import chosen
 from sayd_env.config.loader import is_path
 from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import Scenario
@@ -97,7 +97,7 @@ def draw_episode(
     Parameters
     ----------
     config : EnvironmentConfig
-        The environment with its laws.
+        The environment with the distributions of what is drawn.
     seed : int
         Seed of the environment, 0 or more. Seeds below 2^32 have no track in common.
     episode : int
@@ -115,14 +115,16 @@ def draw_episode(
     seed, episode = whole_number("seed", seed), whole_number("episode", episode)
     fixed = checked_options(options)
     sequence = np.random.SeedSequence([seed, episode])
-    laws = config.randomisation
+    drawn_from = config.randomisation
     uniform = _Uniform(sequence)
     drawn = {
-        name: float(law.at(uniform(name))) for name in NUMBERS if (law := getattr(laws, name)) is not None
+        name: float(quantity.at(uniform(name)))
+        for name in NUMBERS
+        if (quantity := getattr(drawn_from, name)) is not None
     } | fixed.numbers
     bias, noise = _sensor_errors(config, sequence)
     faults = () if config.faults is None else _drawn_faults(config.faults, config.sensors, sequence)
-    track = _drawn_track(laws.tracks, fixed, uniform)
+    track = _drawn_track(drawn_from.tracks, fixed, uniform)
     return Episode(
         seed=seed,
         number=episode,
@@ -136,7 +138,7 @@ def draw_episode(
         track_scale=track.scale,
         tolerances={
             key: float(group.factor.at(uniform(f"tolerances.{name}")))
-            for name, group in laws.tolerances.items()
+            for name, group in drawn_from.tolerances.items()
             for key in group.keys
         },
         sensor_bias=bias,
@@ -226,7 +228,7 @@ class _Track:
 
 
 def _drawn_track(classes: tuple[TrackClass, ...], fixed: EpisodeOptions, uniform: _Uniform) -> _Track:
-    """Track and its scale; a track that an option names keeps the scale's law of its class, if it has one."""
+    """Track and its scale; a track that an option names keeps its class's scale."""
     name, scale = fixed.track, fixed.track_scale
     drawn = None
     if name is not None:
@@ -274,31 +276,31 @@ def _drawn_faults(
 ) -> tuple[Fault, ...]:
     """Faults in the order of their onsets, no two of them of the same damper or the same signal."""
     numbers = _generator(sequence, "faults").random((1 + MOST_FAULTS, 5))
-    weights = tuple(law.weight for law in config.kinds)
+    weights = tuple(each.weight for each in config.kinds)
     dampers, signals = list(DAMPERS), list(SIGNALS)
     drawn = []
     for u in numbers[1 : 1 + round(float(config.count.at(numbers[0, 0])))]:
-        law = config.kinds[int(chosen(weights, u[0]))]
-        fault: dict[str, Any] = {"kind": law.kind, "start_s": float(config.onset.at(u[1]))}
-        if isinstance(law, ValveStuckLaw | DamperFaultLaw):
+        kind = config.kinds[int(chosen(weights, u[0]))]
+        fault: dict[str, Any] = {"kind": kind.kind, "start_s": float(config.onset.at(u[1]))}
+        if isinstance(kind, ValveStuckClass | DamperFaultClass):
             fault["damper"] = dampers.pop(int(u[2] * len(dampers)))
-            if isinstance(law, ValveStuckLaw):
-                fault["current"] = float(law.current.at(u[3]))
+            if isinstance(kind, ValveStuckClass):
+                fault["current"] = float(kind.current.at(u[3]))
         else:
-            possible = [signal for signal in signals if SIGNALS[signal] in law.sensors]
+            possible = [signal for signal in signals if SIGNALS[signal] in kind.sensors]
             if not possible:  # every sensor of these kinds has its fault
                 continue
             fault["signal"] = possible[int(u[2] * len(possible))]
             signals.remove(fault["signal"])
-            if isinstance(law, SensorErrorLaw):
-                fault |= _error(law, sensors.of(fault["signal"]), u[3], u[4])
+            if isinstance(kind, SensorErrorClass):
+                fault |= _error(kind, sensors.of(fault["signal"]), u[3], u[4])
         drawn.append(fault)
     return parse_faults(sorted(drawn, key=itemgetter("start_s")), "drawn")
 
 
-def _error(law: SensorErrorLaw, sensor: SensorConfig, size: float, side: float) -> dict[str, float]:
+def _error(kind: SensorErrorClass, sensor: SensorConfig, size: float, side: float) -> dict[str, float]:
     """Measure of a sensor's error in the unit of its signal."""
-    amount = float(law.share.at(size)) * 0.5 * (sensor.high - sensor.low)
-    if law.kind == "sensor_noisy":
+    amount = float(kind.share.at(size)) * 0.5 * (sensor.high - sensor.low)
+    if kind.kind == "sensor_noisy":
         return {"noise": amount}
     return {"bias": amount if side < 0.5 else -amount}

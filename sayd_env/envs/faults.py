@@ -13,7 +13,7 @@ from sayd_env.config.fault import (
     ValveStuck,
 )
 from sayd_env.config.sensors import DAMPERS, SIGNALS
-from sayd_env.envs.lanes import Lanes
+from sayd_env.envs.vehicle_batch import VehicleBatch
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES
 
@@ -32,33 +32,33 @@ class FaultSchedule:
     def __init__(self, faults: tuple[Fault, ...]) -> None:
         self._ahead = sorted(faults, key=lambda fault: fault.start_s)
 
-    def apply(self, time: float, lanes: Lanes, lane: int) -> None:
+    def apply(self, time: float, vehicles: VehicleBatch, vehicle: int) -> None:
         """Let all faults happen whose time (s after step 0) has come."""
         while self._ahead and self._ahead[0].start_s <= time + 1e-9:
-            strike(self._ahead.pop(0), lanes, lane)
+            strike(self._ahead.pop(0), vehicles, vehicle)
 
 
-def strike(fault: Fault, lanes: Lanes, lane: int) -> None:
+def strike(fault: Fault, vehicles: VehicleBatch, vehicle: int) -> None:
     """Let a fault happen now to a vehicle. A passive damper has no valve that could fail."""
     match fault:
         case ValveStuck() | PowerLost() | DamperLost():
-            _strike_damper(fault, lanes, lane)
+            _strike_damper(fault, vehicles, vehicle)
         case SensorDead():
-            memory, place = lanes.memory.view(lane), _PLACES[fault.signal]
+            memory, place = vehicles.memory.view(vehicle), _PLACES[fault.signal]
             memory.gain[place] = 0.0
         case SensorFrozen():
-            lanes.memory.view(lane).frozen[_PLACES[fault.signal]] = 1.0
+            vehicles.memory.view(vehicle).frozen[_PLACES[fault.signal]] = 1.0
         case SensorBiased():
-            lanes.memory.view(lane).bias[_PLACES[fault.signal]] += fault.bias
+            vehicles.memory.view(vehicle).bias[_PLACES[fault.signal]] += fault.bias
         case SensorNoisy():
-            lanes.loop.view(lane).noise[_PLACES[fault.signal]] = fault.noise
+            vehicles.loop.view(vehicle).noise[_PLACES[fault.signal]] = fault.noise
 
 
-def _strike_damper(fault: ValveStuck | PowerLost | DamperLost, lanes: Lanes, lane: int) -> None:
-    damper, state = DAMPERS.index(fault.damper), lanes.state.view(lane)
+def _strike_damper(fault: ValveStuck | PowerLost | DamperLost, vehicles: VehicleBatch, vehicle: int) -> None:
+    damper, state = DAMPERS.index(fault.damper), vehicles.state.view(vehicle)
     if state.sayd.size == 0:
         if isinstance(fault, DamperLost):
-            lanes.lose_damper(lane, damper)
+            vehicles.lose_damper(vehicle, damper)
         return
     rows = state.sayd.reshape(-1, LANES)
     match fault:

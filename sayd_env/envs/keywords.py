@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from sayd_env.config import ConfigError, nearest, validate
 from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, load_environment
 from sayd_env.config.explain import shown
 from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
-from sayd_env.envs.fleet import environment_scenario
+from sayd_env.envs.episode_batch import environment_scenario
 from sayd_env.envs.options import checked_number
 
 INFOS = ("basic", "full")
@@ -22,19 +22,23 @@ REWARDS: Mapping[str, tuple[float, float] | None] = {"mppt1": (1.0, 0.0), "mppt2
 RENDER_MODES = ("rgb_array", "human")
 
 
+class Keywords(TypedDict, total=False):
+    """Keywords of `configured`, which says what they are."""
+
+    damper: str | None
+    valves: str | None
+    observation: str | None
+    history: int | None
+    reward: str | Sequence[float] | Mapping[str, float] | None
+    control_period: float | None
+    episode_s: float | None
+    sensors: str | SensorsConfig | None
+    speed_kmh: float | None
+    settings: Iterable[str]
+
+
 def configured(
-    environment: str = "nominal",
-    *,
-    damper: str | None = None,
-    valves: str | None = None,
-    observation: str | None = None,
-    history: int | None = None,
-    reward: str | Sequence[float] | Mapping[str, float] | None = None,
-    control_period: float | None = None,
-    episode_s: float | None = None,
-    sensors: str | SensorsConfig | None = None,
-    speed_kmh: float | None = None,
-    settings: Iterable[str] = (),
+    environment: str = "nominal", **keywords: Unpack[Keywords]
 ) -> tuple[EnvironmentConfig, Scenario]:
     """Configuration and scenario of an environment.
 
@@ -63,27 +67,21 @@ def configured(
         raise ConfigError(
             f"environment: found {shown(environment)}; expected the name of an environment or a path"
         )
-    assignments = _assignments(settings)
+    refuse_unknown(keywords, Keywords.__annotations__)
+    given: dict[str, Any] = {key: value for key, value in keywords.items() if value is not None}
+    assignments = _assignments(given.pop("settings", ()))
+    weights = _weights(given.pop("reward", None))
     config = load_environment(environment)
-    given = {
-        "damper": damper,
-        "valves": valves,
-        "observation": observation,
-        "history": history,
-        "control_period": control_period,
-        "episode_s": episode_s,
-        "sensors": None if sensors is None else _sensors(sensors),
-        "randomisation": _randomisation(config.randomisation, speed_kmh, assignments),
-    }
-    changes = {key: value for key, value in given.items() if value is not None}
-    config = validate(EnvironmentConfig, dict(config) | changes, "keywords")
+    if "sensors" in given:
+        given["sensors"] = _sensors(given["sensors"])
+    given["randomisation"] = _randomisation(config.randomisation, given.pop("speed_kmh", None), assignments)
+    config = validate(EnvironmentConfig, dict(config) | given, "keywords")
     scenario = environment_scenario(config, assignments, "settings")
     if scenario.damper.type != config.damper:
         raise ConfigError(
             f"settings: found a damper of type '{scenario.damper.type}', the environment has "
             f"'{config.damper}'; give damper='{scenario.damper.type}' too"
         )
-    weights = _weights(reward)
     if weights is not None:
         content = {"acceleration_weight": weights[0], "force_weight": weights[1]}
         cost = validate(CostConfig, dict(scenario.cost) | content, "keywords")
@@ -91,7 +89,7 @@ def configured(
     return config, scenario
 
 
-def refuse_unknown(unknown: Mapping[str, Any], known: Iterable[str]) -> None:
+def refuse_unknown(keywords: Mapping[str, Any], known: Iterable[str]) -> None:
     """Refuse keywords that an environment does not have.
 
     Raises
@@ -100,8 +98,11 @@ def refuse_unknown(unknown: Mapping[str, Any], known: Iterable[str]) -> None:
         There is one.
     """
     allowed = sorted(known)
-    for key in unknown:
-        raise ConfigError(f"unknown keyword '{key}'{nearest(key, allowed)}; allowed: {', '.join(allowed)}")
+    for key in keywords:
+        if key not in allowed:
+            raise ConfigError(
+                f"unknown keyword '{key}'{nearest(key, allowed)}; allowed: {', '.join(allowed)}"
+            )
 
 
 def checked_choice(name: str, value: Any, allowed: Iterable[str | None]) -> Any:
@@ -137,9 +138,9 @@ def _sensors(sensors: Any) -> SensorsConfig:
 
 
 def _randomisation(
-    laws: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
+    drawn: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
 ) -> RandomisationConfig:
-    """Laws of an environment, less those of what a keyword fixes."""
+    """Distributions of an environment, less those of what a keyword fixes."""
     fixed: dict[str, Any] = {}
     if speed_kmh is not None:
         fixed["speed_kmh"] = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
@@ -149,7 +150,7 @@ def _randomisation(
             fixed[key] = None
         elif key == "track" or key.startswith("track.irregularity"):
             fixed["tracks"] = ()
-    return validate(RandomisationConfig, dict(laws) | fixed, "keywords") if fixed else laws
+    return validate(RandomisationConfig, dict(drawn) | fixed, "keywords") if fixed else drawn
 
 
 def _weights(reward: Any) -> tuple[float, float] | None:

@@ -16,7 +16,7 @@ from sayd_env.config.fault import Fault, parse_faults
 PROFILES = {"new": 0.0, "worn": 1.0}
 """Names for the ends of wear."""
 NUMBERS = ("speed_kmh", "wear", "friction", "payload", "initial_current")
-"""Quantities of an episode that have a law of their own, and an option of the same name."""
+"""Quantities of an episode that have a distribution of their own, and an option of the same name."""
 OPTIONS = (*NUMBERS, "profile", "track", "track_scale", "faults")
 
 

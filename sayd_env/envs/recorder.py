@@ -18,7 +18,7 @@ from sayd_env.config.sensors import DAMPERS as DAMPER_NAMES
 from sayd_env.config.track import NoIrregularityConfig, SpectrumConfig
 from sayd_env.envs import trace
 from sayd_env.envs.draw import Episode
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, NOT_FINITE, RUNNING
 from sayd_env.envs.trace import DAMPERS
 from sayd_env.physics import sayd
@@ -108,23 +108,23 @@ class Frame:
 
 @dataclass
 class Recorder:
-    """Watches one vehicle of a fleet.
+    """Watches one vehicle of a batch.
 
     Parameters
     ----------
-    fleet : Fleet
+    batch : EpisodeBatch
     vehicle : int
-        Its place in the fleet.
+        Its place in the batch.
     """
 
-    fleet: Fleet
+    batch: EpisodeBatch
     vehicle: int = 0
     model: Multibody = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self.model = VehicleModel(self.fleet.scenario).multibody
-        self._second = round(SECOND / self.fleet.config.control_period)
-        self._rows = np.zeros((round(WINDOW / self.fleet.config.control_period) + self._second, _COLUMNS))
+        self.model = VehicleModel(self.batch.scenario).multibody
+        self._second = round(SECOND / self.batch.config.control_period)
+        self._rows = np.zeros((round(WINDOW / self.batch.config.control_period) + self._second, _COLUMNS))
         self.begin()
 
     def begin(self) -> None:
@@ -134,13 +134,13 @@ class Recorder:
 
     def take(self) -> None:
         """Keep what the charts show of the last control period; a vehicle that stood still adds nothing."""
-        fleet, i = self.fleet, self.vehicle
-        elapsed = int(fleet.elapsed[i])
-        if elapsed == self._last or int(fleet.lanes.status[i]) == NOT_FINITE:
+        batch, i = self.batch, self.vehicle
+        elapsed = int(batch.elapsed[i])
+        if elapsed == self._last or int(batch.vehicles.status[i]) == NOT_FINITE:
             return
         self._last = elapsed
-        row, terms = self._rows[self._count % len(self._rows)], fleet.lanes.terms[i]
-        row[_TIME] = elapsed * fleet.config.control_period
+        row, terms = self._rows[self._count % len(self._rows)], batch.vehicles.terms[i]
+        row[_TIME] = elapsed * batch.config.control_period
         row[_ACCELERATION:_FORCE] = terms[COST_ACCELERATION : COST_ACCELERATION + BOGIES]
         row[_FORCE:_VALVE] = terms[COST_FORCE : COST_FORCE + BOGIES]
         opening = self._opening()
@@ -150,17 +150,17 @@ class Recorder:
     @property
     def time(self) -> float:
         """Seconds after step 0."""
-        return float(self.fleet.elapsed[self.vehicle]) * self.fleet.config.control_period
+        return float(self.batch.elapsed[self.vehicle]) * self.batch.config.control_period
 
     def _damper_force(self) -> Array:
         """Forces that act: a damper that has come off has none, though its hydraulics go on."""
-        lanes, i = self.fleet.lanes, self.vehicle
-        force = lanes.trace[i, -1, trace.FORCE : trace.FORCE + DAMPERS].copy()
-        states = lanes.state.view(i).sayd
+        vehicles, i = self.batch.vehicles, self.vehicle
+        force = vehicles.trace[i, -1, trace.FORCE : trace.FORCE + DAMPERS].copy()
+        states = vehicles.state.view(i).sayd
         return force if states.size == 0 else force * states.reshape(-1, LANES)[sayd.ATTACHED, :DAMPERS]
 
     def _opening(self) -> Array | None:
-        states = self.fleet.lanes.state.view(self.vehicle).sayd
+        states = self.batch.vehicles.state.view(self.vehicle).sayd
         return None if states.size == 0 else states.reshape(-1, LANES)[sayd.CURRENT, :DAMPERS].copy()
 
     def frame(self) -> Frame:
@@ -171,18 +171,18 @@ class Recorder:
         ConfigError
             Before the first reset.
         """
-        fleet, i, lanes = self.fleet, self.vehicle, self.fleet.lanes
-        episode, scenario = fleet.episodes[i], fleet.scenario
-        assert episode is not None  # the fleet has lanes, so it has been reset
-        state = lanes.state.view(i)
+        batch, i, vehicles = self.batch, self.vehicle, self.batch.vehicles
+        episode, scenario = batch.episodes[i], batch.scenario
+        assert episode is not None  # the batch has vehicles, so it has been reset
+        state = vehicles.state.view(i)
         position = float(state.clock[1])
         rail_x = np.arange(-BEHIND, AHEAD + 0.5 * SPACING, SPACING)
-        rails, _ = lanes.lane(i).track.evaluate(position + rail_x)
+        rails, _ = vehicles.vehicle(i).track.evaluate(position + rail_x)
         time = self.time
         happened = [fault for fault in episode.faults if fault.start_s <= time + 1e-9]
-        rows, cost, ended = self._history(), scenario.cost, int(lanes.status[i]) != RUNNING
+        rows, cost, ended = self._history(), scenario.cost, int(vehicles.status[i]) != RUNNING
         opening = self._opening()
-        limit = fleet.limits[i].acceleration
+        limit = batch.limits[i].acceleration
         both = cost.acceleration_weight * rows[:, _ACCELERATION:_FORCE]
         both = both + cost.force_weight * rows[:, _FORCE:_VALVE]
         return Frame(
@@ -198,11 +198,11 @@ class Recorder:
             gauge=rails[:, 3],
             damper_force=np.nan_to_num(self._damper_force()),
             opening=None if opening is None else np.nan_to_num(opening),
-            command=None if opening is None else lanes.command[i].copy(),
+            command=None if opening is None else vehicles.command[i].copy(),
             damper_faults=_of_dampers(happened),
             faults=tuple(in_words(fault) for fault in happened),
-            ending=fleet.ending(i) if ended else None,
-            dominant_frequency=fleet.dominant_frequency()[i],
+            ending=batch.ending(i) if ended else None,
+            dominant_frequency=batch.dominant_frequency()[i],
             times=rows[:, _TIME],
             acceleration=limit * np.sqrt(rows[:, _ACCELERATION:_FORCE]),
             force=cost.force_reference * np.sqrt(rows[:, _FORCE:_VALVE]),

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from sayd_env.envs.canvas import Align, Canvas, Colour, Picture, Window
 from sayd_env.envs.loop import BOGIES
+from sayd_env.envs.plan_view import CYLINDER, PAIR_OFFSET, RAIL_HEAD, ROD, Placement, View, make_plan
 from sayd_env.envs.recorder import AHEAD, BEHIND, WINDOW, Frame, Recorder
-from sayd_env.envs.scene import CYLINDER, PAIR_OFFSET, RAIL_HEAD, ROD, Placement, View, make_plan
 from sayd_env.envs.trace import DAMPERS
 
 Array = npt.NDArray[np.float64]
@@ -55,7 +55,7 @@ GAUGE_X, GAUGE_LENGTH = 58.0, 92.0
 """Opening bars: distance from a bogie's centre, and length, pixels."""
 
 
-class Scene:
+class Renderer:
     """Draws a vehicle that a recorder watches.
 
     Parameters
@@ -82,7 +82,7 @@ class Scene:
         caption: str = "",
         exaggeration: float = EXAGGERATION,
     ) -> None:
-        scenario = recorder.fleet.scenario
+        scenario = recorder.batch.scenario
         plan = make_plan(scenario.vehicle, recorder.model, scenario.track.gauge)
         left, top, width, height = ROAD
         middle = top + 0.5 * height

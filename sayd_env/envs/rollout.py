@@ -14,7 +14,7 @@ from sayd_env.config import StudyError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.draw import Episode
-from sayd_env.envs.fleet import Fleet, checked_actions
+from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, LOG, RUNNING, TERMS
 from sayd_env.physics.simulator import RUN_OUT
 
@@ -39,16 +39,16 @@ def listens(policy: Policy) -> bool:
     return hasattr(policy, "listen")
 
 
-def first_state(policy: Policy, fleet: Fleet) -> tuple[Any, npt.NDArray[np.bool_]]:
+def first_state(policy: Policy, batch: EpisodeBatch) -> tuple[Any, npt.NDArray[np.bool_]]:
     """State of a policy at step 0, and whether it begins there: what `predict` gets first.
 
-    A policy on a train has been running with it. Where the fleet's last reset has kept the run-in, one that
+    A policy on a train has been running with it. Where the batch's last reset has kept the run-in, one that
     listens has taken it in.
     """
     state = None
-    if fleet.heard is not None and listens(policy):
-        state = policy.listen(fleet.heard)  # type: ignore[attr-defined]
-    return state, np.full(fleet.count, state is None)
+    if batch.heard is not None and listens(policy):
+        state = policy.listen(batch.heard)  # type: ignore[attr-defined]
+    return state, np.full(batch.count, state is None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +96,13 @@ def assessed_steps(config: EnvironmentConfig, scenario: Scenario, speed: float) 
 
 
 def roll_out(
-    fleet: Fleet, policy: Policy, episodes: Sequence[Episode], steps: Sequence[int]
+    batch: EpisodeBatch, policy: Policy, episodes: Sequence[Episode], steps: Sequence[int]
 ) -> list[Rollout]:
-    """Run one episode with each vehicle of a fleet.
+    """Run one episode with each vehicle of a batch.
 
     Parameters
     ----------
-    fleet : Fleet
+    batch : EpisodeBatch
         As many vehicles as episodes.
     policy : Policy
         Acts on the observations of all.
@@ -117,36 +117,36 @@ def roll_out(
     StudyError
         A run whose numbers did not stay finite.
     """
-    count, samples = fleet.count, fleet.settings.samples
-    run_in = fleet.reset(range(count), episodes, log=True, listen=listens(policy))
+    count, samples = batch.count, batch.settings.samples
+    run_in = batch.reset(range(count), episodes, log=True, listen=listens(policy))
     before = [len(rows) for rows in run_in]
     true = [np.empty((first + n * samples, LOG)) for first, n in zip(before, steps, strict=True)]
     for rows, head in zip(true, run_in, strict=True):
         rows[: len(head)] = head
-    most, shape = max(steps), (count, fleet.interface.actions)
+    most, shape = max(steps), (count, batch.interface.actions)
     actions = np.zeros((most, *shape), dtype=np.float32)
     rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
     log = np.empty((count, samples, LOG))
     length = np.array(steps)
-    observation = fleet.observations()
-    state, start = first_state(policy, fleet)
+    observation = batch.observations()
+    state, start = first_state(policy, batch)
     for n in range(most):
         action, state = policy.predict(observation, state, start, deterministic=True)
         start[:] = False
         actions[n] = checked_actions(action, shape)
-        active = (length > n) & (fleet.lanes.status == RUNNING)
+        active = (length > n) & (batch.vehicles.status == RUNNING)
         if not active.any():
             break
-        observation, _, _, _ = fleet.step(actions[n], log=log, active=active)
-        rewards[n], terms[n] = fleet.lanes.rewards, fleet.lanes.terms
+        observation, _, _, _ = batch.step(actions[n], log=log, active=active)
+        rewards[n], terms[n] = batch.vehicles.rewards, batch.vehicles.terms
         for i in np.flatnonzero(active):
             first = before[i] + n * samples
             true[i][first : first + samples] = log[i]
-    return [_rollout(fleet, i, before[i], true[i], actions, rewards, terms, steps[i]) for i in range(count)]
+    return [_rollout(batch, i, before[i], true[i], actions, rewards, terms, steps[i]) for i in range(count)]
 
 
 def _rollout(
-    fleet: Fleet,
+    batch: EpisodeBatch,
     i: int,
     before: int,
     true: Array,
@@ -155,20 +155,20 @@ def _rollout(
     terms: Array,
     steps: int,
 ) -> Rollout:
-    episode = fleet.episodes[i]
+    episode = batch.episodes[i]
     assert episode is not None  # the reset has set it
-    ended = int(fleet.lanes.status[i]) != RUNNING
-    taken = int(fleet.elapsed[i]) if ended else steps
+    ended = int(batch.vehicles.status[i]) != RUNNING
+    taken = int(batch.elapsed[i]) if ended else steps
     if ended and not np.all(np.isfinite(terms[:taken, i])):
         raise StudyError(f"the run of seed {episode.seed} at {episode.speed * 3.6:g} km/h diverged")
     return Rollout(
         episode=episode,
-        control_period=fleet.settings.control_period,
-        sample_rate=fleet.settings.sample_rate,
+        control_period=batch.settings.control_period,
+        sample_rate=batch.settings.sample_rate,
         run_in=before,
-        true=true[: before + taken * fleet.settings.samples],
+        true=true[: before + taken * batch.settings.samples],
         actions=actions[:taken, i].copy(),
         rewards=rewards[:taken, i].copy(),
         terms=terms[:taken, i].copy(),
-        ending=fleet.ending(i) if ended else None,
+        ending=batch.ending(i) if ended else None,
     )

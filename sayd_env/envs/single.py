@@ -2,42 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, SupportsFloat
+from typing import Any, SupportsFloat, Unpack
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
-from sayd_env.config.environment import EnvironmentConfig
-from sayd_env.config.sensors import SensorsConfig
-from sayd_env.envs.fleet import Fleet, checked_actions
-from sayd_env.envs.hook import open_scene
-from sayd_env.envs.interface import Interface, Signal
-from sayd_env.envs.keywords import INFOS, RENDER_MODES, checked_choice, configured, refuse_unknown
-from sayd_env.envs.session import SEEDS, EnvironmentState, Session, action_box, observation_box
-from sayd_env.envs.telling import of_the_end, of_the_episode, of_the_step
-
-KEYWORDS = (
-    "environment",
-    "damper",
-    "valves",
-    "observation",
-    "history",
-    "reward",
-    "control_period",
-    "episode_s",
-    "sensors",
-    "speed_kmh",
-    "settings",
-    "info",
-    "render_mode",
-)
-"""Keywords of `SaydEnv`."""
+from sayd_env.envs.environment import Environment, action_box, observation_box
+from sayd_env.envs.episode_batch import checked_actions
+from sayd_env.envs.info import ending_info, episode_info, step_info
+from sayd_env.envs.keywords import RENDER_MODES, Keywords
 
 
-class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
+class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     """A high-speed rail vehicle whose eight yaw dampers have valves that a policy commands.
 
     Made by ``gymnasium.make`` with one of these ids:
@@ -167,64 +145,15 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
         self,
         environment: str = "nominal",
         *,
-        damper: str | None = None,
-        valves: str | None = None,
-        observation: str | None = None,
-        history: int | None = None,
-        reward: str | Sequence[float] | Mapping[str, float] | None = None,
-        control_period: float | None = None,
-        episode_s: float | None = None,
-        sensors: str | SensorsConfig | None = None,
-        speed_kmh: float | None = None,
-        settings: Iterable[str] = (),
         info: str = "basic",
         render_mode: str | None = None,
-        **unknown: Any,
+        **keywords: Unpack[Keywords],
     ) -> None:
-        refuse_unknown(unknown, KEYWORDS)
-        checked_choice("info", info, INFOS)
-        self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
-        config, scenario = configured(
-            environment,
-            damper=damper,
-            valves=valves,
-            observation=observation,
-            history=history,
-            reward=reward,
-            control_period=control_period,
-            episode_s=episode_s,
-            sensors=sensors,
-            speed_kmh=speed_kmh,
-            settings=settings,
-        )
-        self._session = Session(config, scenario, 1, num_threads=1, full=info == "full")
-        if self.render_mode is not None:
-            self._session.watch()
-        self._scene: Any = None
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / config.control_period)}
+        self._make(1, environment, keywords, info, render_mode, num_threads=1)
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
         self.observation_space = observation_box(self.interface)
         self.action_space = action_box(self.interface)
         self._shape = (self.interface.actions,)
-
-    @property
-    def config(self) -> EnvironmentConfig:
-        """What the environment is."""
-        return self.fleet.config
-
-    @property
-    def fleet(self) -> Fleet:
-        """The simulated vehicle behind the environment: what no train could measure."""
-        return self._session.fleet
-
-    @property
-    def interface(self) -> Interface:
-        """What a policy may know of the environment."""
-        return self.fleet.interface
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """Name, unit and range of each number of an observation."""
-        return self.interface.signals
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -244,10 +173,10 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
             An unknown option, or a value that is not allowed.
         """
         super().reset(seed=seed)
-        self._session.begin([0], [seed], lambda: int(self.np_random.integers(SEEDS)), options)
+        self._begin([0], [seed], options)
         if self.render_mode == "human":
             self.render()
-        return self.fleet.observations()[0], of_the_episode(self.fleet, 0)
+        return self.batch.observations()[0], episode_info(self.batch, 0)
 
     def step(
         self, action: npt.NDArray[np.float32]
@@ -266,52 +195,26 @@ class SaydEnv(gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
         gymnasium.error.ResetNeeded
             No episode is under way.
         """
-        session = self._session
-        if session.over[0]:
+        if self._over[0]:
             raise ResetNeeded("no episode is under way: call reset before step")
         values = checked_actions(action, self._shape)
-        observation, rewards, terminated, truncated = session.step(values[None])
+        observation, rewards, terminated, truncated = self._advance(values[None])
         ended, late = bool(terminated[0]), bool(truncated[0])
-        session.over[0] = ended or late
+        self._over[0] = ended or late
         if self.render_mode == "human":
             self.render()
-        return observation[0], float(rewards[0]), ended, late, self._info(ended)
-
-    def _info(self, ended: bool) -> dict[str, Any]:
-        session = self._session
-        info = of_the_step(session.fleet, 0)
+        info = step_info(self.batch, 0)
         if ended:
-            info |= of_the_end(session.fleet, 0)
-        return info | session.told(0) if session.full else info
+            info |= ending_info(self.batch, 0)
+        return observation[0], float(rewards[0]), ended, late, info | self._full_info(0)
 
     def render(self) -> Any:
         """A picture of the vehicle: an array of shape (height, width, 3), or None with ``human``."""
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: give make render_mode='rgb_array' or 'human'")
             return None
-        if self._scene is None:
-            self._scene = open_scene(self._session.watch(), self.render_mode)
-        return self._scene.draw()
+        return self._picture()
 
     def close(self) -> None:
         """Close the window, if there is one. Closing twice does no harm."""
-        if self._scene is not None:
-            self._scene.close()
-            self._scene = None
-
-    def get_state(self) -> EnvironmentState:
-        """All of the environment, as a copy: for search, model-predictive control and continuation."""
-        return self._session.get_state(self._np_random, self._np_random_seed)
-
-    def set_state(self, state: EnvironmentState) -> None:
-        """Go back to a state of this environment or of one that was made alike.
-
-        What follows is the same bits as what followed there.
-
-        Raises
-        ------
-        ConfigError
-            A state of another environment.
-        """
-        self._session.set_state(state)
-        self._np_random, self._np_random_seed = state.generator(), state.random_seed
+        self._close_window()

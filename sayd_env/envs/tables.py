@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 
+from sayd_env.config.distribution import (
+    ChoiceDistribution,
+    Distribution,
+    FixedDistribution,
+    NormalDistribution,
+)
 from sayd_env.config.environment import LIMITS, EnvironmentConfig
-from sayd_env.config.fault import SensorErrorLaw, ValveStuckLaw
-from sayd_env.config.law import ChoiceLaw, FixedLaw, Law, NormalLaw
+from sayd_env.config.fault import SensorErrorClass, ValveStuckClass
 from sayd_env.config.sensors import KINDS, UNITS, SensorsConfig
 from sayd_env.envs.interface import ACTIONS, BOGIES, DAMPERS, Signal
 from sayd_env.envs.options import NUMBERS
@@ -68,8 +73,10 @@ def draw_table(environments: Mapping[str, EnvironmentConfig]) -> str:
     """Table of what episodes draw, one column for each environment."""
     rows = []
     for name in (*NUMBERS, "sensor_bias", "sensor_noise"):
-        laws = [getattr(config.randomisation, name) for config in environments.values()]
-        rows.append((name, LIMITS[name].unit, *("the study's" if law is None else told(law) for law in laws)))
+        columns = [getattr(config.randomisation, name) for config in environments.values()]
+        rows.append(
+            (name, LIMITS[name].unit, *("the study's" if each is None else told(each) for each in columns))
+        )
     classes = [config.randomisation.tracks for config in environments.values()]
     for track in dict.fromkeys(entry.name for entries in classes for entry in entries):
         found = [next((entry for entry in entries if entry.name == track), None) for entries in classes]
@@ -98,30 +105,30 @@ def fault_table(config: EnvironmentConfig) -> str:
     faults = config.faults
     if faults is None:
         return ""
-    total = sum(law.weight for law in faults.kinds)
+    total = sum(each.weight for each in faults.kinds)
     rows = []
-    for law in faults.kinds:
+    for fault in faults.kinds:
         measure = "-"
-        if isinstance(law, ValveStuckLaw):
-            measure = f"current {told(law.current)}"
-        elif isinstance(law, SensorErrorLaw):
-            measure = f"{told(law.share)} of half the range"
-        rows.append((law.kind, f"{100.0 * law.weight / total:.0f} %", measure))
+        if isinstance(fault, ValveStuckClass):
+            measure = f"current {told(fault.current)}"
+        elif isinstance(fault, SensorErrorClass):
+            measure = f"{told(fault.share)} of half the range"
+        rows.append((fault.kind, f"{100.0 * fault.weight / total:.0f} %", measure))
     return _table(("fault", "share", "measure"), rows)
 
 
-def told(law: Law) -> str:
-    """A law in words."""
-    if isinstance(law, FixedLaw):
-        return f"{law.value:g}"
-    if isinstance(law, ChoiceLaw):
-        weights = law.weights or (1.0,) * len(law.values)
-        pairs = zip(law.values, weights, strict=True)
+def told(drawn: Distribution) -> str:
+    """A distribution in words."""
+    if isinstance(drawn, FixedDistribution):
+        return f"{drawn.value:g}"
+    if isinstance(drawn, ChoiceDistribution):
+        weights = drawn.weights or (1.0,) * len(drawn.values)
+        pairs = zip(drawn.values, weights, strict=True)
         return ", ".join(f"{value:g} ({100.0 * weight / sum(weights):.0f} %)" for value, weight in pairs)
-    if isinstance(law, NormalLaw):
-        return f"{law.mean:g} ± {law.deviation:g}, {law.low:g} to {law.high:g}"
-    grid = "" if law.step is None else f" in steps of {law.step:g}"
-    return f"{law.low:g} to {law.high:g}{grid}"
+    if isinstance(drawn, NormalDistribution):
+        return f"{drawn.mean:g} ± {drawn.deviation:g}, {drawn.low:g} to {drawn.high:g}"
+    grid = "" if drawn.step is None else f" in steps of {drawn.step:g}"
+    return f"{drawn.low:g} to {drawn.high:g}{grid}"
 
 
 def _places(places: Sequence[str]) -> str:

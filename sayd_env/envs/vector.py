@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -14,31 +14,31 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from sayd_env.config import ConfigError
-from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.explain import shown
-from sayd_env.config.sensors import SensorsConfig
-from sayd_env.envs.fleet import Flags, Fleet, Observation, checked_actions
-from sayd_env.envs.hook import open_scene
-from sayd_env.envs.interface import Interface, Signal
-from sayd_env.envs.keywords import INFOS, RENDER_MODES, checked_choice, configured, refuse_unknown
+from sayd_env.envs.environment import KEYWORDS as OF_ONE
+from sayd_env.envs.environment import Environment, EnvironmentState, action_box, observation_box
+from sayd_env.envs.episode_batch import Flags, Observation, checked_actions
+from sayd_env.envs.info import cost_terms, ending_info, episode_info, step_info
+from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import whole_number
-from sayd_env.envs.session import SEEDS, EnvironmentState, Session, action_box, observation_box
-from sayd_env.envs.single import KEYWORDS as OF_ONE
-from sayd_env.envs.telling import costs, of_the_end, of_the_episode, of_the_step
 
 Array = npt.NDArray[np.float64]
 
-KEYWORDS = (*OF_ONE, "num_envs", "num_threads", "autoreset_mode", "max_episode_steps")
+OWN_KEYWORDS = ("num_envs", "num_threads", "autoreset_mode", "max_episode_steps")
+KEYWORDS = (*OF_ONE, *OWN_KEYWORDS)
 """Keywords of `SaydVectorEnv`."""
 LARGEST_SEED = 2**63 - 1
 
 
-class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[Any]]):
+class SaydVectorEnv(
+    Environment, VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[Any]]
+):
     """Many `SaydEnv` side by side; see there for actions, observations, reward and ends.
 
-    Made by ``gymnasium.make_vec``. Lane i is the same bits as a `SaydEnv` that is reset with the same seed,
-    for any number of lanes and threads. ``reset(seed=s)`` with a number s gives lane i the seed s + i, a list
-    gives each lane its own. `info` has Gymnasium's form: an array for each key, and a mask ``_key``.
+    Made by ``gymnasium.make_vec``. Environment i gives the same bits as a `SaydEnv` that is reset with the
+    same seed, for any number of environments and threads. ``reset(seed=s)`` with a number s gives environment
+    i the seed s + i, a list gives each its own. `info` has Gymnasium's form: an array for each key, and a
+    mask ``_key``.
 
     Worker processes are hardly worth their messages here. Who wants them nevertheless: `AsyncVectorEnv` runs
     `SaydEnv` with the contexts ``forkserver`` and ``spawn``; with ``fork`` only as long as the process has
@@ -53,14 +53,14 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
     num_threads : int, optional
         Threads of the compiled call; by default all cores, and 1 for a single vehicle.
     autoreset_mode : str or AutoresetMode
-        What happens after the end of an episode. ``NextStep``: the next step ignores the lane's action,
+        What happens after the end of an episode. ``NextStep``: the next step ignores the vehicle's action,
         begins the next episode and gives its first observation, with reward 0. ``SameStep``: the same step
-        does; the last observation and info are in ``final_obs`` and ``final_info``. ``Disabled``: the lane
+        does; the last observation and info are in ``final_obs`` and ``final_info``. ``Disabled``: the vehicle
         must be reset with ``reset(options={"reset_mask": ...})``. (Or the names of `AutoresetMode`.)
     max_episode_steps : int, optional
         Truncate after so many steps already. Longer episodes: `episode_s`.
     render_mode : str, optional
-        ``rgb_array`` or ``human``: the first lane.
+        ``rgb_array`` or ``human``: the first vehicle.
 
     Raises
     ------
@@ -81,52 +81,23 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
         environment: str = "nominal",
         *,
         num_envs: int = 1,
-        damper: str | None = None,
-        valves: str | None = None,
-        observation: str | None = None,
-        history: int | None = None,
-        reward: str | Sequence[float] | Mapping[str, float] | None = None,
-        control_period: float | None = None,
-        episode_s: float | None = None,
-        sensors: str | SensorsConfig | None = None,
-        speed_kmh: float | None = None,
-        settings: Iterable[str] = (),
         info: str = "basic",
         render_mode: str | None = None,
         num_threads: int | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
-        **unknown: Any,
+        **keywords: Unpack[Keywords],
     ) -> None:
-        refuse_unknown(unknown, KEYWORDS)
-        checked_choice("info", info, INFOS)
-        self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
         self._mode = _autoreset(autoreset_mode)
         self.num_envs = whole_number("num_envs", num_envs, 1)
-        config, scenario = configured(
-            environment,
-            damper=damper,
-            valves=valves,
-            observation=observation,
-            history=history,
-            reward=reward,
-            control_period=control_period,
-            episode_s=episode_s,
-            sensors=sensors,
-            speed_kmh=speed_kmh,
-            settings=settings,
-        )
         threads = None if num_threads is None else whole_number("num_threads", num_threads, 1)
-        self._session = Session(config, scenario, self.num_envs, num_threads=threads, full=info == "full")
-        if self.render_mode is not None:
-            self._session.watch()
+        self._make(self.num_envs, environment, keywords, info, render_mode, threads, OWN_KEYWORDS)
         if max_episode_steps is not None and max_episode_steps != -1:
-            self.fleet.steps = min(self.fleet.steps, whole_number("max_episode_steps", max_episode_steps, 1))
+            self.batch.steps = min(self.batch.steps, whole_number("max_episode_steps", max_episode_steps, 1))
         self._begun = False
-        self._scene: Any = None
         self.metadata = {
             **self.metadata,
-            "render_fps": round(1.0 / config.control_period),
+            "render_fps": round(1.0 / self.config.control_period),
             "autoreset_mode": self._mode,
         }
         self.single_observation_space = observation_box(self.interface)
@@ -135,45 +106,24 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._shape = (self.num_envs, self.interface.actions)
 
-    @property
-    def config(self) -> EnvironmentConfig:
-        """What the environment is."""
-        return self.fleet.config
-
-    @property
-    def fleet(self) -> Fleet:
-        """The simulated vehicles behind the environment: what no train could measure."""
-        return self._session.fleet
-
-    @property
-    def interface(self) -> Interface:
-        """What a policy may know of the environment."""
-        return self.fleet.interface
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """Name, unit and range of each number of a lane's observation."""
-        return self.interface.signals
-
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode in every lane.
+        """Begin an episode in every vehicle.
 
         Parameters
         ----------
         seed : int or sequence of int or None, optional
-            A number s gives lane i the seed s + i. A lane without a seed goes on with the next episode of its
-            own.
+            A number s gives environment i the seed s + i. One without a seed goes on with its next episode.
         options : dict, optional
-            What to fix of the episodes, and ``reset_mask``, a bool for each lane: the others go on.
+            What to fix of the episodes, and ``reset_mask``, a bool for each vehicle: the others go on.
 
         Raises
         ------
         ConfigError
             Another number of seeds, an unknown option, or a value that is not allowed.
         """
-        seeds = self._seeds(seed)
+        seeds = self._given_seeds(seed)
         if isinstance(seed, int):
             self._np_random, self._np_random_seed = seeding.np_random(seed)
         fixed = dict(options or {})
@@ -182,41 +132,36 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
         self._begun = True
         infos: dict[str, Any] = {}
         for i in which:
-            infos = self._add_info(infos, of_the_episode(self.fleet, i), i)
+            infos = self._add_info(infos, episode_info(self.batch, i), i)
         if self.render_mode == "human":
             self.render()
-        return self.fleet.observations(), infos
+        return self.batch.observations(), infos
 
-    def _seeds(self, seed: Any) -> list[int | None]:
+    def _given_seeds(self, seed: Any) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
         if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
             if len(seed) != self.num_envs:
                 raise ConfigError(
-                    f"seed: found {len(seed)} seeds; expected {self.num_envs}, one for each lane"
+                    f"seed: found {len(seed)} seeds; expected {self.num_envs}, one for each vehicle"
                 )
             return [None if each is None else _checked_seed(each) for each in seed]
         first = _checked_seed(seed)
         return [_checked_seed(first + i) for i in range(self.num_envs)]
 
     def _masked(self, mask: Any) -> list[int]:
-        """Lanes that a reset concerns."""
+        """VehicleBatch that a reset concerns."""
         if mask is None:
             return list(range(self.num_envs))
         flags = np.asarray(mask)
         if flags.shape != (self.num_envs,) or flags.dtype != np.bool_ or not flags.any():
             raise ConfigError(
                 f"options: reset_mask: found {shown(mask)}; expected a boolean for each of the "
-                f"{self.num_envs} lanes, one of them true"
+                f"{self.num_envs} vehicles, one of them true"
             )
         if not self._begun and not flags.all():
-            raise ConfigError("options: reset_mask: the first reset must be one of all lanes")
+            raise ConfigError("options: reset_mask: the first reset must be one of all vehicles")
         return [int(i) for i in np.flatnonzero(flags)]
-
-    def _begin(
-        self, which: Sequence[int], seeds: Sequence[int | None], options: Mapping[str, Any] | None = None
-    ) -> None:
-        self._session.begin(which, seeds, lambda: int(self.np_random.integers(SEEDS)), options)
 
     def step(
         self, actions: npt.NDArray[np.float32]
@@ -238,12 +183,12 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
         if not self._begun:
             raise ResetNeeded("no episode is under way: call reset before step")
         values = checked_actions(actions, self._shape)
-        over = np.flatnonzero(self._session.over)
+        over = np.flatnonzero(self._over)
         if over.size == 0:
             return self._run(values)
         if self._mode is AutoresetMode.DISABLED:
             raise ResetNeeded(
-                f"the episodes of the lanes {over.tolist()} have ended: reset them with reset_mask"
+                f"the episodes of the vehicles {over.tolist()} have ended: reset them with reset_mask"
             )
         which = over.tolist()
         self._begin(which, [None] * len(which))
@@ -254,9 +199,8 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
     def _run(
         self, values: Array, active: Flags | None = None
     ) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
-        """Step the active lanes; the others have begun just now."""
-        session, fleet = self._session, self.fleet
-        observations, rewards, terminated, truncated = session.step(values, active)
+        """Step the active vehicles; the others have begun just now."""
+        observations, rewards, terminated, truncated = self._advance(values, active)
         stepped = np.ones(self.num_envs, dtype=np.bool_)
         if active is not None:
             stepped = active
@@ -271,16 +215,16 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
                 infos = self._add_info(infos, final, i)
             stepped = stepped & ~done
         infos = self._with_basics(infos, stepped)
-        told = stepped if session.full else stepped & terminated
+        told = stepped if self._full else stepped & terminated
         for i in map(int, np.flatnonzero(told)):
             infos = self._add_info(infos, self._rare(i), i)
         if which and self._mode is AutoresetMode.SAME_STEP:
             self._begin(which, [None] * len(which))
-            observations = fleet.observations()
+            observations = self.batch.observations()
         elif which:
-            session.over[which] = True
+            self._over[which] = True
         for i in map(int, np.flatnonzero(~stepped)):
-            infos = self._add_info(infos, of_the_episode(fleet, i), i)
+            infos = self._add_info(infos, episode_info(self.batch, i), i)
         if self.render_mode == "human":
             self.render()
         return observations, rewards, terminated, truncated, infos
@@ -289,58 +233,43 @@ class SaydVectorEnv(VectorEnv[npt.NDArray[np.float32], npt.NDArray[np.float32], 
         """Info of every step, as arrays at once."""
         if not stepped.any():
             return infos
-        acceleration, force = costs(self.fleet)
+        acceleration, force = cost_terms(self.batch)
         told = {
             "cost_acceleration": np.where(stepped, acceleration, 0.0),
             "cost_force": np.where(stepped, force, 0.0),
-            "dominant_frequency": np.where(stepped[:, None], self.fleet.dominant_frequency(), 0.0),
+            "dominant_frequency": np.where(stepped[:, None], self.batch.dominant_frequency(), 0.0),
         }
         for key, values in told.items():
             infos[key], infos["_" + key] = values, stepped.copy()
         return infos
 
     def _rare(self, i: int) -> dict[str, Any]:
-        return of_the_end(self.fleet, i) | self._session.told(i)
+        return ending_info(self.batch, i) | self._full_info(i)
 
     def _info(self, i: int) -> dict[str, Any]:
-        """Info of one lane, as `SaydEnv` gives it."""
-        return of_the_step(self.fleet, i) | self._rare(i)
+        """Info of one vehicle, as `SaydEnv` gives it."""
+        return step_info(self.batch, i) | self._rare(i)
 
     def render(self) -> Any:
-        """Pictures of the first lane: a tuple of one array of shape (height, width, 3), or None."""
+        """Pictures of the first vehicle: a tuple of one array of shape (height, width, 3), or None."""
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: give make_vec render_mode='rgb_array' or 'human'")
             return None
-        if self._scene is None:
-            self._scene = open_scene(self._session.watch(), self.render_mode)
-        picture = self._scene.draw()
+        picture = self._picture()
         return None if picture is None else (picture,)
 
     def close_extras(self, **_: Any) -> None:
         """Close the window, if there is one."""
-        if self._scene is not None:
-            self._scene.close()
-            self._scene = None
+        self._close_window()
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """An attribute of the environment, once for each lane, as `SyncVectorEnv.get_attr`."""
+        """An attribute of the environment, once for each vehicle, as `SyncVectorEnv.get_attr`."""
         return (getattr(self, name),) * self.num_envs
 
-    def get_state(self) -> EnvironmentState:
-        """All lanes, as a copy."""
-        return self._session.get_state(self._np_random, self._np_random_seed)
-
     def set_state(self, state: EnvironmentState) -> None:
-        """Go back to a state of this environment or of one that was made alike.
-
-        Raises
-        ------
-        ConfigError
-            A state of another environment or of another number of lanes.
-        """
-        self._session.set_state(state)
+        """Go back to a state, as `SaydEnv.set_state`."""
+        super().set_state(state)
         self._begun = True
-        self._np_random, self._np_random_seed = state.generator(), state.random_seed
 
 
 def _checked_seed(seed: Any) -> int:

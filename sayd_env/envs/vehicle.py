@@ -83,7 +83,7 @@ class SensorErrors:
 
 
 @dataclass(frozen=True)
-class Lane:
+class Vehicle:
     """One vehicle, ready to run."""
 
     track: TrackRealisation
@@ -108,7 +108,7 @@ def model_limits(model: VehicleModel) -> Limits:
     return limits(2.0 * float(np.max(model.multibody.wheel_load)), model.multibody.bogie_mass)
 
 
-def make_lane(
+def make_vehicle(
     model: VehicleModel,
     speed: float,
     track: TrackRealisation,
@@ -119,7 +119,7 @@ def make_lane(
     current: float | None = None,
     errors: SensorErrors | None = None,
     noise: np.random.Generator | None = None,
-) -> Lane:
+) -> Vehicle:
     """Put a vehicle with its sensors on a track.
 
     Parameters
@@ -168,7 +168,7 @@ def make_lane(
         )
 
     points = np.vstack([longitudinal_rows(model), body_rows(model)])
-    return Lane(
+    return Vehicle(
         track=track,
         plant=model.plant(speed, track, points=points),
         state=state,
@@ -190,7 +190,7 @@ def check_vehicle(model: VehicleModel, settings: LoopSettings) -> None:
     Raises
     ------
     ConfigError
-        See `make_lane`.
+        See `make_vehicle`.
     """
     body, rate = model.multibody, model.scenario.assessment.sample_rate
     if len(body.measuring_points) != POINTS or len(body.yaw_dampers) != DAMPERS:

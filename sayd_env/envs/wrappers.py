@@ -82,12 +82,12 @@ class NormalizeVectorSignals(VectorWrapper, RecordConstructorArgs):
         self.single_observation_space = self._single.space
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset all lanes."""
+        """Reset all vehicles."""
         observations, infos = self.env.reset(seed=seed, options=options)
         return self._scaling(observations), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step all lanes."""
+        """Step all vehicles."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         if "final_obs" in infos:
             final = infos["final_obs"]

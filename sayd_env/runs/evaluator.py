@@ -15,7 +15,7 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.config.tuning import TuningConfig
 from sayd_env.config.units import Array
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Fleet, VehicleState
+from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.loop import NOT_FINITE, RUNNING
 from sayd_env.envs.rollout import first_state
@@ -53,7 +53,7 @@ class Proving:
     def __init__(self, settings: TuningConfig, workers: int | None = None) -> None:
         self._settings = settings
         self._workers = workers
-        self._ready: dict[str, tuple[Fleet, list[VehicleState]]] = {}
+        self._ready: dict[str, tuple[EpisodeBatch, list[EpisodeState]]] = {}
         self.environment, self.scenario = self._configured("sayd")
 
     def _configured(self, damper: str) -> tuple[EnvironmentConfig, Scenario]:
@@ -79,36 +79,36 @@ class Proving:
         StudyError
             A run that diverged.
         """
-        fleet, states = self._fleet("passive" if policy.name == PASSIVE else "sayd")
-        fleet.set_state(states)
-        actor, total = policy.make(fleet), np.zeros(fleet.count)
-        observation = fleet.observations()
-        state, start = first_state(actor, fleet)
-        for _ in range(fleet.steps):
+        batch, states = self._fleet("passive" if policy.name == PASSIVE else "sayd")
+        batch.set_state(states)
+        actor, total = policy.make(batch), np.zeros(batch.count)
+        observation = batch.observations()
+        state, start = first_state(actor, batch)
+        for _ in range(batch.steps):
             action, state = actor.predict(observation, state, start, deterministic=True)
             start[:] = False
-            observation, rewards, _, _ = fleet.step(action)
+            observation, rewards, _, _ = batch.step(action)
             total -= rewards
-        self._refuse_diverged(policy, fleet)
-        derailed = int(np.count_nonzero(fleet.lanes.status != RUNNING))
-        return Costs(total / fleet.config.episode_s, derailed)
+        self._refuse_diverged(policy, batch)
+        derailed = int(np.count_nonzero(batch.vehicles.status != RUNNING))
+        return Costs(total / batch.config.episode_s, derailed)
 
-    def _refuse_diverged(self, policy: PolicySpec, fleet: Fleet) -> None:
-        for i in np.flatnonzero(fleet.lanes.status == NOT_FINITE):
+    def _refuse_diverged(self, policy: PolicySpec, batch: EpisodeBatch) -> None:
+        for i in np.flatnonzero(batch.vehicles.status == NOT_FINITE):
             seed = self._settings.scenarios[int(i)].seed
             raise StudyError(f"{policy.title}: the run of seed {seed} diverged")
 
-    def _fleet(self, damper: str) -> tuple[Fleet, list[VehicleState]]:
+    def _fleet(self, damper: str) -> tuple[EpisodeBatch, list[EpisodeState]]:
         if damper not in self._ready:
             config, scenario = self._configured(damper)
             cases = self._settings.scenarios
-            fleet = Fleet(config, len(cases), scenario=scenario, num_threads=self._workers)
+            batch = EpisodeBatch(config, len(cases), scenario=scenario, num_threads=self._workers)
             semi_active = isinstance(scenario.damper, SaydDamperConfig)
             current = {"initial_current": self._settings.initial_current} if semi_active else {}
             episodes = [
                 draw_episode(config, case.seed, 0, case.model_dump(exclude={"seed"}) | current)
                 for case in cases
             ]
-            fleet.reset(range(fleet.count), episodes, listen=True)
-            self._ready[damper] = fleet, [fleet.get_state(i) for i in range(fleet.count)]
+            batch.reset(range(batch.count), episodes, listen=True)
+            self._ready[damper] = batch, [batch.get_state(i) for i in range(batch.count)]
         return self._ready[damper]

@@ -16,7 +16,7 @@ from sayd_env.config.control import load_controller
 from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 
 PASSIVE = "passive"
 LEARNED = ".npz"
@@ -58,11 +58,11 @@ class PolicySpec:
             return self.name, hashlib.sha256(policy_bytes(self.stored)).hexdigest()
         return self.name, load_controller(self.name, self.parameters).model_dump(mode="json")
 
-    def make(self, fleet: Fleet) -> Any:
-        """Make the policy for a fleet."""
+    def make(self, batch: EpisodeBatch) -> Any:
+        """Make the policy for a batch."""
         if self.stored is not None:
-            return self.stored.bound(fleet.interface)
-        return baselines.make(self.name, fleet.interface, **self.parameters)
+            return self.stored.bound(batch.interface)
+        return baselines.make(self.name, batch.interface, **self.parameters)
 
     def environment(self, config: EnvironmentConfig) -> EnvironmentConfig:
         """The environment as the policy needs it: a learned one brings signals, valves and clock of its own.

@@ -13,7 +13,7 @@ from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.rollout import Rollout, assessed_steps, roll_out
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.policies import PASSIVE, PolicySpec, for_policy
@@ -56,7 +56,7 @@ def roll_out_runs(runs: Sequence[Run]) -> list[Rollout]:
     """
     first = runs[0]
     config = first.policy.environment(first.environment)
-    fleet = Fleet(config, len(runs), scenario=first.scenario, num_threads=1)
+    batch = EpisodeBatch(config, len(runs), scenario=first.scenario, num_threads=1)
     episodes = [
         draw_episode(
             config, run.seed, 0, {"speed_kmh": run.speed * KMH, "initial_current": run.initial_current}
@@ -64,7 +64,7 @@ def roll_out_runs(runs: Sequence[Run]) -> list[Rollout]:
         for run in runs
     ]
     steps = [assessed_steps(config, first.scenario, run.speed) for run in runs]
-    return roll_out(fleet, first.policy.make(fleet), episodes, steps)
+    return roll_out(batch, first.policy.make(batch), episodes, steps)
 
 
 def own_policy(scenario: Scenario) -> PolicySpec:

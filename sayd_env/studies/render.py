@@ -16,7 +16,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Fleet, checked_actions
+from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, RUNNING
 from sayd_env.envs.recorder import Recorder
 from sayd_env.envs.rollout import first_state, listens
@@ -29,7 +29,7 @@ from sayd_env.runs.policies import PolicySpec, for_policy
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from sayd_env.envs.rendering import Scene
+    from sayd_env.envs.rendering import Renderer
 
 KMH = 3.6
 HOLD = 1.0
@@ -185,15 +185,15 @@ def render(
     options = dict(fixed or {}) | ({} if speed is None else {"speed_kmh": speed * KMH})
     episode = draw_episode(config, seed, 0, options)
     VehicleModel(fitted).check_speed(episode.speed)
-    fleet = Fleet(config, 1, scenario=fitted, num_threads=1)
-    policy = film.policy.make(fleet)
-    recorder = Recorder(fleet)
-    scene = _scene(recorder, film)
-    fleet.reset([0], [episode], listen=listens(policy))
+    batch = EpisodeBatch(config, 1, scenario=fitted, num_threads=1)
+    policy = film.policy.make(batch)
+    recorder = Recorder(batch)
+    renderer = _renderer(recorder, film)
+    batch.reset([0], [episode], listen=listens(policy))
     first = recorder.frame()
     result = RenderResult(film, episode.speed, seed, first.wear, first.friction)
-    pictures = _pictures(film, result, fleet, policy, recorder, scene, progress)
-    from sayd_env.envs.rendering import palette  # noqa: PLC0415 - the scene has loaded it
+    pictures = _pictures(film, result, batch, policy, recorder, renderer, progress)
+    from sayd_env.envs.rendering import palette  # noqa: PLC0415 - the renderer has loaded it
 
     write_film(film.file, pictures, film.fps, palette())
     return result
@@ -227,12 +227,12 @@ def _check(film: Film, control_period: float) -> None:
     checked_film(film.file, film.fps, film.pictures)
 
 
-def _scene(recorder: Recorder, film: Film) -> Scene:
+def _renderer(recorder: Recorder, film: Film) -> Renderer:
     try:
-        from sayd_env.envs.rendering import EXAGGERATION, Scene  # noqa: PLC0415 - needs an extra
+        from sayd_env.envs.rendering import EXAGGERATION, Renderer  # noqa: PLC0415 - needs an extra
 
         exaggeration = EXAGGERATION if film.exaggeration is None else film.exaggeration
-        return Scene(recorder, caption=film.policy.title, exaggeration=exaggeration)
+        return Renderer(recorder, caption=film.policy.title, exaggeration=exaggeration)
     except DependencyNotInstalled as error:
         raise ConfigError(str(error)) from None
 
@@ -240,49 +240,49 @@ def _scene(recorder: Recorder, film: Film) -> Scene:
 def _pictures(
     film: Film,
     result: RenderResult,
-    fleet: Fleet,
+    batch: EpisodeBatch,
     policy: Any,
     recorder: Recorder,
-    scene: Scene,
+    renderer: Renderer,
     progress: Progress,
 ) -> Iterator[Picture]:
     """Run the vehicle from picture to picture, and fill in the result on the way."""
-    period = fleet.config.control_period
-    observation, shape = fleet.observations(), (1, fleet.interface.actions)
-    state, start = first_state(policy, fleet)
+    period = batch.config.control_period
+    observation, shape = batch.observations(), (1, batch.interface.actions)
+    state, start = first_state(policy, batch)
     steps, sums, held = 0, np.zeros(2), 0
     for n in range(film.pictures):
         until = film.step(n, period)
-        while steps < until and int(fleet.lanes.status[0]) == RUNNING:
+        while steps < until and int(batch.vehicles.status[0]) == RUNNING:
             action, state = policy.predict(observation, state, start, deterministic=True)
             start = np.zeros(1, dtype=np.bool_)
-            observation, _, _, _ = fleet.step(checked_actions(action, shape))
+            observation, _, _, _ = batch.step(checked_actions(action, shape))
             recorder.take()
             steps += 1
-            sums += _terms(fleet)
-        picture = scene.draw()
-        assert picture is not None  # the scene has no window
+            sums += _terms(batch)
+        picture = renderer.draw()
+        assert picture is not None  # the renderer has no window
         result.pictures += 1
         result.rows.append(_row(recorder))
         progress(n + 1, film.pictures, f"{steps * period:.1f} s")
         yield picture
-        if int(fleet.lanes.status[0]) != RUNNING:
+        if int(batch.vehicles.status[0]) != RUNNING:
             held += 1
             if held >= HOLD * film.fps:
                 break
     _finish(result, recorder, steps * period, sums)
 
 
-def _terms(fleet: Fleet) -> npt.NDArray[np.float64]:
+def _terms(batch: EpisodeBatch) -> npt.NDArray[np.float64]:
     """Unweighted terms of the cost of a period, means of the bogies."""
-    terms = np.nan_to_num(fleet.lanes.terms[0], posinf=0.0)
+    terms = np.nan_to_num(batch.vehicles.terms[0], posinf=0.0)
     return np.array(
         [terms[start : start + BOGIES].mean() for start in (COST_ACCELERATION, COST_FORCE)], dtype=np.float64
     )
 
 
 def _finish(result: RenderResult, recorder: Recorder, seconds: float, sums: npt.NDArray[np.float64]) -> None:
-    frame, weights = recorder.frame(), recorder.fleet.scenario.cost
+    frame, weights = recorder.frame(), recorder.batch.scenario.cost
     result.seconds = seconds
     if seconds > 0.0:
         result.cost_acceleration, result.cost_force = (float(value) for value in sums / seconds)

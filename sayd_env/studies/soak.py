@@ -83,7 +83,7 @@ class SoakResult:
     environment: str
     steps: int
     """Control steps, without those at which an episode begins."""
-    lanes: int
+    environments: int
     episodes: int
     """Episodes that began."""
     truncated: int
@@ -119,7 +119,7 @@ class SoakResult:
         return {
             "environment": self.environment,
             "steps": self.steps,
-            "environments": self.lanes,
+            "environments": self.environments,
             "episodes": self.episodes,
             "truncated": self.truncated,
             "terminated": sum(self.endings.values()),
@@ -153,7 +153,9 @@ class SoakResult:
         """Print what was run and found, the worst seconds and the recommended charge."""
         from rich.table import Table as Printed  # noqa: PLC0415 - only who prints pays for it
 
-        about = f"{self.steps:,} control steps of {self.lanes} vehicles, environment {self.environment}"
+        about = (
+            f"{self.steps:,} control steps of {self.environments} vehicles, environment {self.environment}"
+        )
         found = Printed(title=about)
         found.add_column("")
         found.add_column("count", justify="right")
@@ -238,7 +240,7 @@ def soak(
     environment: str = "faults",
     steps: int = 2_000_000,
     *,
-    lanes: int = 64,
+    environments: int = 64,
     seed: int = 0,
     settings: Sequence[str] = (),
     workers: int | None = None,
@@ -252,7 +254,7 @@ def soak(
         A packaged environment or a path to a YAML file.
     steps : int
         Control steps of all vehicles together, at least; whole steps of the batch are run.
-    lanes : int
+    environments : int
         Vehicles side by side. Vehicle i has the seed ``seed + i``.
     seed : int
         Seed of the episodes and of the commands.
@@ -268,16 +270,18 @@ def soak(
     ConfigError
         An environment that cannot be used, no steps or no vehicles.
     """
-    if steps < 1 or lanes < 1:
-        raise ConfigError(f"found {steps} steps of {lanes} vehicles; expected at least one of one")
+    if steps < 1 or environments < 1:
+        raise ConfigError(f"found {steps} steps of {environments} vehicles; expected at least one of one")
     begin = time.perf_counter()
-    env = SaydVectorEnv(environment, num_envs=lanes, num_threads=workers, settings=settings)
-    commands = RandomCommands(lanes, env.interface.actions, np.random.default_rng([seed, lanes]))
+    env = SaydVectorEnv(environment, num_envs=environments, num_threads=workers, settings=settings)
+    commands = RandomCommands(
+        environments, env.interface.actions, np.random.default_rng([seed, environments])
+    )
     watch = _Watch(env, commands)
     try:
         observations, _ = env.reset(seed=seed)
-        watch.begun(np.ones(lanes, dtype=np.bool_))
-        watch.check(observations, np.zeros(lanes))
+        watch.begun(np.ones(environments, dtype=np.bool_))
+        watch.check(observations, np.zeros(environments))
         while watch.steps < steps:
             watch.take(*env.step(commands.next())[:4])
             progress(min(watch.steps, steps), steps, f"{watch.episodes} episodes")
@@ -291,28 +295,28 @@ class RandomCommands:
 
     Parameters
     ----------
-    lanes, valves : int
+    environments, valves : int
         Shape of the commands.
     random : Generator
     """
 
-    def __init__(self, lanes: int, valves: int, random: np.random.Generator) -> None:
+    def __init__(self, environments: int, valves: int, random: np.random.Generator) -> None:
         self._random = random
         self._names = list(KINDS)
         self._shares = np.array(list(KINDS.values()))
-        self.kind = np.zeros(lanes, dtype=np.int64)
+        self.kind = np.zeros(environments, dtype=np.int64)
         """Place of each vehicle's present kind in `KINDS`."""
-        self._left = np.zeros(lanes, dtype=np.int64)
-        self._age = np.zeros(lanes, dtype=np.int64)
-        self._side = np.ones(lanes, dtype=np.int64)
-        self._ends = np.zeros((2, lanes, valves), dtype=np.float32)
+        self._left = np.zeros(environments, dtype=np.int64)
+        self._age = np.zeros(environments, dtype=np.int64)
+        self._side = np.ones(environments, dtype=np.int64)
+        self._ends = np.zeros((2, environments, valves), dtype=np.float32)
 
     def names(self) -> list[str]:
         """Each vehicle's present kind."""
         return [self._names[kind] for kind in self.kind]
 
     def next(self) -> Commands:
-        """Commands of the next step, a new array of shape (lanes, valves)."""
+        """Commands of the next step, a new array of shape (environments, valves)."""
         over = np.flatnonzero(self._left == 0)
         if over.size:
             self._begin(over)
@@ -385,7 +389,7 @@ class _Watch:
             self.defects["observations_out_of_range"] += _lanes_of(outside)
         self.defects["rewards"] += int(np.count_nonzero(~np.isfinite(rewards)))
         self.defects["states"] += sum(
-            not all(np.isfinite(values).all() for values in state) for state in self.env.fleet.lanes.state
+            not all(np.isfinite(values).all() for values in state) for state in self.env.batch.vehicles.state
         )
 
     def take(
@@ -400,19 +404,19 @@ class _Watch:
         self._add_costs(stepped, terminated)
         self.truncated += int(np.count_nonzero(truncated))
         for i in map(int, np.flatnonzero(terminated)):
-            self.endings[self.env.fleet.ending(i)] += 1
-            self.defects["diverged"] += int(self.env.fleet.lanes.status[i] == NOT_FINITE)
+            self.endings[self.env.batch.ending(i)] += 1
+            self.defects["diverged"] += int(self.env.batch.vehicles.status[i] == NOT_FINITE)
         self._ended = terminated | truncated
 
     def _add_costs(self, stepped: Flags, terminated: Flags) -> None:
         """Add the steps' costs to their seconds, the charge for a termination left out."""
-        fleet = self.env.fleet
-        if np.count_nonzero(fleet.lanes.status) == 0:
-            self._sum[stepped] -= fleet.lanes.rewards[stepped]
+        batch = self.env.batch
+        if np.count_nonzero(batch.vehicles.status) == 0:
+            self._sum[stepped] -= batch.vehicles.rewards[stepped]
         else:
-            ran = stepped & (fleet.elapsed > 0) & (fleet.lanes.status != NOT_FINITE)
-            self._sum[ran] -= fleet.lanes.rewards[ran]
-        whole = stepped & (fleet.elapsed % self._per_second == 0) & (fleet.lanes.status == RUNNING)
+            ran = stepped & (batch.elapsed > 0) & (batch.vehicles.status != NOT_FINITE)
+            self._sum[ran] -= batch.vehicles.rewards[ran]
+        whole = stepped & (batch.elapsed % self._per_second == 0) & (batch.vehicles.status == RUNNING)
         done = whole | terminated
         if not done.any():
             return
@@ -427,10 +431,10 @@ class _Watch:
         self._sum[done] = 0.0
 
     def _second(self, i: int, cut: bool, commands: str) -> Second:
-        fleet = self.env.fleet
-        episode, scenario, elapsed = fleet.episodes[i], fleet.scenario, int(fleet.elapsed[i])
+        batch = self.env.batch
+        episode, scenario, elapsed = batch.episodes[i], batch.scenario, int(batch.elapsed[i])
         assert episode is not None  # it has been run
-        time_s = elapsed * fleet.config.control_period
+        time_s = elapsed * batch.config.control_period
         happened = [fault.kind for fault in episode.faults if fault.start_s <= time_s]
         return Second(
             J=float(self._sum[i]),
@@ -451,7 +455,7 @@ class _Watch:
         return SoakResult(
             environment=environment,
             steps=self.steps,
-            lanes=self.env.num_envs,
+            environments=self.env.num_envs,
             episodes=self.episodes,
             truncated=self.truncated,
             endings=dict(self.endings),
@@ -464,5 +468,5 @@ class _Watch:
 
 
 def _lanes_of(flags: npt.NDArray[np.bool_]) -> int:
-    """In how many lanes any flag is set."""
+    """In how many environments any flag is set."""
     return int(np.count_nonzero(flags.reshape(len(flags), -1).any(axis=1)))

@@ -18,7 +18,7 @@ import baselines  # noqa: E402
 from sayd_env.config import ConfigError  # noqa: E402
 from sayd_env.config.environment import load_environment  # noqa: E402
 from sayd_env.envs.draw import draw_episode  # noqa: E402
-from sayd_env.envs.fleet import Fleet  # noqa: E402
+from sayd_env.envs.episode_batch import EpisodeBatch  # noqa: E402
 from sayd_env.envs.rollout import roll_out  # noqa: E402
 from sayd_env.envs.single import SaydEnv  # noqa: E402
 
@@ -44,7 +44,7 @@ def assert_same(one: Any, other: Any) -> None:
 
 
 def compare(batch: SaydVecEnv, plain: DummyVecEnv, steps: int) -> list[int]:
-    """Run both with the same actions; return the number of lanes that ended in each step."""
+    """Run both with the same actions; return the number of vehicles that ended in each step."""
     assert batch.observation_space == plain.observation_space
     assert batch.action_space == plain.action_space
     assert_same(batch.reset(), plain.reset())
@@ -68,10 +68,10 @@ def test_a_rollout_equals_that_of_dummy_vec_env(count: int, info: str, quick_fau
     for vector in (batch, plain):
         vector.seed(11)
     assert sum(compare(batch, plain, 45)) == 2 * count  # episodes of 20 steps
-    assert sum(compare(batch, plain, 3)) == 0  # a reset without a seed: each lane's next episode
+    assert sum(compare(batch, plain, 3)) == 0  # a reset without a seed: each vehicle's next episode
 
 
-def test_lanes_that_derail_equal_those_of_dummy_vec_env(quick: str) -> None:
+def test_vehicles_that_derail_equal_those_of_dummy_vec_env(quick: str) -> None:
     batch = SaydVecEnv(quick, 4, episode_s=1.0)
     plain = DummyVecEnv([lambda: SaydEnv(quick, episode_s=1.0)] * 4)
     for vector in (batch, plain):
@@ -83,7 +83,7 @@ def test_lanes_that_derail_equal_those_of_dummy_vec_env(quick: str) -> None:
 
 
 @pytest.mark.parametrize("begun", [False, True])
-def test_each_lane_may_have_options_of_its_own(begun: bool, quick: str) -> None:
+def test_each_vehicle_may_have_options_of_its_own(begun: bool, quick: str) -> None:
     batch, plain = SaydVecEnv(quick, 3), DummyVecEnv([lambda: SaydEnv(quick)] * 3)
     for vector in (batch, plain):
         if begun:
@@ -110,7 +110,7 @@ def test_the_end_by_time_is_told_from_a_derailment(quick: str) -> None:
     assert cut[False] > 0
 
 
-def test_attributes_are_told_for_each_lane(quick: str) -> None:
+def test_attributes_are_told_for_each_vehicle(quick: str) -> None:
     batch = SaydVecEnv(quick, 3)
     assert batch.get_attr("interface", [0, 2]) == [batch.interface] * 2
     assert not batch.has_attr("no_such_thing")
@@ -127,7 +127,7 @@ def test_attributes_are_told_for_each_lane(quick: str) -> None:
         SaydVecEnv(quick, sped=3)
 
 
-def test_pictures_are_those_of_the_first_lane(quick: str) -> None:
+def test_pictures_are_those_of_the_first_vehicle(quick: str) -> None:
     pytest.importorskip("pygame", reason="needs the extra 'render'")
     batch = SaydVecEnv(quick, 2, render_mode="rgb_array")
     batch.reset()
@@ -140,11 +140,11 @@ def test_pictures_are_those_of_the_first_lane(quick: str) -> None:
 def cost_of_the_evaluator(environment: str, policy: str, seed: int) -> float:
     """J of an episode by the rollout evaluator."""
     config = load_environment(environment)
-    fleet = Fleet(config, 1)
+    batch = EpisodeBatch(config, 1)
     (run,) = roll_out(
-        fleet, baselines.make(policy, fleet.interface), [draw_episode(config, seed, 0)], [fleet.steps]
+        batch, baselines.make(policy, batch.interface), [draw_episode(config, seed, 0)], [batch.steps]
     )
-    cost = fleet.scenario.cost
+    cost = batch.scenario.cost
     return float(np.dot([cost.acceleration_weight, cost.force_weight], run.cost()))
 
 
@@ -153,8 +153,8 @@ def test_evaluate_policy_gives_the_cost_of_the_evaluator(policy: str, two_second
     expected = -cost_of_the_evaluator(two_seconds, policy, seed=5)
     assert expected < -1e-3  # else it would be no test
     single = Monitor(SaydEnv(two_seconds))
-    lanes = {"single": DummyVecEnv([lambda: single]), "batch": VecMonitor(SaydVecEnv(two_seconds, 1))}
-    for name, env in lanes.items():
+    vehicles = {"single": DummyVecEnv([lambda: single]), "batch": VecMonitor(SaydVecEnv(two_seconds, 1))}
+    for name, env in vehicles.items():
         env.seed(5)
         controller = baselines.make(policy, single if name == "single" else env)
         mean, spread = evaluate_policy(controller, env, n_eval_episodes=1)

@@ -180,7 +180,7 @@ def test_rewards_and_last_observations_are_encoded(tmp_path: Path) -> None:
     for step in range(25):
         outputs = np.full((8, 1), -0.5 + 0.03 * step, np.float32)
         outputs[3] += 0.1  # the rear bogie of the second vehicle
-        episode = raw.unwrapped.fleet.episodes[0]
+        episode = raw.unwrapped.batch.episodes[0]
         found, rewards, dones, infos = env.step(outputs)
         commands = encoding.decode(outputs, env._seen)[1]
         middle, half = config.output.middle, config.output.half
@@ -201,9 +201,9 @@ def test_each_bogie_is_paid_for_itself(tmp_path: Path) -> None:
     env, _ = make_learning_env(config)
     env.seed(3)
     env.reset()
-    fleet = env.unwrapped.batch.fleet
+    batch = env.unwrapped.vector.batch
     _, rewards, _, _ = env.step(np.zeros((8, 1), np.float32))
-    terms, cost = fleet.lanes.terms, fleet.scenario.cost
+    terms, cost = batch.vehicles.terms, batch.scenario.cost
     own = cost.acceleration_weight * terms[:, COST_ACCELERATION:][:, :2]
     own = own + cost.force_weight * terms[:, COST_FORCE:][:, :2]
     ratios = (-rewards.reshape(4, 2) / own).T

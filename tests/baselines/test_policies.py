@@ -1,4 +1,4 @@
-"""What all controllers share: `make`, the `predict` protocol, lanes, and what they refuse."""
+"""What all controllers share: `make`, the `predict` protocol, vehicles, and what they refuse."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ OBSERVATIONS = [
 ]
 
 
-def ride(interface, steps, lanes, seed=0):
-    """Observations (steps, lanes, obs) of about the right size, speeds from 30 to 110 m/s."""
+def ride(interface, steps, vehicles, seed=0):
+    """Observations (steps, vehicles, obs) of about the right size, speeds from 30 to 110 m/s."""
     generator = np.random.default_rng(seed)
-    values = generator.normal(size=(steps, lanes, len(interface.signals)))
+    values = generator.normal(size=(steps, vehicles, len(interface.signals)))
     for column, signal in enumerate(interface.signals):
         kind = signal.name.partition(".")[0]
         size = {"pressure_a": 1e6, "pressure_b": 1e6, "stroke": 1e-3, "force_rms": 5e3}.get(kind, 1.0)
@@ -41,7 +41,7 @@ def ride(interface, steps, lanes, seed=0):
         if kind in ("current", "command"):
             values[:, :, column] = 0.4
         if kind == "speed":
-            values[:, :, column] = np.linspace(30.0, 110.0, lanes)
+            values[:, :, column] = np.linspace(30.0, 110.0, vehicles)
     if interface.observation == "history":
         values = np.repeat(values[:, :, None], interface.history, axis=2)
         values[:, :, :-1] = 1e3  # the past, which the policy has seen
@@ -57,20 +57,20 @@ def commands_of(policy, observations, starts=None):
 
 
 @pytest.mark.parametrize(("name", "kind"), OBSERVATIONS)
-def test_many_lanes_equal_single_ones(interface, name, kind):
+def test_many_vehicles_equal_single_ones(interface, name, kind):
     policy = baselines.make(name, interface(observation=kind))
     observations = ride(policy.interface, 620, 3)
     together = commands_of(policy, observations)
     assert together.shape == (620, 3, 2)
     assert together.dtype == np.float32
     assert np.all((together >= 0.0) & (together <= 1.0))
-    for lane in range(3):
-        alone = commands_of(policy, observations[:, lane])
-        assert np.array_equal(alone, together[:, lane])
+    for vehicle in range(3):
+        alone = commands_of(policy, observations[:, vehicle])
+        assert np.array_equal(alone, together[:, vehicle])
 
 
 @pytest.mark.parametrize(("name", "kind"), OBSERVATIONS)
-def test_episode_start_starts_a_lane_afresh(interface, name, kind):
+def test_episode_start_starts_a_vehicle_afresh(interface, name, kind):
     policy = baselines.make(name, interface(observation=kind))
     first, second = ride(policy.interface, 1500, 3, seed=1), ride(policy.interface, 1300, 3, seed=2)
     second[..., -1] = np.linspace(110.0, 30.0, 3)[(None, slice(None)) + (None,) * (second.ndim - 3)]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from sayd_env.baselines.characteristic import Characteristic
+from sayd_env.baselines.inverse_damper import InverseDamper
 
 from sayd_env import baselines
 from sayd_env.config.damper import load_sayd
@@ -180,7 +180,7 @@ def test_the_characteristic_is_the_inverse_of_the_steady_force(closed):
     speed, share = (
         part.copy() for part in np.meshgrid(np.geomspace(1e-4, 0.3, 60), np.linspace(0.02, 0.99, 40))
     )
-    current = Characteristic(damper, closed, 1.0).currents(speed, share)
+    current = InverseDamper(damper, closed, 1.0).currents(speed, share)
     wanted = share * steady_force(damper, speed, closed)
     opening = damper.relief.opening * damper.cylinder.area + damper.friction.sliding
     reached = ~((wanted > opening - 1.0) & (wanted < opening + 60.0))
@@ -191,7 +191,7 @@ def test_the_characteristic_is_the_inverse_of_the_steady_force(closed):
 
 
 def test_extreme_wishes_stay_in_the_range_of_currents():
-    characteristic = Characteristic(load_sayd("sayd"), 0.1, 0.8)
+    characteristic = InverseDamper(load_sayd("sayd"), 0.1, 0.8)
     rate = np.array([0.0, 1e-300, 1e-9, 5.0, 1e3, -0.1, np.nan, 0.1])
     for share in (-1.0, 0.0, 0.5, 1.0, np.inf, np.nan):
         current = characteristic.currents(rate, np.full(rate.shape, share))

@@ -11,9 +11,9 @@ import yaml
 import sayd_env
 from sayd_env.config import ConfigError
 from sayd_env.config.comparison import HELD_OUT, ComparisonConfig, load_comparison
+from sayd_env.config.distribution import UniformDistribution
 from sayd_env.config.environment import load_environment
-from sayd_env.config.frozen import frozen
-from sayd_env.config.law import UniformLaw
+from sayd_env.config.fingerprint import fingerprint
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.tuning import load_tuning
 
@@ -33,7 +33,7 @@ def test_held_out_conditions_lie_between_the_steps_of_the_training(held_out: Com
         (laws.wear, held_out.wear),
         (laws.friction, held_out.friction),
     ):
-        assert isinstance(law, UniformLaw)
+        assert isinstance(law, UniformDistribution)
         assert law.step
         for value in values:
             steps = (value - law.low) / law.step
@@ -60,7 +60,7 @@ def test_nothing_but_the_comparison_reads_them():
     naming = {path for path in SOURCES if HELD_OUT in path.read_text(encoding="utf-8")}
     assert naming == {ROOT / "sayd_env" / "config" / "comparison.py"}
     importing = {path for path in SOURCES if "config.comparison import" in path.read_text(encoding="utf-8")}
-    allowed = re.compile(r"(cli/comparison|studies/compare\w*)\.py")
+    allowed = re.compile(r"(cli/comparison|studies/comparison/\w+)\.py")
     assert importing
     for path in importing:
         assert allowed.fullmatch(path.relative_to(ROOT / "sayd_env").as_posix())
@@ -108,14 +108,18 @@ def test_paths_are_relative_to_the_file(tmp_path: Path):
 
 def test_each_digest_is_that_of_its_part():
     scenario, environment = load_scenario(), load_environment("randomized")
-    before = frozen(scenario, environment)
+    before = fingerprint(scenario, environment)
     heavier = scenario.cost.model_copy(update={"force_weight": 0.6})
-    assert _changed(before, frozen(scenario.model_copy(update={"cost": heavier}), environment)) == {"weights"}
-    assert _changed(before, frozen(scenario.model_copy(update={"friction": 0.3}), environment)) == {"plant"}
+    assert _changed(before, fingerprint(scenario.model_copy(update={"cost": heavier}), environment)) == {
+        "weights"
+    }
+    assert _changed(before, fingerprint(scenario.model_copy(update={"friction": 0.3}), environment)) == {
+        "plant"
+    }
     longer = environment.model_copy(update={"episode_s": 30.0})
-    assert _changed(before, frozen(scenario, longer)) == {"environment"}
+    assert _changed(before, fingerprint(scenario, longer)) == {"environment"}
     assert {"mppt1", "mppt2", "online"} <= before["controllers"].keys()
-    assert frozen(load_scenario(), load_environment("randomized")) == before
+    assert fingerprint(load_scenario(), load_environment("randomized")) == before
 
 
 def _changed(before: dict[str, object], after: dict[str, object]) -> set[str]:

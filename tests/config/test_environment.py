@@ -9,8 +9,8 @@ import pytest
 
 from sayd_env.config import ConfigError, packaged_names
 from sayd_env.config.assessment import load_assessment
+from sayd_env.config.distribution import FixedDistribution, UniformDistribution
 from sayd_env.config.environment import EnvironmentConfig, load_environment
-from sayd_env.config.law import FixedLaw, UniformLaw
 from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import load_scenario
 
@@ -37,7 +37,7 @@ def write(tmp_path: Path) -> Write:
 
 def fixed(config: EnvironmentConfig, name: str) -> float:
     law = getattr(config.randomisation, name)
-    assert isinstance(law, FixedLaw)
+    assert isinstance(law, FixedDistribution)
     return law.value
 
 
@@ -114,7 +114,7 @@ def test_a_file_differs_from_its_base_only_where_it_says_so(write: Write):
     assert config.randomisation.wear == base.randomisation.wear
     joints = config.randomisation.tolerances["arm_joints"]
     assert joints.keys == base.randomisation.tolerances["arm_joints"].keys
-    assert joints.factor == FixedLaw(law="fixed", value=1.1)
+    assert joints.factor == FixedDistribution(law="fixed", value=1.1)
 
 
 def test_assignments_come_last_and_in_their_order():
@@ -122,7 +122,7 @@ def test_assignments_come_last_and_in_their_order():
         "randomized", ["sensors=ideal", "sensors.stroke.noise=1e-6", "randomisation.speed_kmh.low=350"]
     )
     assert (config.sensors.stroke.noise, config.sensors.pressure.noise) == (1e-6, 0.0)
-    assert config.randomisation.speed_kmh == UniformLaw(law="uniform", low=350.0, high=400.0)
+    assert config.randomisation.speed_kmh == UniformDistribution(law="uniform", low=350.0, high=400.0)
     assert load_environment("nominal", ["damper=passive"]).damper == "passive"
 
 
@@ -165,12 +165,15 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
         ("contrl_period=1", "unknown key 'contrl_period', did you mean 'control_period'?"),
         ("termination_cost=-1", "termination_cost: found -1; expected a number greater than or equal to 0"),
         ("derailment.quotient=.nan", "derailment.quotient: found nan; expected a finite number"),
-        ("randomisation.speed_kmh.high=600", "the law reaches from 200 to 600; allowed are 30 to 500 km/h"),
+        (
+            "randomisation.speed_kmh.high=600",
+            "the distribution reaches from 200 to 600; allowed are 30 to 500 km/h",
+        ),
         (
             "randomisation.wear.high=1.5",
-            "randomisation.wear: the law reaches from 0 to 1.5; allowed are 0 to 1:",
+            "randomisation.wear: the distribution reaches from 0 to 1.5; allowed are 0 to 1:",
         ),
-        ("randomisation.friction.low=0", "the law reaches from 0 to 0.5; allowed are 0.05 to 1"),
+        ("randomisation.friction.low=0", "the distribution reaches from 0 to 0.5; allowed are 0.05 to 1"),
         ("randomisation.speed_kmh=null", "randomisation.speed_kmh: found None"),
         ("randomisation.tracks.0.name=chna", "unknown track 'chna', did you mean 'china'?"),
         ("randomisation.tracks=[{name: smooth, scale: {law: fixed, value: 1}}]", "has nothing to scale"),
@@ -178,7 +181,7 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
         ("randomisation.tolerances.frames.keys=[vehcle.x]", "begins with 'vehcle', did you mean 'vehicle'?"),
         (
             "randomisation.tolerances.frames.factor.low=0",
-            "the law reaches from 0 to 1.1; allowed are 0.1 to 10",
+            "the distribution reaches from 0 to 1.1; allowed are 0.1 to 10",
         ),
         (
             "randomisation.tolerances.frames.keys=[sayd.valve.delay]",
@@ -190,16 +193,22 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
         ),
         (
             "faults.count={law: choice, values: [0.5]}",
-            "faults.count: the law has 0.5; allowed are whole numbers",
+            "faults.count: the distribution has 0.5; allowed are whole numbers",
         ),
-        ("faults.count={law: fixed, value: 9}", "the law has 9; allowed are whole numbers from 0 to 8"),
-        ("faults.onset.low=-1", "faults.onset: the law reaches down to -1 s; allowed are 0 s and more"),
+        (
+            "faults.count={law: fixed, value: 9}",
+            "the distribution has 9; allowed are whole numbers from 0 to 8",
+        ),
+        (
+            "faults.onset.low=-1",
+            "faults.onset: the distribution reaches down to -1 s; allowed are 0 s and more",
+        ),
         ("faults.kinds=[]", "faults.kinds: found []; expected at least 1 entries"),
         ("faults.kinds=[{kind: sensor_ded}]", "kind: found 'sensor_ded', did you mean 'sensor_dead'?"),
         ("faults.kinds=[{kind: power_lost, weight: 0}]", "at least one weight must be positive"),
         (
             "faults.kinds.0.current.value=2",
-            "faults.kinds.0.current: the law reaches from 2 to 2; allowed are 0 to 1",
+            "faults.kinds.0.current: the distribution reaches from 2 to 2; allowed are 0 to 1",
         ),
         (
             "faults.kinds=[{kind: sensor_dead, sensors: [gyro]}]",

@@ -11,8 +11,8 @@ import yaml
 
 from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
+from sayd_env.config.distribution import UniformDistribution
 from sayd_env.config.environment import load_environment
-from sayd_env.config.law import UniformLaw
 from sayd_env.config.tuning import load_tuning
 
 STUDIES = Path(__file__).parents[2] / "configs" / "study"
@@ -47,7 +47,7 @@ def test_the_scenarios_are_of_the_training_and_of_no_comparison():
     laws = load_environment(tuning.environment).randomisation
     for name in ("speed_kmh", "wear", "friction"):
         law = getattr(laws, name)
-        assert isinstance(law, UniformLaw)
+        assert isinstance(law, UniformDistribution)
         assert law.step
         for scenario in tuning.scenarios:
             steps = (getattr(scenario, name) - law.low) / law.step
@@ -66,8 +66,8 @@ def test_the_scenarios_are_of_the_training_and_of_no_comparison():
 
 def test_nothing_about_the_tuning_reads_the_comparison_s_file():
     root = Path(__file__).parents[2]
-    for path in ("sayd_env/config/tuning.py", "sayd_env/studies/tune.py", "sayd_env/studies/tuning_runs.py"):
-        assert "heldout" not in (root / path).read_text()
+    for path in ("config/tuning.py", *(f"studies/tuning/{name}.py" for name in ("tune", "search"))):
+        assert "heldout" not in (root / "sayd_env" / path).read_text()
 
 
 def test_a_look_has_fewer_scenarios_and_evaluations():

@@ -74,12 +74,12 @@ def test_a_wheel_that_climbs(tmp_path: Path, damper: str) -> None:
     fine, coarse = (environment(tmp_path, 5.0, period, damper) for period in (0.001, 0.01))
     for seed in range(1, 20):
         by_sample = run(fine, seed)
-        if fine.fleet.lanes.status[0] == CLIMBED and len(by_sample) % SAMPLES != 0:
+        if fine.batch.vehicles.status[0] == CLIMBED and len(by_sample) % SAMPLES != 0:
             break
     else:
         pytest.fail("no wheel climbed within a period")
     assert_ends_alike(by_sample, run(coarse, seed))
-    assert coarse.fleet.lanes.status[0] == CLIMBED
+    assert coarse.batch.vehicles.status[0] == CLIMBED
 
 
 @pytest.mark.parametrize("damper", ["sayd", "passive"])
@@ -95,7 +95,7 @@ def test_a_quotient_beyond_its_limit(tmp_path: Path, damper: str) -> None:
     by_sample = run(fine, seed)
     assert len(by_sample) == last + 1
     assert_ends_alike(by_sample, run(coarse, seed))
-    assert fine.fleet.lanes.status[0] == coarse.fleet.lanes.status[0] == OVERLOADED
+    assert fine.batch.vehicles.status[0] == coarse.batch.vehicles.status[0] == OVERLOADED
 
 
 def test_vehicles_side_by_side_tell_the_same(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_vehicles_side_by_side_tell_the_same(tmp_path: Path) -> None:
     ends = [run(single, seed) for seed in range(WIDTH)]
     vector = SaydVectorEnv(str(tmp_path / "1.5.yaml"), num_envs=WIDTH, num_threads=1, info="full")
     vector.reset(seed=list(range(WIDTH)), options=BAD)
-    assert len(vector.fleet.lanes.formation.units().groups) == 1
+    assert len(vector.batch.vehicles.formation.units().groups) == 1
     ended: set[int] = set()
     for n in range(max(map(len, ends))):
         _, _, terminated, truncated, infos = vector.step(np.tile(HALF, (WIDTH, 1)))

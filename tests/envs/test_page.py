@@ -9,9 +9,14 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
+from sayd_env.config.distribution import (
+    ChoiceDistribution,
+    FixedDistribution,
+    NormalDistribution,
+    UniformDistribution,
+)
 from sayd_env.config.environment import load_environment
 from sayd_env.config.fault import Fault
-from sayd_env.config.law import ChoiceLaw, FixedLaw, NormalLaw, UniformLaw
 from sayd_env.config.sensors import load_sensors
 from sayd_env.envs import tables, vector, wrappers
 from sayd_env.envs.options import OPTIONS
@@ -74,12 +79,12 @@ def test_info_is_named(damper: str, quick: str) -> None:
 @pytest.mark.parametrize(
     ("law", "words"),
     [
-        (FixedLaw(law="fixed", value=0.5), "0.5"),
-        (UniformLaw(law="uniform", low=0.0, high=1.5), "0 to 1.5"),
-        (UniformLaw(law="uniform", low=0.0, high=1.0, step=0.05), "0 to 1 in steps of 0.05"),
-        (NormalLaw(law="normal", mean=1.0, deviation=0.1, low=0.7, high=1.3), "1 ± 0.1, 0.7 to 1.3"),
-        (ChoiceLaw(law="choice", values=(0, 2), weights=(1.0, 3.0)), "0 (25 %), 2 (75 %)"),
-        (ChoiceLaw(law="choice", values=(1, 2)), "1 (50 %), 2 (50 %)"),
+        (FixedDistribution(law="fixed", value=0.5), "0.5"),
+        (UniformDistribution(law="uniform", low=0.0, high=1.5), "0 to 1.5"),
+        (UniformDistribution(law="uniform", low=0.0, high=1.0, step=0.05), "0 to 1 in steps of 0.05"),
+        (NormalDistribution(law="normal", mean=1.0, deviation=0.1, low=0.7, high=1.3), "1 ± 0.1, 0.7 to 1.3"),
+        (ChoiceDistribution(law="choice", values=(0, 2), weights=(1.0, 3.0)), "0 (25 %), 2 (75 %)"),
+        (ChoiceDistribution(law="choice", values=(1, 2)), "1 (50 %), 2 (50 %)"),
     ],
 )
 def test_laws_in_words(law: Any, words: str) -> None:

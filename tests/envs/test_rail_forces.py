@@ -25,7 +25,7 @@ def test_means_are_those_over_the_last_2_m(quick: str, speed_kmh: float) -> None
     told, terms = [], []
     for _ in range(180):
         told.append(env.step(ACTION)[4])
-        terms.append(env.fleet.lanes.terms[0].copy())
+        terms.append(env.batch.vehicles.terms[0].copy())
     lateral, vertical = (
         np.array([info[f"wheel_{way}_force"] for info in told]) for way in ("lateral", "vertical")
     )
@@ -54,13 +54,13 @@ def test_the_run_ends_at_the_first_sample_whose_mean_exceeds_the_limit(quick: st
     strict = free.config.derailment.model_copy(update={"quotient": limit})
     config = free.config.model_copy(update={"derailment": strict})
     first = int(np.argmax(np.array(means) > limit))
-    fleet = type(free.fleet)(config, 1, scenario=free.fleet.scenario)
-    episode = free.fleet.episodes[0]
+    batch = type(free.batch)(config, 1, scenario=free.batch.scenario)
+    episode = free.batch.episodes[0]
     assert episode is not None
-    fleet.reset([0], [episode])
-    if fleet.lanes.status[0] == OVERLOADED:
+    batch.reset([0], [episode])
+    if batch.vehicles.status[0] == OVERLOADED:
         pytest.fail("the run-in ends above the limit: choose another seed")
     for n in range(first + 1):
-        ended = fleet.step(ACTION[None])[2][0]
+        ended = batch.step(ACTION[None])[2][0]
         assert ended == (n == first)
-    assert fleet.lanes.status[0] == OVERLOADED
+    assert batch.vehicles.status[0] == OVERLOADED

@@ -26,7 +26,7 @@ def run(code: str) -> str:
 def test_importing_loads_nothing_slow() -> None:
     code = (
         "import sys, sayd_env;"
-        "slow = {'numpy', 'gymnasium', 'numba', 'scipy', 'torch', 'pydantic', 'yaml', 'matplotlib'};"
+        "slow = {'numba', 'scipy', 'torch', 'pydantic', 'yaml', 'matplotlib'};"
         "print(sorted(slow & set(sys.modules)))"
     )
     assert run(code) == "[]"
@@ -149,12 +149,12 @@ def test_keywords_do_what_they_say(quick: str) -> None:
     assert env.observation_space.shape == (3, 41)
     assert env.interface.control_period == 0.02
     assert env.metadata["render_fps"] == 50
-    cost = env.fleet.scenario.cost
+    cost = env.batch.scenario.cost
     assert (cost.acceleration_weight, cost.force_weight) == (2.0, 0.25)
     _, info = env.reset(seed=1)
     assert info["speed_kmh"] == pytest.approx(200.0)
     assert info["friction"] == 0.3
-    assert env.fleet.steps == 20
+    assert env.batch.steps == 20
 
 
 def test_settings_win_over_draws(quick_faults: str) -> None:
@@ -165,8 +165,8 @@ def test_settings_win_over_draws(quick_faults: str) -> None:
 
 
 def test_weights_by_name() -> None:
-    study = SaydEnv().fleet.scenario.cost
-    one, two = SaydEnv(reward="mppt1").fleet.scenario.cost, SaydEnv(reward="mppt2").fleet.scenario.cost
+    study = SaydEnv().batch.scenario.cost
+    one, two = SaydEnv(reward="mppt1").batch.scenario.cost, SaydEnv(reward="mppt2").batch.scenario.cost
     assert (one.acceleration_weight, one.force_weight) == (1.0, 0.0)
     assert two == study
 

@@ -18,7 +18,7 @@ from gymnasium.utils.env_checker import check_env
 
 from sayd_env.config import ConfigError
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.loop import COST_ACCELERATION, COST_FORCE
 from sayd_env.envs.recorder import Frame, Pose, Recorder
@@ -27,8 +27,8 @@ from sayd_env.envs.single import SaydEnv
 pytest.importorskip("pygame")
 
 from sayd_env.envs import rendering
-from sayd_env.envs.rendering import FRONT, HEIGHT, REAR, SCALE, WIDTH, Scene, axis, force_colour
-from sayd_env.envs.scene import View, displaced, rectangle
+from sayd_env.envs.plan_view import View, displaced, rectangle
+from sayd_env.envs.rendering import FRONT, HEIGHT, REAR, SCALE, WIDTH, Renderer, axis, force_colour
 
 HALF = np.full(2, 0.5, dtype=np.float32)
 Picture = npt.NDArray[np.uint8]
@@ -52,11 +52,11 @@ def watched(
 ) -> Recorder:
     """A recorder that has watched a vehicle for some steps with half-open valves."""
     config, scenario = configured(environment, **keywords)
-    fleet = Fleet(config, 1, scenario=scenario, num_threads=1)
-    fleet.reset([0], [draw_episode(config, 0, 0, options)])
-    recorder = Recorder(fleet)
+    batch = EpisodeBatch(config, 1, scenario=scenario, num_threads=1)
+    batch.reset([0], [draw_episode(config, 0, 0, options)])
+    recorder = Recorder(batch)
     for _ in range(steps):
-        fleet.step(HALF[None])
+        batch.step(HALF[None])
         recorder.take()
     return recorder
 
@@ -69,9 +69,9 @@ def at_rest(frame: Frame, **poses: Pose) -> Frame:
     return replace(frame, poses=still | moved, alignment=even, gauge=even, damper_force=np.zeros(8))
 
 
-def picture(scene: Scene, frame: Frame) -> Picture:
-    scene._paint(frame)
-    return scene.canvas.pixels()
+def picture(renderer: Renderer, frame: Frame) -> Picture:
+    renderer._paint(frame)
+    return renderer.canvas.pixels()
 
 
 def middle_of(image: Picture, colour: tuple[int, int, int]) -> npt.NDArray[np.float64]:
@@ -140,7 +140,7 @@ def test_rectangle_by_hand() -> None:
 
 def test_the_plan_is_that_of_the_vehicle(quick: str) -> None:
     # Positions of configs/vehicle/emu.yaml: pivots at 8.75 m, wheelbase 2.5 m, dampers 1.35 m off the middle.
-    plan = Scene(watched(quick, 0)).placement.plan
+    plan = Renderer(watched(quick, 0)).placement.plan
     assert [bogie.x for bogie in plan.bogies] == [8.75, -8.75]
     assert plan.bogies[1].wheelsets == ("wheelset.rear.leading", "wheelset.rear.trailing")
     assert plan.rest["wheelset.rear.trailing"] == (-10.0, 0.0)
@@ -152,9 +152,9 @@ def test_the_plan_is_that_of_the_vehicle(quick: str) -> None:
 
 def test_a_shifted_bogie_is_drawn_shifted(quick: str) -> None:
     recorder = watched(quick, 1)
-    scene, frame = Scene(recorder), recorder.frame()
-    still = picture(scene, at_rest(frame))
-    moved = picture(scene, at_rest(frame, frame_front=Pose(0.0, 0.006, 0.0)))
+    renderer, frame = Renderer(recorder), recorder.frame()
+    still = picture(renderer, at_rest(frame))
+    moved = picture(renderer, at_rest(frame, frame_front=Pose(0.0, 0.006, 0.0)))
     # 6 mm to the left, twenty times as large: 11.4 pixels up at 95 pixels in a metre.
     shift = middle_of(moved, FRONT) - middle_of(still, FRONT)
     np.testing.assert_allclose(shift, [0.0, -0.006 * 20.0 * SCALE], atol=0.6)
@@ -163,9 +163,9 @@ def test_a_shifted_bogie_is_drawn_shifted(quick: str) -> None:
 
 def test_a_turned_bogie_is_drawn_turned(quick: str) -> None:
     recorder = watched(quick, 1)
-    scene, frame = Scene(recorder), recorder.frame()
+    renderer, frame = Renderer(recorder), recorder.frame()
     turned = at_rest(frame, frame_rear=Pose(0.0, 0.0, 0.004))
-    left = scene.placement.frame(turned, 1)[1]  # the left beam
+    left = renderer.placement.frame(turned, 1)[1]  # the left beam
     ahead = left[left[:, 0] > left[:, 0].mean()].mean(axis=0)
     behind = left[left[:, 0] < left[:, 0].mean()].mean(axis=0)
     # To the left: the front end goes up, by 4 mrad times twenty of the beam's length.
@@ -174,10 +174,10 @@ def test_a_turned_bogie_is_drawn_turned(quick: str) -> None:
 
 def test_the_carbody_moves_the_far_ends_of_the_dampers(quick: str) -> None:
     recorder = watched(quick, 1)
-    scene, frame = Scene(recorder), recorder.frame()
+    renderer, frame = Renderer(recorder), recorder.frame()
     still, swayed = at_rest(frame), at_rest(frame, carbody=Pose(0.03, 0.01, 0.0))
     for k in range(8):
-        shift = scene.placement.damper(swayed, k) - scene.placement.damper(still, k)
+        shift = renderer.placement.damper(swayed, k) - renderer.placement.damper(still, k)
         # The train's lag of 30 mm shows in none of the bodies' places against the carbody.
         np.testing.assert_allclose(shift[1], [0.0, -0.01 * 20.0 * SCALE], atol=1e-9)
         np.testing.assert_allclose(shift[0], [-0.03 * 20.0 * SCALE, 0.0], atol=1e-9)
@@ -185,19 +185,19 @@ def test_the_carbody_moves_the_far_ends_of_the_dampers(quick: str) -> None:
 
 def test_rails_follow_alignment_and_gauge(quick: str) -> None:
     recorder = watched(quick, 1)
-    scene, frame = Scene(recorder), recorder.frame()
+    renderer, frame = Renderer(recorder), recorder.frame()
     even = at_rest(frame)
     bent = replace(even, alignment=even.alignment + 0.003, gauge=even.gauge + 0.002)
     for side, shift in ((0, 0.003 + 0.001), (1, 0.003 - 0.001)):
-        moved = scene.placement.rails(bent, 0)[side] - scene.placement.rails(even, 0)[side]
+        moved = renderer.placement.rails(bent, 0)[side] - renderer.placement.rails(even, 0)[side]
         np.testing.assert_allclose(moved[:, 0], 0.0, atol=1e-9)
         np.testing.assert_allclose(moved[:, 1], -shift * 20.0 * SCALE, rtol=1e-9)
 
 
 def test_the_track_under_the_wheels_is_the_one_that_the_wheels_feel(quick: str) -> None:
     recorder = watched(quick, 20)
-    frame, lanes = recorder.frame(), recorder.fleet.lanes
-    formation = lanes.formation
+    frame, vehicles = recorder.frame(), recorder.batch.vehicles
+    formation = vehicles.formation
     x, felt = (
         formation.plant.view(0).wheelset_x,
         formation.work.view(0).rail[: len(formation.plant.view(0).wheelset_x)],
@@ -208,14 +208,14 @@ def test_the_track_under_the_wheels_is_the_one_that_the_wheels_feel(quick: str) 
 
 def test_the_running_values_are_those_of_the_cost(quick: str) -> None:
     config, scenario = configured(quick, episode_s=2.0, control_period=0.02)
-    fleet = Fleet(config, 1, scenario=scenario, num_threads=1)
-    fleet.reset([0], [draw_episode(config, 0, 0, None)])
-    recorder, terms = Recorder(fleet), []
+    batch = EpisodeBatch(config, 1, scenario=scenario, num_threads=1)
+    batch.reset([0], [draw_episode(config, 0, 0, None)])
+    recorder, terms = Recorder(batch), []
     for _ in range(90):
-        fleet.step(HALF[None])
+        batch.step(HALF[None])
         recorder.take()
         recorder.take()  # twice is once
-        terms.append(fleet.lanes.terms[0].copy())
+        terms.append(batch.vehicles.terms[0].copy())
     frame, last = recorder.frame(), np.array(terms[-50:]).sum(axis=0)
     acceleration = last[COST_ACCELERATION : COST_ACCELERATION + 2]
     force = last[COST_FORCE : COST_FORCE + 2]
@@ -234,11 +234,11 @@ def test_the_running_values_are_those_of_the_cost(quick: str) -> None:
 
 def test_a_long_run_keeps_ten_seconds(quick: str) -> None:
     recorder = watched(quick, 0, episode_s=0.05, control_period=0.05)
-    fleet, whole = recorder.fleet, []
+    batch, whole = recorder.batch, []
     for _ in range(260):  # 13 s
-        fleet.step(HALF[None])
+        batch.step(HALF[None])
         recorder.take()
-        whole.append(fleet.lanes.terms[0, COST_FORCE])
+        whole.append(batch.vehicles.terms[0, COST_FORCE])
     frame = recorder.frame()
     np.testing.assert_allclose(frame.times[[0, -1]], [3.05, 13.0])
     sums = np.convolve(whole, np.ones(20), "valid")[-200:]
@@ -253,16 +253,19 @@ def test_faults_are_marked_when_they_happen(quick: str) -> None:
     ]
     recorder = watched(quick, 4, options={"faults": faults})
     assert recorder.frame().faults == ()
-    scene = Scene(recorder)
-    before = middle_of(picture(scene, recorder.frame()), rendering.INK)
+    renderer = Renderer(recorder)
+    before = middle_of(picture(renderer, recorder.frame()), rendering.INK)
     for _ in range(4):
-        recorder.fleet.step(HALF[None])
+        recorder.batch.step(HALF[None])
     frame = recorder.frame()
     assert frame.faults == ("valve stuck: front.left.upper", "damper lost: rear.right.lower")
     assert frame.damper_faults == {0: "valve stuck", 7: "damper lost"}
     assert frame.damper_force[7] == 0.0
     assert np.all(np.isfinite(before))
-    with_faults, without = picture(scene, frame), picture(scene, replace(frame, faults=(), damper_faults={}))
+    with_faults, without = (
+        picture(renderer, frame),
+        picture(renderer, replace(frame, faults=(), damper_faults={})),
+    )
     red = (
         np.all(with_faults == rendering.LIMIT, axis=2).sum()
         - np.all(without == rendering.LIMIT, axis=2).sum()
@@ -272,22 +275,22 @@ def test_faults_are_marked_when_they_happen(quick: str) -> None:
 
 def test_an_ending_is_shown(quick: str) -> None:
     recorder = watched(quick, 1)
-    scene, frame = Scene(recorder), recorder.frame()
+    renderer, frame = Renderer(recorder), recorder.frame()
     assert frame.ending is None
-    ended = picture(scene, replace(frame, ending="derailment: a wheel has climbed over its rail"))
+    ended = picture(renderer, replace(frame, ending="derailment: a wheel has climbed over its rail"))
     assert tuple(ended[25, WIDTH - 50]) == rendering.LIMIT
-    assert tuple(picture(scene, frame)[25, WIDTH - 50]) == rendering.GOOD
+    assert tuple(picture(renderer, frame)[25, WIDTH - 50]) == rendering.GOOD
 
 
 def test_a_diverged_run_can_be_drawn(quick: str) -> None:
     recorder = watched(quick, 2)
-    recorder.fleet.lanes.state.view(0).v[:] = np.nan
-    recorder.fleet.step(HALF[None])
+    recorder.batch.vehicles.state.view(0).v[:] = np.nan
+    recorder.batch.step(HALF[None])
     recorder.take()
     frame = recorder.frame()
     assert frame.ending is not None
     assert len(frame.times) == 2
-    assert picture(Scene(recorder), frame).shape == (HEIGHT, WIDTH, 3)
+    assert picture(Renderer(recorder), frame).shape == (HEIGHT, WIDTH, 3)
 
 
 def test_passive_dampers_have_no_valves(quick: str) -> None:
@@ -296,7 +299,7 @@ def test_passive_dampers_have_no_valves(quick: str) -> None:
     assert frame.opening is None
     assert frame.command is None
     assert frame.valve is None
-    assert Scene(recorder).draw() is not None
+    assert Renderer(recorder).draw() is not None
 
 
 def test_valve_bars_show_what_acts_and_what_is_asked(quick: str) -> None:
@@ -338,17 +341,17 @@ def test_a_window_shows_the_run_and_closes_twice(quick: str) -> None:
 
 def test_a_window_that_is_closed_stays_closed(quick: str) -> None:
     recorder = watched(quick, 1)
-    scene = Scene(recorder, "human")
-    pygame = scene.canvas.pygame
-    assert scene.window is not None
+    renderer = Renderer(recorder, "human")
+    pygame = renderer.canvas.pygame
+    assert renderer.window is not None
     pygame.event.post(pygame.event.Event(pygame.QUIT))
-    scene.draw()
-    assert not scene.window.open
-    scene.draw()
-    scene.close()
+    renderer.draw()
+    assert not renderer.window.open
+    renderer.draw()
+    renderer.close()
 
 
-def test_a_batch_shows_its_first_lane(quick: str) -> None:
+def test_a_batch_shows_its_first_vehicle(quick: str) -> None:
     batch = gym.make_vec(
         "SAYD/Nominal-v0",
         num_envs=2,
@@ -372,7 +375,7 @@ def test_a_batch_shows_its_first_lane(quick: str) -> None:
 def test_a_new_episode_begins_with_empty_charts(env: SaydEnv) -> None:
     env.step(HALF)
     state = env.get_state()
-    watcher = env._session.watch()
+    watcher = env._recorder
     assert len(watcher.frame().times) == 1
     env.reset()
     assert len(watcher.frame().times) == 0

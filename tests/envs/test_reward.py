@@ -13,7 +13,7 @@ import pytest
 from scipy.signal import butter, get_window, sosfilt
 
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.loop import LOG_ACCELERATION, LOG_HYDRAULIC
 from sayd_env.envs.single import SaydEnv
 
@@ -77,12 +77,12 @@ def cost_of(rows: Array, start: int, seconds: int, speed: float, weights: tuple[
 
 def logged(env: SaydEnv, actions: Any, seed: int) -> tuple[Array, int]:
     """True signals of the same episode at 1 kHz, and the number of samples before step 0."""
-    fleet = Fleet(env.config, 1, scenario=env.fleet.scenario)
-    rows = fleet.reset([0], [draw_episode(env.config, seed, 0)], log=True)
+    batch = EpisodeBatch(env.config, 1, scenario=env.batch.scenario)
+    rows = batch.reset([0], [draw_episode(env.config, seed, 0)], log=True)
     before = len(rows[0])
     for action in actions:
-        log = np.empty((1, fleet.settings.samples, rows[0].shape[1]))
-        fleet.step(action[None], log=log)
+        log = np.empty((1, batch.settings.samples, rows[0].shape[1]))
+        batch.step(action[None], log=log)
         rows.append(log[0])
     return np.concatenate(rows), before
 
@@ -118,7 +118,7 @@ def test_step_0_is_that_of_a_train_which_has_been_running() -> None:
     # Ideal sensors: their readings are the true signals.
     env = SaydEnv(observation="features", episode_s=1.0, info="full")
     observed, _ = env.reset(seed=11)
-    found = env.fleet.dominant_frequency()[0]
+    found = env.batch.dominant_frequency()[0]
     action = np.zeros(2, np.float32)
     info = env.step(action)[4]
     rows, before = logged(env, [action], seed=11)

@@ -7,34 +7,34 @@ import numpy as np
 from sayd_env import baselines
 from sayd_env.config.environment import load_environment
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.rollout import roll_out
 
 CONFIG = load_environment("randomized", ["run_in=60"])
 SEEDS = (3, 4)
 
 
-def begun(seeds: tuple[int, ...], *, listen: bool) -> tuple[Fleet, list[np.ndarray]]:
-    fleet = Fleet(CONFIG, len(seeds))
+def begun(seeds: tuple[int, ...], *, listen: bool) -> tuple[EpisodeBatch, list[np.ndarray]]:
+    batch = EpisodeBatch(CONFIG, len(seeds))
     episodes = [draw_episode(CONFIG, seed, 0, None) for seed in seeds]
-    return fleet, fleet.reset(range(len(seeds)), episodes, log=True, listen=listen)
+    return batch, batch.reset(range(len(seeds)), episodes, log=True, listen=listen)
 
 
 def test_listening_changes_no_bit_and_is_the_same_alone_and_beside_others() -> None:
-    (silent, quiet_log), (fleet, log) = begun(SEEDS, listen=False), begun(SEEDS, listen=True)
+    (silent, quiet_log), (batch, log) = begun(SEEDS, listen=False), begun(SEEDS, listen=True)
     assert silent.heard is None
-    assert fleet.heard is not None
+    assert batch.heard is not None
     for quiet, loud in zip(quiet_log, log, strict=True):
         np.testing.assert_array_equal(quiet, loud)
-    np.testing.assert_array_equal(silent.observations(), fleet.observations())
-    np.testing.assert_array_equal(fleet.heard.observations[-1], fleet.observations())
-    lengths = [len(rows) // fleet.settings.samples for rows in log]
+    np.testing.assert_array_equal(silent.observations(), batch.observations())
+    np.testing.assert_array_equal(batch.heard.observations[-1], batch.observations())
+    lengths = [len(rows) // batch.settings.samples for rows in log]
     assert len(set(lengths)) == len(SEEDS)  # vehicles of different speeds
-    np.testing.assert_array_equal(len(fleet.heard.observations) - fleet.heard.begins, lengths)
+    np.testing.assert_array_equal(len(batch.heard.observations) - batch.heard.begins, lengths)
     for i, seed in enumerate(SEEDS):
         alone, _ = begun((seed,), listen=True)
         assert alone.heard is not None
-        own = fleet.heard.observations[fleet.heard.begins[i] :, i]
+        own = batch.heard.observations[batch.heard.begins[i] :, i]
         np.testing.assert_array_equal(own, alone.heard.observations[:, 0])
 
 
@@ -43,9 +43,9 @@ def test_a_controller_alone_and_beside_others_does_the_same() -> None:
     episodes = [draw_episode(config, seed, 0, None) for seed in SEEDS]
 
     def rolled(chosen: list[int]) -> list[np.ndarray]:
-        fleet = Fleet(config, len(chosen))
-        policy = baselines.make("mppt2", fleet.interface)
-        runs = roll_out(fleet, policy, [episodes[i] for i in chosen], [210] * len(chosen))
+        batch = EpisodeBatch(config, len(chosen))
+        policy = baselines.make("mppt2", batch.interface)
+        runs = roll_out(batch, policy, [episodes[i] for i in chosen], [210] * len(chosen))
         return [run.actions for run in runs]
 
     both = rolled([0, 1])

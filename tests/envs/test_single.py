@@ -88,7 +88,7 @@ def test_options_fix_an_episode(quick: str) -> None:
         0.0,
         0.0,
     ]  # the coil knows nothing of it
-    stuck, free = env.fleet.lanes.state.view(0).sayd.reshape(-1, 8)[sayd.CURRENT, :2]
+    stuck, free = env.batch.vehicles.state.view(0).sayd.reshape(-1, 8)[sayd.CURRENT, :2]
     assert (stuck, free) == (pytest.approx(1.0, abs=1e-3), 0.0)
     assert observation[env.interface.index("speed")] == pytest.approx(300 / 3.6)
     assert env.reset()[1]["speed_kmh"] == pytest.approx(350.0)
@@ -173,7 +173,7 @@ def test_a_command_does_nothing_to_passive_dampers(quick: str) -> None:
         np.testing.assert_array_equal(one[0], other[0])
         assert one[1] == other[1]
     observation, _, _, _, info = runs[0][-1]
-    tank = env.fleet.settings.tank_pressure
+    tank = env.batch.settings.tank_pressure
     pressures = [n for n, signal in enumerate(env.signals) if signal.name.startswith("pressure")]
     np.testing.assert_array_equal(observation[pressures], np.float32(tank))
     # What a damper takes in, force times velocity, is never negative.
@@ -224,7 +224,7 @@ def test_the_rest_of_an_episode_is_charged_where_it_derails(quick: str) -> None:
         pytest.fail("nothing derailed")
     assert info["ending"].startswith("derailment")
     remaining = 20.0 - taken * 0.01
-    weights = env.fleet.scenario.cost
+    weights = env.batch.scenario.cost
     cost = weights.acceleration_weight * info["cost_acceleration"] + weights.force_weight * info["cost_force"]
     assert reward == pytest.approx(-cost - env.config.termination_cost * remaining, rel=1e-12)
     with pytest.raises(ResetNeeded):
@@ -244,9 +244,9 @@ def test_nothing_but_numbers_gets_out(quick: str) -> None:
     env = SaydEnv(quick, info="full", observation="history")
     env.reset(seed=1)
     before = run(env, 3)[-1][0]
-    env.fleet.lanes.state.view(0).v[:] = math.nan
+    env.batch.vehicles.state.view(0).v[:] = math.nan
     observation, reward, ended, truncated, info = env.step(HALF)
-    assert env.fleet.lanes.status[0] == NOT_FINITE
+    assert env.batch.vehicles.status[0] == NOT_FINITE
     assert (ended, truncated) == (True, False)
     np.testing.assert_array_equal(observation, before)
     assert math.isfinite(reward)

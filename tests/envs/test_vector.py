@@ -1,4 +1,4 @@
-"""The batch: each lane is the single environment bit for bit, in every autoreset mode."""
+"""The batch: each vehicle is the single environment bit for bit, in every autoreset mode."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def assert_same(one: Any, other: Any) -> None:
 
 @pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
 @pytest.mark.parametrize("count", [1, 3, 8])
-def test_lanes_equal_single_environments(count: int, mode: Any, quick_faults: str) -> None:
-    # Two resets; speeds, noise and faults differ from lane to lane.
+def test_vehicles_equal_single_environments(count: int, mode: Any, quick_faults: str) -> None:
+    # Two resets; speeds, noise and faults differ from vehicle to vehicle.
     makers = [lambda: SaydEnv(quick_faults, observation="history")] * count
     singles = SyncVectorEnv(makers, autoreset_mode=mode)
     actions = actions_of(singles, 50)
@@ -70,7 +70,7 @@ def test_full_infos_equal_those_of_single_environments(quick: str) -> None:
                 assert_same(one, other)
 
 
-def test_lanes_that_end_at_different_times_equal_single_environments(quick: str) -> None:
+def test_vehicles_that_end_at_different_times_equal_single_environments(quick: str) -> None:
     options = {"track": "german_low", "track_scale": 5.0, "speed_kmh": 450.0, "friction": 0.6}
     for mode in MODES:
         vector = SaydVectorEnv(quick, num_envs=4, episode_s=1.0, autoreset_mode=mode)
@@ -144,7 +144,7 @@ def test_every_call_returns_new_arrays(quick: str) -> None:
         assert not np.shares_memory(value, kept[1][4][key])
 
 
-def test_attributes_are_told_for_each_lane(quick: str) -> None:
+def test_attributes_are_told_for_each_vehicle(quick: str) -> None:
     vector = SaydVectorEnv(quick, num_envs=3)
     assert vector.get_attr("interface") == (vector.interface,) * 3
     assert vector.unwrapped.signals == SaydEnv(quick).signals

@@ -12,7 +12,7 @@ import pytest
 
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.single import SaydEnv
 from sayd_env.studies import soak as module
 from sayd_env.studies.soak import DEFECTS, KINDS, LONGEST, RandomCommands, SoakResult, soak
@@ -33,8 +33,8 @@ def environment(folder: Path, base: str = "nominal", episode_s: float = 2.0, mor
     return str(path)
 
 
-def commands(steps: int, lanes: int = 50, seed: int = 0) -> tuple[np.ndarray, list[list[str]]]:
-    source = RandomCommands(lanes, 2, np.random.default_rng(seed))
+def commands(steps: int, environments: int = 50, seed: int = 0) -> tuple[np.ndarray, list[list[str]]]:
+    source = RandomCommands(environments, 2, np.random.default_rng(seed))
     rows = [(source.next(), source.names()) for _ in range(steps)]
     return np.array([row[0] for row in rows]), [row[1] for row in rows]
 
@@ -91,7 +91,7 @@ def test_the_same_seed_gives_the_same_commands() -> None:
 def test_seconds_are_those_of_the_single_environment(tmp_path: Path) -> None:
     """One vehicle: J of each second is minus the sum of the rewards of `SaydEnv` under the same commands."""
     name = environment(tmp_path, episode_s=1.5)
-    result = soak(name, 450, lanes=1, seed=7)
+    result = soak(name, 450, environments=1, seed=7)
     env, source = SaydEnv(name), RandomCommands(1, 2, np.random.default_rng([7, 1]))
     expected = []
     for episode in range(3):
@@ -108,13 +108,13 @@ def test_seconds_are_those_of_the_single_environment(tmp_path: Path) -> None:
 
 def test_some_thousand_steps_with_everything_drawn(tmp_path: Path) -> None:
     name = environment(tmp_path, "faults", more="faults: {onset: {law: uniform, low: 0.0, high: 1.0}}\n")
-    result = soak(name, 4000, lanes=8, seed=3)
+    result = soak(name, 4000, environments=8, seed=3)
     assert result.failures == ""
     assert result.steps == 4000
     assert result.episodes == 8 * 3  # 200 steps each: the third begins at step 402 of a vehicle
     assert len(result.costs) == 8 * 5
     assert result.endings == {}
-    again = soak(name, 4000, lanes=8, seed=3, workers=1)
+    again = soak(name, 4000, environments=8, seed=3, workers=1)
     np.testing.assert_array_equal(again.costs, result.costs)
     conditions = {(second.seed, second.episode): second for second in result.worst}
     for (seed, episode), second in conditions.items():
@@ -130,7 +130,7 @@ def test_some_thousand_steps_with_everything_drawn(tmp_path: Path) -> None:
 
 def test_a_termination_is_counted_and_its_charge_left_out(tmp_path: Path) -> None:
     limits = "derailment: {quotient: 0.02, averaging: 0.5}\ntermination_cost: 1.0e+6\n"
-    result = soak(environment(tmp_path, more=limits), 200, lanes=4)
+    result = soak(environment(tmp_path, more=limits), 200, environments=4)
     assert list(result.endings) == ["derailment risk: mean Y/Q beyond its limit"]
     assert 4 <= result.episodes - 4 <= sum(result.endings.values()) <= result.episodes
     assert result.failures == ""
@@ -140,10 +140,10 @@ def test_a_termination_is_counted_and_its_charge_left_out(tmp_path: Path) -> Non
 
 
 def broken(monkeypatch: pytest.MonkeyPatch, at: int, how: Any) -> None:
-    """Let a fleet do something wrong in one of its steps."""
-    step, calls = Fleet.step, [0]
+    """Let a batch do something wrong in one of its steps."""
+    step, calls = EpisodeBatch.step, [0]
 
-    def wrong(self: Fleet, *arguments: Any, **keywords: Any) -> Any:
+    def wrong(self: EpisodeBatch, *arguments: Any, **keywords: Any) -> Any:
         calls[0] += 1
         if calls[0] == at:
             how(self, None)
@@ -152,32 +152,32 @@ def broken(monkeypatch: pytest.MonkeyPatch, at: int, how: Any) -> None:
             how(self, result)
         return result
 
-    monkeypatch.setattr(Fleet, "step", wrong)
+    monkeypatch.setattr(EpisodeBatch, "step", wrong)
 
 
-def nan_observation(_: Fleet, result: Any) -> None:
+def nan_observation(_: EpisodeBatch, result: Any) -> None:
     if result is not None:
         result[0][1, 3:5] = np.nan
 
 
-def far_observation(_: Fleet, result: Any) -> None:
+def far_observation(_: EpisodeBatch, result: Any) -> None:
     if result is not None:
         result[0][:, 40] = 1e4
 
 
-def infinite_reward(_: Fleet, result: Any) -> None:
+def infinite_reward(_: EpisodeBatch, result: Any) -> None:
     if result is not None:
         result[1][0] = -np.inf
 
 
-def nan_state(fleet: Fleet, result: Any) -> None:
+def nan_state(batch: EpisodeBatch, result: Any) -> None:
     if result is not None:
-        fleet.lanes.state.view(0).elongation[0] = np.nan
+        batch.vehicles.state.view(0).elongation[0] = np.nan
 
 
-def divergence(fleet: Fleet, result: Any) -> None:
+def divergence(batch: EpisodeBatch, result: Any) -> None:
     if result is None:
-        fleet.lanes.state.view(1).v[:] = np.nan
+        batch.vehicles.state.view(1).v[:] = np.nan
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_defects_are_seen(
     how: Any, defects: dict[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken(monkeypatch, 20, how)
-    result = soak(environment(tmp_path), 40, lanes=2)
+    result = soak(environment(tmp_path), 40, environments=2)
     found = {name: count for name, count in result.defects.items() if count}
     assert found.keys() == defects.keys()
     assert all(found[name] >= count for name, count in defects.items())
@@ -259,11 +259,11 @@ def test_bad_input_is_one_message(
 
 def test_no_vehicle_is_refused() -> None:
     with pytest.raises(ConfigError, match="0 vehicles"):
-        soak(steps=10, lanes=0)
+        soak(steps=10, environments=0)
 
 
 def test_no_whole_second_is_told_as_nothing(tmp_path: Path) -> None:
-    result = soak(environment(tmp_path), 20, lanes=2)
+    result = soak(environment(tmp_path), 20, environments=2)
     assert len(result.costs) == 0
     assert np.isnan(result.recommended)
     assert result.tables()["histogram"][1] == []

@@ -145,7 +145,7 @@ def whole_episodes(rate: float, episode: int, reset: float) -> float:
 
 
 def _episode_steps(env: Any) -> int:
-    steps: int = env.fleet.steps
+    steps: int = env.batch.steps
     return steps
 
 
@@ -175,15 +175,15 @@ class StepTimer:
         env = self.env
         env.reset()
         env.step(env.action_space.sample())  # finds the compiled loop of the new vehicle
-        lanes, calls, steps = env.unwrapped.fleet.lanes, [], []
-        loop = lanes._compiled  # looked into on purpose: what is outside it is the overhead
+        vehicles, calls, steps = env.unwrapped.batch.vehicles, [], []
+        loop = vehicles._compiled  # looked into on purpose: what is outside it is the overhead
 
         def timed(*arguments: Any) -> None:
             begin = time.perf_counter_ns()
             loop(*arguments)
             calls.append(time.perf_counter_ns() - begin)
 
-        lanes._compiled = timed
+        vehicles._compiled = timed
         try:
             for _ in range(self.pairs):
                 action = env.action_space.sample()
@@ -191,6 +191,6 @@ class StepTimer:
                 env.step(action)
                 steps.append(time.perf_counter_ns() - begin)
         finally:
-            lanes._compiled = loop
+            vehicles._compiled = loop
         self.compiled = 1e-3 * float(np.median(calls))
         return 1e-3 * float(np.median(np.subtract(steps, calls)))

@@ -48,7 +48,7 @@ class TrainingRates:
     """Steps of all vehicles together per second: ``environment``, `ALGORITHMS`, the same with `UNCAPPED`."""
     environment_share: dict[str, Spread]
     """Share of an algorithm's time that is the environment's (-); the rest is the learner's."""
-    lanes: dict[str, int]
+    vehicles: dict[str, int]
     """Vehicles side by side; ``environment`` has those of the first algorithm."""
     threads: dict[str, int]
     """Threads of the simulator, of torch, and of torch uncapped."""
@@ -58,7 +58,7 @@ class TrainingRates:
         return {
             **{name: spread.median for name, spread in self.rates.items()},
             "environment_share": {name: spread.median for name, spread in self.environment_share.items()},
-            "lanes": self.lanes,
+            "lanes": self.vehicles,
             "threads": self.threads,
         }
 
@@ -73,10 +73,10 @@ class TrainingRates:
     def label(self, name: str) -> str:
         """What a rate is called."""
         if name == ENVIRONMENT:
-            return f"training: environment alone, {self.lanes[name]} vehicles"
+            return f"training: environment alone, {self.vehicles[name]} vehicles"
         algorithm = name.removesuffix(UNCAPPED)
         torch = self.threads["torch_uncapped" if name.endswith(UNCAPPED) else "torch"]
-        return f"training: {algorithm.upper()}, {self.lanes[algorithm]} vehicles, torch on {torch}"
+        return f"training: {algorithm.upper()}, {self.vehicles[algorithm]} vehicles, torch on {torch}"
 
 
 def measure_training(
@@ -128,7 +128,8 @@ def measure_training(
     return TrainingRates(
         rates={name: Spread.of(measured[name]) for name in order if name in measured},
         environment_share={name: Spread.of(measured[name + SHARE]) for name in ALGORITHMS},
-        lanes={ENVIRONMENT: first.lanes} | {name: learner.lanes for name, learner in learners.items()},
+        vehicles={ENVIRONMENT: first.vehicles}
+        | {name: learner.vehicles for name, learner in learners.items()},
         threads={
             "simulator": threads,
             "torch": max(config.torch_threads for config in configs.values()),
@@ -169,7 +170,7 @@ class Learner:
         Of `agents.learning_env`.
     model
         The algorithm of Stable-Baselines3 on it.
-    lanes : int
+    vehicles : int
         Vehicles side by side.
     episode : int
         Control steps of an episode.
@@ -180,11 +181,11 @@ class Learner:
         The environment's share of the time in the last `rate`.
     """
 
-    def __init__(self, env: Any, model: Any, lanes: int, episode: int) -> None:
-        self.env, self.model, self.lanes = env, model, lanes
+    def __init__(self, env: Any, model: Any, vehicles: int, episode: int) -> None:
+        self.env, self.model, self.vehicles = env, model, vehicles
         self.clock = StepClock(env)
         self.share = float("nan")
-        self._networks = env.num_envs // lanes
+        self._networks = env.num_envs // vehicles
         self._episode = episode
         self._random = np.random.default_rng(0)
 
@@ -208,14 +209,14 @@ class Learner:
         """Steps of all vehicles per second with random actions and no learner, after the first `rate`."""
         env = self.env
         self.clock.clear()
-        for _ in range(-(-steps // self.lanes)):
+        for _ in range(-(-steps // self.vehicles)):
             actions = self._random.uniform(-1.0, 1.0, (env.num_envs, *env.action_space.shape))
             env.step(actions.astype(np.float32))
         return 1.0 / self._environment_s()
 
     def _environment_s(self) -> float:
         """Time of one vehicle's step, with its part of a reset (s)."""
-        seconds: float = (self.clock.step_s + self.clock.reset_s / self._episode) / self.lanes
+        seconds: float = (self.clock.step_s + self.clock.reset_s / self._episode) / self.vehicles
         return seconds
 
 

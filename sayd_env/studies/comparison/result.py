@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sayd_env.config.comparison import ComparisonConfig
-from sayd_env.config.frozen import frozen
+from sayd_env.config.fingerprint import fingerprint
 from sayd_env.config.units import Array
 from sayd_env.studies.comparison.entrants import PAPER, Contestant
 from sayd_env.studies.comparison.grid import (
@@ -116,7 +116,7 @@ class Comparison:
             "best_constant": self._bound_dict(),
             "matrix": {each.name: self._matrix(each) for each in self.contestants},
             "learned": self.learned,
-            "frozen": frozen(self.grid.scenario, self.grid.environment),
+            "frozen": fingerprint(self.grid.scenario, self.grid.environment),
             "quick": self.quick,
         }
 

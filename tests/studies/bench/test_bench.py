@@ -142,11 +142,11 @@ def test_training_stands_beside_the_rest(result: BenchResult) -> None:
         name: Spread.of([rate]) for name, rate in (("environment", 900.0), ("ppo", 300.0), ("sac", 100.0))
     }
     shares = {"ppo": Spread.of([0.25]), "sac": Spread.of([0.5])}
-    lanes, threads = (
+    vehicles, threads = (
         {"environment": 32, "ppo": 32, "sac": 8},
         {"simulator": 2, "torch": 1, "torch_uncapped": 2},
     )
-    trained = replace(result, training=TrainingRates(rates, shares, lanes, threads))
+    trained = replace(result, training=TrainingRates(rates, shares, vehicles, threads))
     content = json.loads(json_text(document(trained, result.scenario, None)))["training"]
     assert [content[name] for name in ("environment", "ppo", "sac")] == [900.0, 300.0, 100.0]
     assert content["environment_share"] == {"ppo": 0.25, "sac": 0.5}
@@ -247,8 +247,8 @@ def test_overhead_is_what_is_outside_the_compiled_call(monkeypatch: pytest.Monke
 
     class Known:
         def __init__(self) -> None:
-            self.lanes = SimpleNamespace(_compiled=lambda: busy(2e-3))
-            self.fleet = SimpleNamespace(steps=1000, lanes=self.lanes)
+            self.vehicles = SimpleNamespace(_compiled=lambda: busy(2e-3))
+            self.batch = SimpleNamespace(steps=1000, vehicles=self.vehicles)
             self.action_space = SimpleNamespace(sample=lambda: busy(3e-3))
             self.unwrapped = self
 
@@ -257,15 +257,15 @@ def test_overhead_is_what_is_outside_the_compiled_call(monkeypatch: pytest.Monke
 
         def step(self, _: Any) -> None:
             busy(0.5e-3)
-            self.lanes._compiled()
+            self.vehicles._compiled()
             busy(0.5e-3)
 
     env = Known()
-    loop = env.lanes._compiled
+    loop = env.vehicles._compiled
     timer = StepTimer(env, 15)
     assert timer.overhead() == pytest.approx(1000.0)
     assert timer.compiled == pytest.approx(2000.0)
-    assert env.lanes._compiled is loop
+    assert env.vehicles._compiled is loop
 
 
 def test_yardstick_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from sayd_env.agents.config import load_train
 from sayd_env.studies.bench import training as bench_training
 from sayd_env.studies.bench.training import Learner, TrainingEffort, measure_training
 
-LANES, NETWORKS, EPISODE = 4, 2, 100
+VEHICLES, NETWORKS, EPISODE = 4, 2, 100
 
 
 class Clock:
@@ -29,7 +29,7 @@ class Clock:
 class Environment:
     """2 ms for a step, 50 ms for one in which episodes end, 40 ms for a reset."""
 
-    num_envs = LANES * NETWORKS
+    num_envs = VEHICLES * NETWORKS
     action_space = SimpleNamespace(shape=(1,))
 
     def __init__(self, clock: Clock) -> None:
@@ -69,15 +69,15 @@ def learner(monkeypatch: pytest.MonkeyPatch) -> Learner:
     monkeypatch.setattr(bench_training, "time", clock)
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(set_num_threads=lambda n: None))
     env = Environment(clock)
-    return Learner(env, Model(clock, env), LANES, EPISODE)
+    return Learner(env, Model(clock, env), VEHICLES, EPISODE)
 
 
 def test_rates_are_those_over_whole_episodes(learner: Learner) -> None:
     """A step of 4 vehicles is 2 ms, its part of a reset 40 / 100 ms, the learner's 3 ms."""
     for _ in range(3):  # where episodes end in the window does not show
-        assert learner.rate(60, 1) == pytest.approx(LANES / 5.4e-3)
+        assert learner.rate(60, 1) == pytest.approx(VEHICLES / 5.4e-3)
         assert learner.share == pytest.approx(2.4 / 5.4)
-    assert learner.random_steps(60) == pytest.approx(LANES / 2.4e-3)
+    assert learner.random_steps(60) == pytest.approx(VEHICLES / 2.4e-3)
 
 
 def test_torch_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison import compare as module
 from sayd_env.studies.comparison.compare import CompareResult, compare, fewer
 from sayd_env.studies.comparison.entrants import Contestant, contestants
-from sayd_env.studies.comparison.grid import OWN, ScenarioGrid, Keeper, Variant, constant
+from sayd_env.studies.comparison.grid import OWN, Keeper, ScenarioGrid, Variant, constant
 from sayd_env.studies.comparison.scores import Stability
 
 ENVIRONMENT = "base: randomized\nepisode_s: 4.0\n"

@@ -15,7 +15,7 @@ from sayd_env.config.control import load_controller
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.tuning import ControllerTuning, TuningConfig, load_tuning
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.fleet import Fleet
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.rollout import roll_out
 from sayd_env.runs.evaluator import Proving
@@ -183,12 +183,12 @@ def test_j_is_that_of_the_rollout_evaluator():
     costs, derailed = proving.costs(spec)
     assert derailed == 0
     config, scenario = configured("training", episode_s=2.0)
-    fleet = Fleet(config, 2, scenario=scenario, num_threads=1)
+    batch = EpisodeBatch(config, 2, scenario=scenario, num_threads=1)
     episodes = [
         draw_episode(config, s.seed, 0, s.model_dump(exclude={"seed"}) | {"initial_current": 0.0})
         for s in settings.scenarios
     ]
-    runs = roll_out(fleet, spec.make(fleet), episodes, [200, 200])
+    runs = roll_out(batch, spec.make(batch), episodes, [200, 200])
     weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
     assert costs == pytest.approx([np.dot(weights, run.cost(2.0)) for run in runs], rel=1e-9)
     assert not np.array_equal(proving.costs(policy_spec("mppt2"))[0], costs)
@@ -224,7 +224,7 @@ def test_a_tuning_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFi
     assert list(content["J"]) == ["passive", "constant", "constant-tuned"]
     spec = policy_spec(str(out / "constant-tuned.yaml"))
     assert spec.title == "constant-tuned@out"
-    policy = spec.make(Fleet(configured("training")[0], 1, num_threads=1))
+    policy = spec.make(EpisodeBatch(configured("training")[0], 1, num_threads=1))
     action, _ = policy.predict(np.zeros((1, 41), dtype=np.float32))
     assert np.array_equal(action, np.full((1, 2), content["gains"]["current"], dtype=np.float32))
 

@@ -1,4 +1,4 @@
-"""A fleet: vehicles that run episodes side by side, as an environment's configuration says.
+"""Vehicles that run episodes side by side, as an environment's configuration says.
 
 What single environment, batch environment and rollout evaluator share: from an episode that was drawn to
 vehicles under control, from policies' actions to valve commands, from signals to observations, rewards and
@@ -29,10 +29,17 @@ from sayd_env.envs.faults import FaultSchedule
 from sayd_env.envs.interface import ACTIONS, BOGIES, Interface, RunIn, Signal
 from sayd_env.envs.interface import DAMPERS as OF_A_BOGIE
 from sayd_env.envs.interface import POINTS as OF_A_FRAME
-from sayd_env.envs.lanes import Lanes, LaneState
 from sayd_env.envs.loop import CLIMBED, NOT_FINITE, OVERLOADED, RUNNING
 from sayd_env.envs.trace import DAMPERS
-from sayd_env.envs.vehicle import Lane, LoopSettings, SensorErrors, make_lane, model_limits, on_line_band
+from sayd_env.envs.vehicle import (
+    LoopSettings,
+    SensorErrors,
+    Vehicle,
+    make_vehicle,
+    model_limits,
+    on_line_band,
+)
+from sayd_env.envs.vehicle_batch import VehicleBatch, VehicleState
 from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.simulator import RUN_OUT, VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation, realise
@@ -47,15 +54,15 @@ ENDINGS = {
     OVERLOADED: "derailment risk: mean Y/Q beyond its limit",
     NOT_FINITE: "non-finite: the simulation diverged",
 }
-"""What a lane's status means."""
+"""What a vehicle's status means."""
 
 
 @dataclass(frozen=True, eq=False)
-class VehicleState:
-    """All of one vehicle of a fleet at an instant."""
+class EpisodeState:
+    """All of one vehicle of a batch at an instant."""
 
     config: EnvironmentConfig
-    lane: LaneState
+    vehicle: VehicleState
     episode: Episode | None
     elapsed: int
     limits: Limits
@@ -64,7 +71,7 @@ class VehicleState:
     history: Observation
 
 
-class Fleet:
+class EpisodeBatch:
     """Vehicles that run episodes.
 
     Parameters
@@ -76,7 +83,7 @@ class Fleet:
     scenario : Scenario, optional
         The scenario in place of the one that the configuration names.
     num_threads : int, optional
-        Threads, as in `Lanes`.
+        Threads, as in `VehicleBatch`.
 
     Raises
     ------
@@ -120,7 +127,7 @@ class Fleet:
         self._model = VehicleModel(self.scenario)
         self._band = on_line_band(self._model, self.settings)
         self._num_threads = None if num_threads is None else checked_threads(num_threads)
-        self._lanes: Lanes | None = None
+        self._vehicles: VehicleBatch | None = None
         self._faults: list[FaultSchedule | None] = [None] * count
         self.limits = [model_limits(self._model)] * count
         self._low = np.array([signal.low for signal in self.interface.signals])
@@ -134,7 +141,7 @@ class Fleet:
         self.heard: RunIn | None = None
 
     @property
-    def lanes(self) -> Lanes:
+    def vehicles(self) -> VehicleBatch:
         """The vehicles under control.
 
         Raises
@@ -142,9 +149,9 @@ class Fleet:
         ConfigError
             Before the first reset.
         """
-        if self._lanes is None:
+        if self._vehicles is None:
             raise ConfigError("step before reset: call reset first")
-        return self._lanes
+        return self._vehicles
 
     def reset(
         self,
@@ -163,7 +170,7 @@ class Fleet:
         episodes : sequence of Episode
             One for each of these.
         log : bool
-            Return the true signals of the run-in, as `Lanes.run_in` does.
+            Return the true signals of the run-in, as `VehicleBatch.run_in` does.
         listen : bool
             Keep the observations of the run-in in `heard`.
 
@@ -173,17 +180,17 @@ class Fleet:
             An episode that cannot be, such as a speed beyond the vehicle's.
         """
         models = [self._model_of(episode) for episode in episodes]
-        built = [self._lane(model, episode) for model, episode in zip(models, episodes, strict=True)]
-        if self._lanes is None:
+        built = [self._vehicle(model, episode) for model, episode in zip(models, episodes, strict=True)]
+        if self._vehicles is None:
             if sorted(which) != list(range(self.count)):
                 raise ConfigError("the first reset must be one of all vehicles")
             ordered = [built[list(which).index(i)] for i in range(self.count)]
-            self._lanes = Lanes(self.settings, self._band, ordered, self._num_threads)
+            self._vehicles = VehicleBatch(self.settings, self._band, ordered, self._num_threads)
         else:
-            for i, lane in zip(which, built, strict=True):
-                self._lanes.put(i, lane)
-        self.heard = self._prepared(self._lanes, which) if listen else None
-        logs = self._lanes.run_in(which, log=log, hear=self._hear if listen else None)
+            for i, vehicle in zip(which, built, strict=True):
+                self._vehicles.put(i, vehicle)
+        self.heard = self._prepared(self._vehicles, which) if listen else None
+        logs = self._vehicles.run_in(which, log=log, hear=self._hear if listen else None)
         for i, model, episode in zip(which, models, episodes, strict=True):
             self.episodes[i] = episode
             self.limits[i] = model_limits(model)
@@ -194,10 +201,10 @@ class Fleet:
         self._observe(which, fresh=True)
         return logs
 
-    def _prepared(self, lanes: Lanes, which: Sequence[int]) -> RunIn:
+    def _prepared(self, vehicles: VehicleBatch, which: Sequence[int]) -> RunIn:
         """Room for the observations of a run-in."""
         periods = np.zeros(self.count, dtype=np.int64)
-        periods[list(which)] = [lanes.lane(i).run_in for i in which]
+        periods[list(which)] = [vehicles.vehicle(i).run_in for i in which]
         longest = int(periods.max())
         shape = (longest, self.count, len(self.interface.signals))
         return RunIn(np.zeros(shape, dtype=np.float32), longest - periods)
@@ -207,8 +214,8 @@ class Fleet:
         assert self.heard is not None  # the reset has made it
         self.heard.observations[period] = np.nan_to_num(self._newest())
 
-    def _lane(self, model: VehicleModel, episode: Episode) -> Lane:
-        return make_lane(
+    def _vehicle(self, model: VehicleModel, episode: Episode) -> Vehicle:
+        return make_vehicle(
             model,
             episode.speed,
             self._track(model, episode),
@@ -260,15 +267,15 @@ class Fleet:
             Minus the mean of the bogies' J over the period, and minus the charge for a termination.
         terminated, truncated : ndarray of bool, shape (count,)
         """
-        lanes = self.lanes
+        vehicles = self.vehicles
         running = self._running(active)
         np.asarray(actions, dtype=np.float64).take(self._valve, axis=1, out=self._commanded)
-        lanes.step(self._commanded, log=log, active=active)
+        vehicles.step(self._commanded, log=log, active=active)
         self.elapsed += running
         truncated = self.elapsed >= self.steps
-        terminated = lanes.status != RUNNING
+        terminated = vehicles.status != RUNNING
         ended = np.count_nonzero(terminated)
-        rewards = lanes.rewards.copy()
+        rewards = vehicles.rewards.copy()
         if ended or active is not None:
             rewards[~running] = 0.0
             truncated &= ~terminated
@@ -282,7 +289,7 @@ class Fleet:
 
     def _running(self, active: Flags | None) -> Flags:
         """Vehicles that run in a step."""
-        running: Flags = self.lanes.status == RUNNING
+        running: Flags = self.vehicles.status == RUNNING
         return running if active is None else running & active
 
     def _to_charge(self, terminated: Flags, running: Flags, active: Flags | None) -> list[int]:
@@ -294,7 +301,7 @@ class Fleet:
     def _last_reward(self, i: int) -> float:
         """Reward of the period in which a run ended, with the charge for the rest of the episode."""
         remaining = self.config.episode_s - self.elapsed[i] * self.config.control_period
-        last = float(self.lanes.rewards[i]) if self.elapsed[i] else 0.0
+        last = float(self.vehicles.rewards[i]) if self.elapsed[i] else 0.0
         charge = charge_a_second(self.config, self.scenario.cost) * float(remaining)
         return (last if math.isfinite(last) else 0.0) - charge
 
@@ -304,15 +311,15 @@ class Fleet:
 
     def dominant_frequency(self) -> Array:
         """f_0 of the on-line filter of each bogie, a new array of shape (count, BOGIES), Hz."""
-        lanes = self.lanes
-        found: Array = lanes.band.frequency[lanes.choice()]
+        vehicles = self.vehicles
+        found: Array = vehicles.band.frequency[vehicles.choice()]
         return found
 
-    def get_state(self, i: int) -> VehicleState:
+    def get_state(self, i: int) -> EpisodeState:
         """All of a vehicle and its episode, as copies; it can be pickled."""
-        return VehicleState(
+        return EpisodeState(
             config=self.config,
-            lane=self.lanes.get_state(i),
+            vehicle=self.vehicles.get_state(i),
             episode=self.episodes[i],
             elapsed=int(self.elapsed[i]),
             limits=self.limits[i],
@@ -320,7 +327,7 @@ class Fleet:
             history=self._history[i].copy(),
         )
 
-    def set_state(self, states: Sequence[VehicleState]) -> None:
+    def set_state(self, states: Sequence[EpisodeState]) -> None:
         """Put all vehicles back to states of these or of others of the same environment.
 
         Raises
@@ -332,11 +339,11 @@ class Fleet:
             raise ConfigError(f"state: found one of {len(states)} vehicles; expected {self.count}")
         if any(state.config != self.config for state in states):
             raise ConfigError("state: found one of another environment; expected one of equal configuration")
-        if self._lanes is None:
-            lanes = [state.lane.lane for state in states]
-            self._lanes = Lanes(self.settings, self._band, lanes, self._num_threads)
+        if self._vehicles is None:
+            vehicles = [state.vehicle.built for state in states]
+            self._vehicles = VehicleBatch(self.settings, self._band, vehicles, self._num_threads)
         for i, state in enumerate(states):
-            self._lanes.set_state(i, state.lane)
+            self._vehicles.set_state(i, state.vehicle)
             self.episodes[i] = state.episode
             self.elapsed[i] = state.elapsed
             self.limits[i] = state.limits
@@ -346,17 +353,17 @@ class Fleet:
 
     def ending(self, i: int) -> str:
         """Why a vehicle's episode was terminated."""
-        return ENDINGS[int(self.lanes.status[i])]
+        return ENDINGS[int(self.vehicles.status[i])]
 
     def _strike(self, i: int) -> None:
         """Let the faults happen whose time has come."""
         schedule = self._faults[i]
         if schedule is not None:
-            schedule.apply(self.elapsed[i] * self.config.control_period, self.lanes, i)
+            schedule.apply(self.elapsed[i] * self.config.control_period, self.vehicles, i)
 
     def _newest(self) -> Array:
         """The signals or features of the last period within their ranges: scratch, shape (count, numbers)."""
-        newest = self.lanes.features if self.settings.features else self.lanes.signals
+        newest = self.vehicles.features if self.settings.features else self.vehicles.signals
         np.maximum(newest, self._low, out=self._bounded)
         bounded: Array = np.minimum(self._bounded, self._high, out=self._bounded)
         return bounded
@@ -366,11 +373,11 @@ class Fleet:
 
         Where a run diverged, the observation of the period before stays: nothing but numbers gets out.
         """
-        lanes = self.lanes
+        vehicles = self.vehicles
         values = self._newest()
         rows: Any = slice(None) if len(which) == self.count else np.asarray(which, dtype=np.intp)
-        if np.count_nonzero(lanes.status):
-            rows = np.array([i for i in which if lanes.status[i] != NOT_FINITE], dtype=np.intp)
+        if np.count_nonzero(vehicles.status):
+            rows = np.array([i for i in which if vehicles.status[i] != NOT_FINITE], dtype=np.intp)
         if self.config.observation != "history":
             self._history[rows] = values[rows]
         elif fresh:

@@ -1,7 +1,7 @@
-"""Laws of random numbers, as data.
+"""Distributions of random numbers, as data.
 
-Every law makes its number from one uniform number u in [0, 1) by the inverse of its distribution function, so
-that a law which is exchanged for another one leaves all other draws as they are.
+Each makes its number from one uniform number u in [0, 1) by the inverse of its distribution function, so that
+one which is exchanged for another leaves all other draws as they are.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sayd_env.config.base import Model, Number
 Array = npt.NDArray[np.float64]
 
 
-class FixedLaw(Model):
+class FixedDistribution(Model):
     """Always the same number."""
 
     law: Literal["fixed"]
@@ -34,7 +34,7 @@ class FixedLaw(Model):
         return np.full(np.shape(u), self.value)
 
 
-class UniformLaw(Model):
+class UniformDistribution(Model):
     """All numbers between two limits alike, or those of a grid between them."""
 
     law: Literal["uniform"]
@@ -45,7 +45,7 @@ class UniformLaw(Model):
     )
 
     @model_validator(mode="after")
-    def _ordered(self) -> UniformLaw:
+    def _ordered(self) -> UniformDistribution:
         if self.low > self.high:
             raise ValueError(f"low ({self.low:g}) must not exceed high ({self.high:g})")
         width = self.high - self.low
@@ -69,7 +69,7 @@ class UniformLaw(Model):
         return np.asarray(np.round(values, 12))  # 0.15, as one would write it
 
 
-class NormalLaw(Model):
+class NormalDistribution(Model):
     """The normal distribution, cut off at two limits."""
 
     law: Literal["normal"]
@@ -79,7 +79,7 @@ class NormalLaw(Model):
     high: Number = Field(description="Largest number")
 
     @model_validator(mode="after")
-    def _ordered(self) -> NormalLaw:
+    def _ordered(self) -> NormalDistribution:
         if not self.low < self.high:
             raise ValueError(f"low ({self.low:g}) must be below high ({self.high:g})")
         if not self.low <= self.mean <= self.high:
@@ -99,7 +99,7 @@ class NormalLaw(Model):
         return np.asarray(np.clip(values, self.low, self.high))
 
 
-class ChoiceLaw(Model):
+class ChoiceDistribution(Model):
     """One of several numbers."""
 
     law: Literal["choice"]
@@ -109,7 +109,7 @@ class ChoiceLaw(Model):
     )
 
     @model_validator(mode="after")
-    def _weighted(self) -> ChoiceLaw:
+    def _weighted(self) -> ChoiceDistribution:
         if self.weights is not None and len(self.weights) != len(self.values):
             raise ValueError(f"{len(self.values)} values need as many weights, found {len(self.weights)}")
         if self.weights is not None and sum(self.weights) == 0.0:
@@ -127,7 +127,10 @@ class ChoiceLaw(Model):
         return np.array(self.values)[chosen(weights, u)]
 
 
-Law = Annotated[FixedLaw | UniformLaw | NormalLaw | ChoiceLaw, Field(discriminator="law")]
+Distribution = Annotated[
+    FixedDistribution | UniformDistribution | NormalDistribution | ChoiceDistribution,
+    Field(discriminator="law"),
+]
 
 
 def chosen(weights: tuple[float, ...], u: npt.ArrayLike) -> npt.NDArray[np.intp]:

@@ -7,25 +7,32 @@ import pytest
 from scipy import stats
 
 from sayd_env.config import ConfigError, Model, validate
-from sayd_env.config.law import ChoiceLaw, FixedLaw, Law, NormalLaw, UniformLaw, chosen
+from sayd_env.config.distribution import (
+    ChoiceDistribution,
+    Distribution,
+    FixedDistribution,
+    NormalDistribution,
+    UniformDistribution,
+    chosen,
+)
 
 U = (np.arange(100_000) + 0.5) / 100_000
 """Mid-points: their means are integrals over u, to about 1e-9."""
 
 
 class Holder(Model):
-    law: Law
+    law: Distribution
 
 
 def test_a_fixed_law_has_one_number_of_any_shape():
-    law = FixedLaw(law="fixed", value=0.3)
+    law = FixedDistribution(law="fixed", value=0.3)
     assert law.bounds == (0.3, 0.3)
     np.testing.assert_array_equal(law.at(np.zeros((2, 3))), np.full((2, 3), 0.3))
     assert float(law.at(0.7)) == 0.3
 
 
 def test_a_uniform_law_has_the_moments_of_the_uniform_distribution():
-    values = UniformLaw(law="uniform", low=200.0, high=400.0).at(U)
+    values = UniformDistribution(law="uniform", low=200.0, high=400.0).at(U)
     assert values.min() >= 200.0
     assert values.max() <= 400.0
     assert values.mean() == pytest.approx(300.0, rel=1e-9)
@@ -33,14 +40,14 @@ def test_a_uniform_law_has_the_moments_of_the_uniform_distribution():
 
 
 def test_a_grid_has_its_ends_and_all_its_numbers_alike():
-    values = UniformLaw(law="uniform", low=0.0, high=1.0, step=0.05).at(U)
+    values = UniformDistribution(law="uniform", low=0.0, high=1.0, step=0.05).at(U)
     found, counts = np.unique(values, return_counts=True)
     np.testing.assert_array_equal(found, [round(0.05 * k, 2) for k in range(21)])
     np.testing.assert_allclose(counts, len(U) / 21, atol=1.0)
 
 
 def test_a_cut_normal_law_has_the_moments_of_the_truncated_normal_distribution():
-    law = NormalLaw(law="normal", mean=1.0, deviation=0.075, low=0.9, high=1.225)
+    law = NormalDistribution(law="normal", mean=1.0, deviation=0.075, low=0.9, high=1.225)
     values = law.at(U)
     exact = stats.truncnorm((0.9 - 1.0) / 0.075, (1.225 - 1.0) / 0.075, loc=1.0, scale=0.075)
     assert (values.min() >= 0.9, values.max() <= 1.225) == (True, True)
@@ -50,10 +57,10 @@ def test_a_cut_normal_law_has_the_moments_of_the_truncated_normal_distribution()
 
 
 def test_a_choice_comes_as_often_as_its_weight_says():
-    values = ChoiceLaw(law="choice", values=(3.0, 1.0, 2.0), weights=(5.0, 0.0, 15.0)).at(U)
+    values = ChoiceDistribution(law="choice", values=(3.0, 1.0, 2.0), weights=(5.0, 0.0, 15.0)).at(U)
     assert np.mean(values == 3.0) == pytest.approx(0.25, abs=1e-5)
     assert np.mean(values == 2.0) == pytest.approx(0.75, abs=1e-5)
-    alike = ChoiceLaw(law="choice", values=(1.0, 2.0, 4.0)).at(U)
+    alike = ChoiceDistribution(law="choice", values=(1.0, 2.0, 4.0)).at(U)
     assert np.mean(alike) == pytest.approx(7.0 / 3.0, abs=1e-4)
 
 

@@ -46,7 +46,7 @@ class Readings:
     """Of the accelerations, front and rear in turn; None for features."""
 
 
-class Meter(ABC):
+class RmsMeter(ABC):
     """Measures n vehicles, two bogies each.
 
     Attributes
@@ -60,21 +60,21 @@ class Meter(ABC):
 
     def begin(self, rows: Array) -> Readings:
         """Make meters of vehicles whose episodes begin with these readings, which are not yet measured."""
-        lanes = len(rows)
+        vehicles = len(rows)
         return Readings(
-            count=np.full(lanes, -1, dtype=np.int64),
-            rms=np.zeros((lanes, 2, 2)),
-            squares=np.zeros((lanes, 2, 2)),
-            sample=np.empty(2 * lanes),
-            filtered=np.empty(2 * lanes),
+            count=np.full(vehicles, -1, dtype=np.int64),
+            rms=np.zeros((vehicles, 2, 2)),
+            squares=np.zeros((vehicles, 2, 2)),
+            sample=np.empty(2 * vehicles),
+            filtered=np.empty(2 * vehicles),
             filters=self._filters(rows),
         )
 
-    def restart(self, readings: Readings, rows: Array, lane: int) -> None:
+    def restart(self, readings: Readings, rows: Array, vehicle: int) -> None:
         """Put one vehicle's meters back to the begin of an episode."""
-        readings.count[lane] = -1
-        readings.squares[lane] = 0.0
-        self._restart_filters(readings, rows, lane)
+        readings.count[vehicle] = -1
+        readings.squares[vehicle] = 0.0
+        self._restart_filters(readings, rows, vehicle)
 
     @abstractmethod
     def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
@@ -109,11 +109,11 @@ class Meter(ABC):
         """Make filters at rest."""
 
     @abstractmethod
-    def _restart_filters(self, readings: Readings, rows: Array, lane: int) -> None:
+    def _restart_filters(self, readings: Readings, rows: Array, vehicle: int) -> None:
         """Put one vehicle's filters to rest."""
 
 
-def meter(name: str, interface: Interface, parameters: BogieCostConfig) -> Meter:
+def make_rms_meter(name: str, interface: Interface, parameters: BogieCostConfig) -> RmsMeter:
     """Make the meter that fits an environment's observation.
 
     Raises
@@ -121,11 +121,11 @@ def meter(name: str, interface: Interface, parameters: BogieCostConfig) -> Meter
     ConfigError
         Control periods too long for the band, or passive dampers where a force is to be measured.
     """
-    kind = FeatureMeter if interface.observation == "features" else SignalMeter
+    kind = FeatureRmsMeter if interface.observation == "features" else SignalRmsMeter
     return kind(name, interface, parameters)
 
 
-class FeatureMeter(Meter):
+class FeatureRmsMeter(RmsMeter):
     """Reads the RMS values that the environment has measured."""
 
     def __init__(self, name: str, interface: Interface, parameters: BogieCostConfig) -> None:
@@ -154,11 +154,11 @@ class FeatureMeter(Meter):
     def _filters(self, rows: Array) -> None:
         return None
 
-    def _restart_filters(self, readings: Readings, rows: Array, lane: int) -> None:
+    def _restart_filters(self, readings: Readings, rows: Array, vehicle: int) -> None:
         pass
 
 
-class SignalMeter(Meter):
+class SignalRmsMeter(RmsMeter):
     """Filters and squares sensor signals at the control rate."""
 
     def __init__(self, name: str, interface: Interface, parameters: BogieCostConfig) -> None:
@@ -204,18 +204,18 @@ class SignalMeter(Meter):
 
     def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
         """Fill the filters and the spectra behind f_0."""
-        filters, lanes = readings.filters, len(begins)
+        filters, vehicles = readings.filters, len(begins)
         assert filters is not None  # for signals there are some
         # A speed sensor rises slowly to its reading: the length of the spectrum is that of the last one.
-        speeds = self._speed(rows[-1, :, 0]) if len(rows) else np.zeros(lanes)
+        speeds = self._speed(rows[-1, :, 0]) if len(rows) else np.zeros(vehicles)
         for t, row in enumerate(rows):
-            for lane in np.flatnonzero(begins == t):
-                self._rest(filters, int(lane), float(speeds[lane]))
+            for vehicle in np.flatnonzero(begins == t):
+                self._rest(filters, int(vehicle), float(speeds[vehicle]))
             readings.sample[:] = readable(row[:, 1:3].reshape(-1))
             push(self._band, filters, readings.sample, readings.filtered)
 
-    def _rest(self, filters: BandState, lane: int, speed: float) -> None:
-        for group in (2 * lane, 2 * lane + 1):
+    def _rest(self, filters: BandState, vehicle: int, speed: float) -> None:
+        for group in (2 * vehicle, 2 * vehicle + 1):
             restart(self._band, filters, self._rate, self._assessment, group, speed)
 
     def _filters(self, rows: Array) -> BandState:
@@ -224,10 +224,10 @@ class SignalMeter(Meter):
         groups = len(speed)
         return band_state(self._band, self._rate, self._assessment, speed, groups, groups, self._slowest)
 
-    def _restart_filters(self, readings: Readings, rows: Array, lane: int) -> None:
-        (speed,) = self._speed(rows[lane : lane + 1, 0])
+    def _restart_filters(self, readings: Readings, rows: Array, vehicle: int) -> None:
+        (speed,) = self._speed(rows[vehicle : vehicle + 1, 0])
         assert readings.filters is not None
-        self._rest(readings.filters, lane, float(speed))
+        self._rest(readings.filters, vehicle, float(speed))
 
     def _speed(self, readings: Array) -> Array:
         """Speeds that the filters accept, whatever a broken sensor says."""
@@ -271,14 +271,14 @@ def _measure(
 
     A vehicle whose second ends keeps `period` as its count until the next call.
     """
-    lanes, some = rows.shape[0], False
-    for i in range(lanes):
+    vehicles, some = rows.shape[0], False
+    for i in range(vehicles):
         for b in range(2):
             # What is no number would stay in the filter.
             value = rows[i, 1 + b]
             sample[2 * i + b] = value if math.isfinite(value) else 0.0
     push(constants, filters, sample, filtered)
-    for i in range(lanes):
+    for i in range(vehicles):
         count[i] = count[i] + 1 if count[i] < period else 1
         if count[i] == 0:
             for b in range(2):

@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 
-class RunningValues:
+class SlidingRms:
     """Sliding RMS of one vehicle's accelerations and track shift forces.
 
     The accelerations are those behind the on-line filter of the cost. The track shift forces go through a

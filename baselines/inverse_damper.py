@@ -47,7 +47,7 @@ class _Tables(NamedTuple):
     and that of the table's first row."""
 
 
-class Characteristic:
+class InverseDamper:
     """Quasi-static characteristic of a semi-active damper, solved for the current.
 
     At a constant stroke rate v the flows balance: A v = Q(p_A - p_B, i) + Q_tank(p_A). A wanted force gives

@@ -13,7 +13,7 @@ from sayd_env.config.loader import packaged_names
 from sayd_env.config.scenario import Scenario
 
 
-def frozen(scenario: Scenario, environment: EnvironmentConfig) -> dict[str, Any]:
+def fingerprint(scenario: Scenario, environment: EnvironmentConfig) -> dict[str, Any]:
     """SHA-256 of everything that two results must share to be comparable.
 
     Parameters
@@ -26,7 +26,7 @@ def frozen(scenario: Scenario, environment: EnvironmentConfig) -> dict[str, Any]
     -------
     dict
         ``plant``: vehicle, both kinds of damper, wheels, rails, track, contact, integration, assessment;
-        ``environment``: sensors, clock, laws of what is drawn, charge for a derailment; ``weights``: of J;
+        ``environment``: sensors, clock, what is drawn, charge for a derailment; ``weights``: of J;
         ``controllers``: each file of configs/control; ``sha256``: all of them together.
     """
     plant = scenario.model_dump(mode="json", exclude={"cost", "description", "provenance"})

@@ -8,8 +8,8 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from sayd_env.baselines.meter import CURRENTS, Readings, meter
 from sayd_env.baselines.policy import Array, BogiePolicy
+from sayd_env.baselines.rms_meter import CURRENTS, Readings, make_rms_meter
 
 from sayd_env.config.control import BogieCostConfig
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface, RunIn
@@ -30,11 +30,11 @@ class Search:
     """(n, 2) of the last move of V, +1 or -1; only of controllers that remember it."""
 
 
-class Minimiser(BogiePolicy[CostParameters, Search]):
+class ExtremumSeeking(BogiePolicy[CostParameters, Search]):
     """A controller that changes its bogie's command once a second, by J of eq. (27)."""
 
     def __init__(self, name: str, interface: Interface, parameters: CostParameters) -> None:
-        self._meter = meter(name, interface, parameters)
+        self._meter = make_rms_meter(name, interface, parameters)
         self._reads_currents = parameters.initial is None
         sensors = self._meter.sensors + (CURRENTS if self._reads_currents else ())
         super().__init__(name, interface, parameters, sensors)
@@ -77,7 +77,7 @@ class Minimiser(BogiePolicy[CostParameters, Search]):
     def _first_direction(self) -> float:
         return -1.0
 
-    def _lanes(self, state: Search) -> int:
+    def _count(self, state: Search) -> int:
         return len(state.command)
 
     def _begin(self, rows: Array) -> Search:
@@ -88,12 +88,12 @@ class Minimiser(BogiePolicy[CostParameters, Search]):
             direction=np.full((len(rows), 2), self._first_direction()),
         )
 
-    def _restart(self, state: Search, rows: Array, lanes: npt.NDArray[np.intp]) -> None:
-        for lane in lanes:
-            self._meter.restart(state.readings, rows, int(lane))
-        state.command[lanes] = self._initial(rows[lanes])
-        state.cost[lanes] = np.nan
-        state.direction[lanes] = self._first_direction()
+    def _restart(self, state: Search, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
+        for vehicle in vehicles:
+            self._meter.restart(state.readings, rows, int(vehicle))
+        state.command[vehicles] = self._initial(rows[vehicles])
+        state.cost[vehicles] = np.nan
+        state.direction[vehicles] = self._first_direction()
 
     def _initial(self, rows: Array) -> Array:
         if self.parameters.initial is not None:

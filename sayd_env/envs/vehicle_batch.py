@@ -1,7 +1,7 @@
-"""Vehicles under control, many at once: each lane is one vehicle on its track with its sensors and its cost.
+"""Vehicles under control, many at once: each on its track, with its sensors and its cost.
 
-The Python face of the compiled control loop. A lane's results are the same bits alone and among others, for
-any number of threads. (In compiled code `lanes` are the places of vehicles side by side: `physics.rows`.)
+The Python face of the compiled control loop. A vehicle's results are the same bits alone and among others,
+for any number of threads.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sayd_env.envs.loop import (
     run_units_in_parallel,
 )
 from sayd_env.envs.trace import DAMPERS, TRACE
-from sayd_env.envs.vehicle import Lane, LoopSettings
+from sayd_env.envs.vehicle import LoopSettings, Vehicle
 from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.formation import Formation
 from sayd_env.physics.plant import State
@@ -51,10 +51,10 @@ RESULTS = ("command", "trace", "signals", "features", "terms", "rewards", "statu
 
 
 @dataclass(frozen=True, eq=False)
-class LaneState:
-    """All of one lane at an instant: a lane that is put back to it goes on bit for bit."""
+class VehicleState:
+    """All of one vehicle at an instant: put back to it, it goes on bit for bit."""
 
-    lane: Lane
+    built: Vehicle
     """The vehicle as it was built, without its source of noise."""
     fields: dict[str, Any]
     """Copies of what has changed since, by `CHANGING`."""
@@ -66,7 +66,7 @@ class LaneState:
     """Copies of the last control period's results, by `RESULTS`."""
 
 
-class Lanes:
+class VehicleBatch:
     """v vehicles in lockstep: one compiled call for a control period of all.
 
     Parameters
@@ -75,11 +75,11 @@ class Lanes:
         Control period, filters and limits, the same for all.
     band : Band
         Constants of the on-line filter.
-    lanes : sequence of Lane
-        The vehicles, by `make_lane`: any speeds, profiles, tracks, dampers' numbers; one structure.
+    vehicles : sequence of Vehicle
+        The vehicles, by `make_vehicle`: any speeds, profiles, tracks, dampers' numbers; one structure.
     num_threads : int, optional
-        Threads; 1 runs the lanes one after another without numba's threads. Default: all cores for several
-        lanes, one for a single lane. The results do not depend on it.
+        Threads; 1 runs the vehicles one after another without numba's threads. Default: all cores for several
+        vehicles, one for a single vehicle. The results do not depend on it.
 
     Attributes
     ----------
@@ -92,29 +92,29 @@ class Lanes:
     rewards : ndarray, shape (v,)
         Minus the mean of the bogies' J of the last period.
     status : ndarray, shape (v,)
-        RUNNING, or how a vehicle's run ended; such a lane stands still until it gets a new vehicle.
+        RUNNING, or how a vehicle's run ended; it then stands still until another one takes its place.
     """
 
     def __init__(
-        self, settings: LoopSettings, band: Band, lanes: Sequence[Lane], num_threads: int | None = None
+        self, settings: LoopSettings, band: Band, vehicles: Sequence[Vehicle], num_threads: int | None = None
     ) -> None:
-        if not lanes:
+        if not vehicles:
             raise ConfigError("a batch needs at least one vehicle")
-        count = len(lanes)
+        count = len(vehicles)
         self.settings = settings
         self.band = band
         self.num_threads = 1 if count == 1 and num_threads is None else checked_threads(num_threads)
-        self._lanes = list(lanes)
+        self._vehicles = list(vehicles)
         self.formation = Formation(
-            [lane.plant for lane in lanes],
-            [lane.state for lane in lanes],
-            [_copied(lane.work) for lane in lanes],  # other environments may have the same lanes
+            [vehicle.plant for vehicle in vehicles],
+            [vehicle.state for vehicle in vehicles],
+            [_copied(vehicle.work) for vehicle in vehicles],  # other environments may have the same vehicles
         )
-        self.loop = RaggedBatch(Loop, [lane.loop for lane in lanes])
-        self.memory = RaggedBatch(LoopState, [lane.memory for lane in lanes])
-        self.passed = RaggedBatch(BandState, [lane.passed for lane in lanes])
-        self.felt = RaggedBatch(BandState, [lane.felt for lane in lanes])
-        self._substeps = np.array([lane.substeps for lane in lanes])
+        self.loop = RaggedBatch(Loop, [vehicle.loop for vehicle in vehicles])
+        self.memory = RaggedBatch(LoopState, [vehicle.memory for vehicle in vehicles])
+        self.passed = RaggedBatch(BandState, [vehicle.passed for vehicle in vehicles])
+        self.felt = RaggedBatch(BandState, [vehicle.felt for vehicle in vehicles])
+        self._substeps = np.array([vehicle.substeps for vehicle in vehicles])
         self.command = np.zeros((count, DAMPERS))
         self._noise = np.zeros((count, settings.samples, SIGNALS))
         self._silent = np.zeros((count, 0, SIGNALS))
@@ -125,28 +125,28 @@ class Lanes:
         self.rewards = np.zeros(count)
         self.status = np.zeros(count, dtype=np.int64)
         self._no_log = np.zeros((count, 0, LOG))
-        self._noisy = any(lane.noise is not None for lane in lanes)
+        self._noisy = any(vehicle.noise is not None for vehicle in vehicles)
         self._compiled: Any = None
 
     def __len__(self) -> int:
-        return len(self._lanes)
+        return len(self._vehicles)
 
-    def lane(self, i: int) -> Lane:
+    def vehicle(self, i: int) -> Vehicle:
         """A vehicle as it was built."""
-        return self._lanes[i]
+        return self._vehicles[i]
 
-    def put(self, i: int, lane: Lane) -> None:
-        """Replace the vehicle of a lane; `run_in` must follow before it is stepped."""
-        self._place(i, lane)
-        self.formation.put(i, lane.plant, lane.state, _copied(lane.work))
+    def put(self, i: int, vehicle: Vehicle) -> None:
+        """Replace vehicle i; `run_in` must follow before it is stepped."""
+        self._place(i, vehicle)
+        self.formation.put(i, vehicle.plant, vehicle.state, _copied(vehicle.work))
         for name in ON_BOARD:
-            getattr(self, name).put(i, getattr(lane, name))
+            getattr(self, name).put(i, getattr(vehicle, name))
         self.status[i] = RUNNING
 
-    def _place(self, i: int, lane: Lane) -> None:
-        self._lanes[i] = lane
-        self._substeps[i] = lane.substeps
-        self._noisy = any(each.noise is not None for each in self._lanes)
+    def _place(self, i: int, vehicle: Vehicle) -> None:
+        self._vehicles[i] = vehicle
+        self._substeps[i] = vehicle.substeps
+        self._noisy = any(each.noise is not None for each in self._vehicles)
 
     @property
     def state(self) -> RaggedBatch[State]:
@@ -168,28 +168,28 @@ class Lanes:
         if not np.array_equal(plant.damper_stiffness, stiffness):
             self.formation.change(i, plant._replace(damper_stiffness=stiffness.copy()))
 
-    def get_state(self, i: int) -> LaneState:
-        """All of a lane, as copies; it can be pickled."""
-        lane = self._lanes[i]
-        return LaneState(
-            lane=replace(lane, noise=None),
+    def get_state(self, i: int) -> VehicleState:
+        """All of a vehicle, as copies; it can be pickled."""
+        vehicle = self._vehicles[i]
+        return VehicleState(
+            built=replace(vehicle, noise=None),
             fields={name: _copied(getattr(self, name).view(i)) for name in CHANGING},
             stiffness=self.formation.plant.view(i).damper_stiffness.copy(),
-            noise=None if lane.noise is None else copy.deepcopy(lane.noise.bit_generator.state),
+            noise=None if vehicle.noise is None else copy.deepcopy(vehicle.noise.bit_generator.state),
             results={name: getattr(self, name)[i].copy() for name in RESULTS},
         )
 
-    def set_state(self, i: int, saved: LaneState) -> None:
-        """Put a lane back to a state of this one or of another one of the same structure."""
+    def set_state(self, i: int, saved: VehicleState) -> None:
+        """Put a vehicle back to a state of this one or of another one of the same structure."""
         noise = None
         if saved.noise is not None:
             noise = np.random.default_rng()
             noise.bit_generator.state = copy.deepcopy(saved.noise)
-        lane = saved.lane
-        if self._lanes[i].plant is not lane.plant:  # another vehicle or another track
-            self.formation.put(i, lane.plant, lane.state, _copied(lane.work))
+        vehicle = saved.built
+        if self._vehicles[i].plant is not vehicle.plant:  # another vehicle or another track
+            self.formation.put(i, vehicle.plant, vehicle.state, _copied(vehicle.work))
         self._put_stiffness(i, saved.stiffness)
-        self._place(i, replace(lane, noise=noise))
+        self._place(i, replace(vehicle, noise=noise))
         for name, fields in saved.fields.items():
             getattr(self, name).put(i, _copied(fields))
         for name, value in saved.results.items():
@@ -198,17 +198,17 @@ class Lanes:
     def run_in(
         self, which: Sequence[int], *, log: bool = False, hear: Callable[[int], None] | None = None
     ) -> list[Array]:
-        """Run lanes with fresh vehicles to their step 0, with their initial commands.
+        """Run fresh vehicles to their step 0, with their initial commands.
 
         Parameters
         ----------
         which : sequence of int
-            The lanes; the others stand still.
+            The vehicles; the others stand still.
         log : bool
             Return the true signals.
         hear : callable, optional
-            Called after each control period with its number; all lanes arrive at step 0 with the last one, so
-            some begin later than others. The results are the same bits with and without it.
+            Called after each control period with its number; all vehicles arrive at step 0 with the last one,
+            so some begin later than others. The results are the same bits with and without it.
 
         Returns
         -------
@@ -216,8 +216,8 @@ class Lanes:
         """
         periods = np.zeros(len(self), dtype=np.int64)
         for i in which:
-            periods[i] = self._lanes[i].run_in
-            self.command[i] = self._lanes[i].current
+            periods[i] = self._vehicles[i].run_in
+            self.command[i] = self._vehicles[i].current
         rows = self._no_log
         if log:
             rows = np.zeros((len(self), int(periods.max()) * self.settings.samples, LOG))
@@ -228,11 +228,11 @@ class Lanes:
         return [rows[i, : periods[i] * self.settings.samples if log else 0] for i in which]
 
     def _run_in_aloud(self, periods: Index, rows: Array, hear: Callable[[int], None]) -> None:
-        """Run lanes in, one control period in a call."""
+        """Run vehicles in, one control period in a call."""
         samples, longest = self.settings.samples, int(periods.max())
         log = np.zeros((len(self), samples, LOG)) if rows.size else self._no_log
         for p in range(longest):
-            own = p - (longest - periods)  # each lane's own number of the period
+            own = p - (longest - periods)  # each vehicle's own number of the period
             active = (own >= 0) & (periods > 0) & (self.status == RUNNING)
             log.fill(0.0)
             self._run(active.astype(np.int64), self._silent, log)
@@ -247,7 +247,7 @@ class Lanes:
         log: Array | None = None,
         active: npt.NDArray[np.bool_] | None = None,
     ) -> None:
-        """Run all lanes that are still running over one control period.
+        """Run all vehicles that are still running over one control period.
 
         Parameters
         ----------
@@ -256,7 +256,7 @@ class Lanes:
         log : ndarray, shape (v, samples, LOG), optional
             Receives the true signals; of float64, rows behind one another.
         active : ndarray of bool, shape (v,), optional
-            Lanes that run; all by default.
+            Vehicles that run; all by default.
 
         Raises
         ------
@@ -270,10 +270,10 @@ class Lanes:
         if active is not None:
             running &= active
         if self._noisy:
-            # A lane that stands still draws nothing: its noise must not depend on the others.
-            for lane, runs, noise in zip(self._lanes, running, self._noise, strict=True):
-                if lane.noise is not None and runs:
-                    lane.noise.standard_normal(out=noise)
+            # A vehicle that stands still draws nothing: its noise must not depend on the others.
+            for vehicle, runs, noise in zip(self._vehicles, running, self._noise, strict=True):
+                if vehicle.noise is not None and runs:
+                    vehicle.noise.standard_normal(out=noise)
         noise = self._noise if self._noisy else self._silent
         self._run(running.astype(np.int64), noise, self._no_log if log is None else log)
 

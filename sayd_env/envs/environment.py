@@ -1,0 +1,227 @@
+"""What the environments of one vehicle and of many share: episodes by seeds, pictures, saved states."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from sayd_env.config import ConfigError
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.explain import shown
+from sayd_env.envs.draw import draw_episode
+from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, Flags, Observation
+from sayd_env.envs.info import vehicle_info
+from sayd_env.envs.interface import Interface, Signal
+from sayd_env.envs.keywords import INFOS, RENDER_MODES, Keywords, checked_choice, configured, refuse_unknown
+from sayd_env.envs.loop import LOG
+from sayd_env.envs.recorder import Recorder
+from sayd_env.envs.sliding_rms import SlidingRms
+
+Array = npt.NDArray[np.float64]
+
+SEEDS = 2**31
+"""Seeds that are drawn, where none is given, are below it."""
+KEYWORDS = ("environment", *Keywords.__annotations__, "info", "render_mode")
+"""Keywords of both environments."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentState:
+    """All of an environment at an instant. It can be pickled, and set any number of times."""
+
+    vehicles: tuple[EpisodeState, ...]
+    seeds: tuple[int | None, ...]
+    numbers: tuple[int, ...]
+    sliding: tuple[SlidingRms | None, ...]
+    over: npt.NDArray[np.bool_]
+    """Vehicles whose episode has ended."""
+    random: np.random.Generator | None
+    random_seed: int | None
+
+
+class Environment:
+    """Vehicles that run episode after episode.
+
+    Attributes
+    ----------
+    batch : EpisodeBatch
+        The simulated vehicles behind the environment: what no train could measure.
+    """
+
+    batch: EpisodeBatch
+    render_mode: str | None
+    np_random: Any
+    _np_random: np.random.Generator | None
+    _np_random_seed: int | None
+
+    def _make(
+        self,
+        count: int,
+        environment: str,
+        keywords: Keywords,
+        info: str,
+        render_mode: str | None,
+        num_threads: int | None,
+        more: Sequence[str] = (),
+    ) -> None:
+        """Make the vehicles from an environment's keywords, of which it may have `more`."""
+        refuse_unknown(keywords, (*KEYWORDS, *more))
+        self._full = checked_choice("info", info, INFOS) == "full"
+        self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
+        config, scenario = configured(environment, **keywords)
+        self.batch = EpisodeBatch(config, count, scenario=scenario, num_threads=num_threads)
+        self._over = np.ones(count, dtype=np.bool_)
+        self._seeds: list[int | None] = [None] * count
+        self._numbers = [0] * count
+        self._sliding: list[SlidingRms | None] = [None] * count
+        self._log = np.zeros((count, self.batch.settings.samples, LOG)) if self._full else None
+        self._recorder: Recorder | None = None if render_mode is None else Recorder(self.batch)
+        self._renderer: Any = None
+
+    @property
+    def config(self) -> EnvironmentConfig:
+        """What the environment is."""
+        return self.batch.config
+
+    @property
+    def interface(self) -> Interface:
+        """What a policy may know of the environment."""
+        return self.batch.interface
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Name, unit and range of each number of a vehicle's observation."""
+        return self.interface.signals
+
+    def _begin(
+        self, which: Sequence[int], seeds: Sequence[int | None], options: Mapping[str, Any] | None = None
+    ) -> None:
+        """Begin episodes.
+
+        Parameters
+        ----------
+        which : sequence of int
+            Vehicles that begin.
+        seeds : sequence of int or None
+            Each one's new seed, whose episode 0 begins; None for the next episode of the seed that it has.
+        options : mapping, optional
+            Of `reset`.
+
+        Raises
+        ------
+        ConfigError
+            Options that are not allowed; nothing has changed then.
+        """
+        chosen = []
+        for i, seed in zip(which, seeds, strict=True):
+            known = self._seeds[i]
+            if seed is not None:
+                chosen.append((seed, 0))
+            elif known is not None:
+                chosen.append((known, self._numbers[i] + 1))
+            else:
+                chosen.append((int(self.np_random.integers(SEEDS)), 0))
+        episodes = [draw_episode(self.config, seed, number, options) for seed, number in chosen]
+        rows = self.batch.reset(which, episodes, log=self._full)
+        for i, (seed, number), before in zip(which, chosen, rows, strict=True):
+            self._seeds[i], self._numbers[i], self._over[i] = seed, number, False
+            if self._full:
+                self._sliding[i] = self._after_the_run_in(i, before)
+        if self._recorder is not None and self._recorder.vehicle in which:
+            self._recorder.begin()
+
+    def _after_the_run_in(self, i: int, rows: Array) -> SlidingRms:
+        batch, episode = self.batch, self.batch.episodes[i]
+        assert episode is not None  # it has begun just now
+        band, assessment = batch.vehicles.band, batch.scenario.assessment
+        sliding = SlidingRms(band, assessment, episode.speed, batch.settings.sample_rate)
+        if len(rows):
+            sliding.run_in(rows, batch.vehicles.choice()[i])
+        return sliding
+
+    def _advance(
+        self, actions: Array, active: Flags | None = None
+    ) -> tuple[Observation, Array, Flags, Flags]:
+        """Run one control period, as `EpisodeBatch.step` does."""
+        # f_0 moves at the end of a period: its samples were filtered in the bands before.
+        choice = None if self._log is None else self.batch.vehicles.choice()
+        result = self.batch.step(actions, log=self._log, active=active)
+        if self._recorder is not None:
+            self._recorder.take()
+        if self._log is not None and choice is not None:
+            for i, sliding in enumerate(self._sliding):
+                if sliding is not None and not result[2][i] and (active is None or active[i]):
+                    sliding.advance(self._log[i], choice[i])
+        return result
+
+    def _full_info(self, i: int) -> dict[str, Any]:
+        """Forces, valves and sliding RMS of a vehicle, with ``info="full"``."""
+        sliding = self._sliding[i]
+        return {} if sliding is None else vehicle_info(self.batch, i, sliding)
+
+    def _picture(self) -> Any:
+        """A picture of the first vehicle, or None in a window."""
+        if self._renderer is None:
+            from sayd_env.envs.rendering import Renderer  # noqa: PLC0415 - Matplotlib's typeface takes its time
+
+            assert self._recorder is not None and self.render_mode is not None  # noqa: PT018 - both are set together
+            self._renderer = Renderer(self._recorder, self.render_mode)
+        return self._renderer.draw()
+
+    def _close_window(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def get_state(self) -> EnvironmentState:
+        """All of the environment, as a copy: for search, model-predictive control and continuation."""
+        return EnvironmentState(
+            vehicles=tuple(self.batch.get_state(i) for i in range(self.batch.count)),
+            seeds=tuple(self._seeds),
+            numbers=tuple(self._numbers),
+            sliding=tuple(copy.deepcopy(self._sliding)),
+            over=self._over.copy(),
+            random=copy.deepcopy(self._np_random),
+            random_seed=self._np_random_seed,
+        )
+
+    def set_state(self, state: EnvironmentState) -> None:
+        """Go back to a state of this environment or of one that was made alike.
+
+        What follows is the same bits as what followed there.
+
+        Raises
+        ------
+        ConfigError
+            A state of another environment or of another number of vehicles, or something else.
+        """
+        if not isinstance(state, EnvironmentState):
+            raise ConfigError(f"state: found {shown(state)}; expected what get_state has returned")
+        self.batch.set_state(state.vehicles)
+        self._seeds, self._numbers = list(state.seeds), list(state.numbers)
+        self._sliding = list(copy.deepcopy(state.sliding))
+        self._over[:] = state.over
+        self._np_random, self._np_random_seed = copy.deepcopy(state.random), state.random_seed
+        if self._recorder is not None:
+            self._recorder.begin()
+
+
+def observation_box(interface: Interface) -> Any:
+    """Space of one observation: the ranges of its signals."""
+    low = np.array([signal.low for signal in interface.signals], dtype=np.float32)
+    high = np.array([signal.high for signal in interface.signals], dtype=np.float32)
+    shape = interface.shape
+    return spaces.Box(
+        np.broadcast_to(low, shape).copy(), np.broadcast_to(high, shape).copy(), dtype=np.float32
+    )
+
+
+def action_box(interface: Interface) -> Any:
+    """Space of one action: a valve command for each valve or group of valves."""
+    return spaces.Box(0.0, 1.0, (interface.actions,), dtype=np.float32)
