@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
-import enum
 import io
 import json
-import math
 import os
 import platform
 import shlex
@@ -22,11 +19,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
-import numpy as np
 from pydantic import BaseModel
 
 from sayd_env import __version__
 from sayd_env.config.errors import ConfigError
+from sayd_env.config.plain import jsonable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -217,44 +214,6 @@ def git_state(root: Path) -> tuple[str | None, bool | None]:
         return answer("rev-parse", "HEAD"), bool(answer("status", "--porcelain", "--untracked-files=no"))
     except (OSError, subprocess.SubprocessError):
         return None, None
-
-
-def jsonable(value: Any) -> Any:
-    """Turn NumPy values, models, dataclasses, enums and paths into plain JSON values; NaN and inf into None.
-
-    Raises
-    ------
-    TypeError
-        A value of another type.
-    """
-    if isinstance(value, enum.Enum):
-        return jsonable(value.value)
-    if value is None or isinstance(value, str | bool | int | float):
-        return _plain_scalar(value)
-    if isinstance(value, np.generic | np.ndarray):
-        return jsonable(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(jsonable(key)): jsonable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [jsonable(item) for item in value]
-    return jsonable(_as_container(value))
-
-
-def _plain_scalar(value: str | bool | int | float | None) -> Any:
-    if isinstance(value, float):
-        # NumPy's double is a float, but prints its type.
-        return float(value) if math.isfinite(value) else None
-    return value
-
-
-def _as_container(value: Any) -> Any:
-    if isinstance(value, BaseModel):
-        return value.model_dump()
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    if isinstance(value, Path | datetime):
-        return str(value)
-    raise TypeError(f"a result holds a {type(value).__name__}, which JSON does not know")
 
 
 def json_text(content: Any) -> str:

@@ -21,7 +21,8 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from sayd_env.report.files import ResultDirectory, jsonable, versions
+from sayd_env.config.plain import jsonable
+from sayd_env.report.files import ResultDirectory, versions
 
 Record = TypeVar("Record")
 
@@ -124,7 +125,7 @@ def fingerprint(*inputs: Any, modules: Iterable[Path] = ()) -> str:
     Parameters
     ----------
     *inputs
-        Values that `output.jsonable` knows.
+        Values that `config.plain.jsonable` knows.
     modules : iterable of Path
         Source files to count beside those of the floors below the studies.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import enum
 import io
 import json
 import math
@@ -25,13 +24,7 @@ from sayd_env.report.files import (
     csv_bytes,
     document,
     git_state,
-    json_text,
-    jsonable,
 )
-
-
-class Colour(enum.Enum):
-    RED = "red"
 
 
 class Section(Model):
@@ -61,42 +54,6 @@ class Sine:
 
 
 RESULT = Sine(np.sin(np.linspace(0.0, math.pi, 5)))
-
-
-def test_numpy_values_become_plain_json_and_non_finite_numbers_become_null():
-    value = {
-        "array": np.array([[1.5, np.nan], [np.inf, -2.0]]),
-        "single": np.float32(0.5),
-        "double": np.float64("nan"),
-        "integer": np.int32(3),
-        "flag": np.bool_(True),
-        "enum": Colour.RED,
-        "path": Path("a/b"),
-        "model": Section(),
-        "dataclass": Sine(np.zeros(1)),
-        "none": None,
-        2: (1, "x"),
-    }
-    expected = {
-        "array": [[1.5, None], [None, -2.0]],
-        "single": 0.5,
-        "double": None,
-        "integer": 3,
-        "flag": True,
-        "enum": "red",
-        "path": "a/b",
-        "model": {"speed": 80.0},
-        "dataclass": {"values": [0.0]},
-        "none": None,
-        "2": [1, "x"],
-    }
-    assert jsonable(value) == expected
-    assert json.loads(json_text(value)) == expected
-
-
-def test_a_value_json_does_not_know_is_refused():
-    with pytest.raises(TypeError, match="complex"):
-        jsonable({"eigenvalue": 1j})
 
 
 def test_csv_reads_back_bit_for_bit_and_has_empty_cells_for_missing_numbers():
