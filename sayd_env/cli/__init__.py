@@ -31,6 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # On matrices as small as ours BLAS threads only wait for each other, a hundred times as long as the work
     # takes when the cores are busy. The studies have threads of their own.
     threadpool_limits(1, "blas")
+    # Nothing here opens a window, and Matplotlib cannot be imported with a backend that is not installed.
+    os.environ.pop("MPLBACKEND", None)
     try:
         # A terminated run cleans up like an interrupted one.
         signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -5,36 +5,29 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import platform
-import shlex
 import shutil
 import subprocess
-import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from pydantic import BaseModel
 
 from sayd_env import __version__
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.plain import jsonable
+from sayd_env.config.storage import write_files
+from sayd_env.report.columns import Table
+from sayd_env.report.figures import Plot, png_bytes
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
 
-Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
-"""Header and rows; units stand in the header names (``speed_kmh``)."""
-
-Plot: TypeAlias = "Callable[[Figure], None]"
-"""Draws one picture into an empty figure."""
-
+RECORD = "result.json"
 VERSIONED = ("numpy", "scipy", "numba", "pydantic", "matplotlib", "gymnasium")
 
 
@@ -50,8 +43,8 @@ class Result(Protocol):
     def plots(self) -> Mapping[str, Plot]:
         """Return drawing functions by file name without suffix; each becomes a PNG file."""
 
-    def summary(self, console: Console) -> None:
-        """Print what a person wants to see first."""
+    def summary(self, console: Console, wide: bool = False) -> None:
+        """Print what a person wants to see first, in 80 columns unless `wide`."""
 
 
 @runtime_checkable
@@ -84,8 +77,8 @@ def silent(done: float, total: float, what: str = "") -> None:
 class ResultDirectory:
     """A directory for the files of one study.
 
-    Everything is rendered in memory first, written under temporary names in the same directory, synced and
-    then renamed, ``result.json`` last: an interrupted run leaves a former or a new file, never half of one.
+    Everything is rendered in memory first and then written at once, ``result.json`` last, see
+    `sayd_env.config.storage`: a run that fails leaves nothing, and an interrupted one no file by half.
 
     Parameters
     ----------
@@ -95,7 +88,7 @@ class ResultDirectory:
     Raises
     ------
     ConfigError
-        When it cannot be created or written to.
+        When it cannot be created or written to, or holds a folder of the name of a file of ours.
     """
 
     def __init__(self, path: Path) -> None:
@@ -107,7 +100,9 @@ class ResultDirectory:
         except (FileExistsError, NotADirectoryError):
             raise ConfigError(f"--out {path}: a file is in the way, expected a directory") from None
         except (OSError, ValueError) as error:
-            raise ConfigError(f"--out {path}: cannot be written ({_reason(error)})") from None
+            reason = error.strerror if isinstance(error, OSError) else None
+            raise ConfigError(f"--out {path}: cannot be written ({reason or error})") from None
+        self._refuse_folders([RECORD])
 
     def save(self, result: Result, document: Mapping[str, Any]) -> list[Path]:
         """Write tables, plots, pages if there are any, and ``result.json``; return their paths in this order.
@@ -121,7 +116,7 @@ class ResultDirectory:
 
         Raises
         ------
-        ConfigError
+        StudyError
             When a file cannot be written (a full disk, a removed directory).
         """
         contents = {f"{name}.csv": csv_bytes(*table) for name, table in result.tables().items()}
@@ -130,33 +125,25 @@ class ResultDirectory:
         if isinstance(result, Paged):
             pages = result.pages(images, document)
             contents |= {f"{name}.html": text.encode() for name, text in pages.items()}
-        contents["result.json"] = json_text(document).encode()
+        contents[RECORD] = json_text(document).encode()
         return self.write(contents)
 
     def write(self, contents: Mapping[str, bytes]) -> list[Path]:
-        """Write several files: all of them are complete on the disk before the first gets its name."""
-        with self._temporaries(contents) as temporaries:
-            try:
-                for name, temporary in temporaries.items():
-                    _write_synced(temporary, contents[name])
-                for name, temporary in temporaries.items():
-                    os.replace(temporary, self.path / name)
-            except OSError as error:
-                raise ConfigError(f"--out {self.path}: cannot be written ({_reason(error)})") from None
-        return [self.path / name for name in contents]
+        """Write several files at once, see `save`."""
+        self._refuse_folders(contents)
+        return write_files(self.path, contents)
 
-    @contextmanager
-    def _temporaries(self, names: Iterable[str]) -> Iterator[dict[str, Path]]:
-        paths = {name: self.path / f".{name}.{os.getpid()}.tmp" for name in names}
-        try:
-            yield paths
-        finally:
-            for path in paths.values():
-                path.unlink(missing_ok=True)
+    def _refuse_folders(self, names: Iterable[str]) -> None:
+        for name in names:
+            if (self.path / name).is_dir():
+                raise ConfigError(f"--out {self.path}: a folder named {name} is in the way")
 
 
 def document(
-    result: Result, config: BaseModel | Mapping[str, Any] | None, seed: int | None
+    result: Result,
+    config: BaseModel | Mapping[str, Any] | None,
+    seed: int | None,
+    command: str | None = None,
 ) -> dict[str, Any]:
     """Everything a result needs to be understood and repeated: the content of ``result.json``.
 
@@ -168,6 +155,8 @@ def document(
         The full resolved configuration.
     seed : int, optional
         First seed of the random draws; None where nothing is random.
+    command : str, optional
+        How to repeat it.
 
     Returns
     -------
@@ -175,21 +164,23 @@ def document(
         The result's keys and ``command``, ``created``, ``seed``, ``config``, ``versions``, ``git_commit``
         (null outside a checkout) and ``git_modified`` (whether tracked files differ from that commit).
     """
-    commit, modified = git_state(Path(__file__).resolve().parents[2])
     about = {
-        "command": shlex.join(["sayd", *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": seed,
         "config": config,
-        "versions": versions(),
-        "git_commit": commit,
-        "git_modified": modified,
+        **provenance(command),
     }
     content = result.as_dict()
     if clash := sorted(set(content) & set(about)):
         raise ValueError(f"a result must not use the keys {clash}")
     plain: dict[str, Any] = jsonable(content | about)
     return plain
+
+
+def provenance(command: str | None) -> dict[str, Any]:
+    """What made a result: command, versions, commit of the checkout, whether it was modified."""
+    commit, modified = git_state(Path(__file__).resolve().parents[2])
+    return {"command": command, "versions": versions(), "git_commit": commit, "git_modified": modified}
 
 
 def versions() -> dict[str, str]:
@@ -238,25 +229,3 @@ def csv_bytes(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
             raise ValueError(f"a row of {len(cells)} cells under a header of {len(header)}")
         writer.writerow(cells)
     return text.getvalue().encode()
-
-
-def png_bytes(draw: Plot) -> bytes:
-    """Draw into a fresh figure and return it as PNG."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and --json needs none
-
-    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
-    draw(figure)
-    image = io.BytesIO()
-    figure.savefig(image, format="png", dpi=150)
-    return image.getvalue()
-
-
-def _write_synced(path: Path, content: bytes) -> None:
-    with path.open("wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def _reason(error: OSError | ValueError) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)
