@@ -32,6 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # takes when the cores are busy. The studies have threads of their own.
     threadpool_limits(1, "blas")  # NumPy's, which is loaded already
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # SciPy's, which is not
+    # Nothing here opens a window, and Matplotlib cannot be imported with a backend that is not installed.
+    os.environ.pop("MPLBACKEND", None)
     try:
         # A terminated run cleans up like an interrupted one.
         signal.signal(signal.SIGTERM, signal.default_int_handler)

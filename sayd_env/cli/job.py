@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 QUIET_SECONDS = 2.0
 LINE_SECONDS = 10.0
-PLAIN_WIDTH = 120
+PLAIN_WIDTH = 80
 
 
 class Job:
@@ -55,7 +56,7 @@ class Job:
         """Store the result, then show it: JSON or the study's summary."""
         from sayd_env.report.files import document, json_text  # noqa: PLC0415
 
-        content = document(result, config, seed)
+        content = document(result, config, seed, command_text())
         files = [] if self.directory is None else self.directory.save(result, content)
         result.summary(self.console)
         if self.directory is not None:
@@ -142,6 +143,11 @@ class Job:
             yield report
 
 
+def command_text() -> str:
+    """What was typed, as a shell would take it again."""
+    return shlex.join(["sayd", *sys.argv[1:]])
+
+
 class _Lines:
     """Progress for logs: nothing in the first two seconds, then at most one line in ten seconds."""
 
@@ -161,5 +167,5 @@ class _Lines:
 
 def _console(*, to_stderr: bool) -> Console:
     console = Console(stderr=to_stderr)
-    # A file or a pipe has no width; rich would cut tables at 80 columns.
+    # A file or a pipe has no width, whatever the environment says.
     return console if console.is_terminal else Console(stderr=to_stderr, width=PLAIN_WIDTH)

@@ -11,7 +11,7 @@ import typer
 from rich.markup import escape
 
 from sayd_env.cli import options
-from sayd_env.cli.job import Job
+from sayd_env.cli.job import Job, command_text
 from sayd_env.config.errors import ConfigError
 
 LARGEST_SEED = 999_999
@@ -96,7 +96,7 @@ def train(
     folder = out or RESULTS / f"train-{chosen.learning.algorithm}-s{chosen.seed}"
     job = Job("train", folder, as_json)
     with job.progress() as progress:
-        result = study(chosen, folder, resume=resume is not None, progress=progress)
+        result = study(chosen, folder, resume=resume is not None, command=command_text(), progress=progress)
     job.finish(result, config=chosen, seed=chosen.seed)
 
 

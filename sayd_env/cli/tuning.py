@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sayd_env.cli import options
-from sayd_env.cli.job import Job
+from sayd_env.cli.job import Job, command_text
 from sayd_env.config.errors import ConfigError
 
 RESULTS = Path("results")
@@ -73,6 +71,7 @@ def tune(
     Evaluations are kept in the output directory: an interrupted tuning goes on where it
     stopped.
     """
+    from sayd_env.config.storage import write_file  # noqa: PLC0415 - keeps --help fast
     from sayd_env.config.tuning import load_tuning  # noqa: PLC0415 - keeps --help fast
     from sayd_env.report.files import ResultDirectory  # noqa: PLC0415
     from sayd_env.studies.tuning.tune import refuse_packaged  # noqa: PLC0415
@@ -98,11 +97,11 @@ def tune(
             settings,
             name="configs/study/tuning.yaml" if config is None else config,
             seed=seed,
-            command=shlex.join(["sayd", *sys.argv[1:]]),
+            command=command_text(),
             context=context,
         )
     if target is not None:
-        ResultDirectory(target.parent).write({target.name: result.control_file().encode()})
+        write_file(target, result.control_file().encode())
     job.finish(result, config=settings, seed=seed)
     if target is not None:
         job.console.print(str(target), markup=False, highlight=False, soft_wrap=True)

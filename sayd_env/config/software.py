@@ -10,6 +10,7 @@ from functools import cache
 from importlib import metadata, resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import Any
 
 import sayd_env
 
@@ -17,6 +18,12 @@ LIBRARIES = ("numpy", "scipy", "numba", "pydantic", "matplotlib", "gymnasium")
 """Their versions stand in every result."""
 FLOORS = ("agents", "baselines", "config", "envs", "measured", "physics", "runs", "stability")
 """Packages whose sources can change a run; the others only ask for runs and show them."""
+
+
+def provenance(command: str | None) -> dict[str, Any]:
+    """What made a result: command, versions, commit of the checkout, whether it was modified."""
+    commit, modified = git_state()
+    return {"command": command, "versions": versions(), "git_commit": commit, "git_modified": modified}
 
 
 def versions() -> dict[str, str]:

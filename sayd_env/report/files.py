@@ -3,42 +3,27 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
-import enum
 import io
 import json
-import math
-import os
-import platform
-import shlex
-import shutil
-import subprocess
-import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-import numpy as np
 from pydantic import BaseModel
 
-from sayd_env import __version__
 from sayd_env.config.errors import ConfigError
+from sayd_env.config.plain import jsonable
+from sayd_env.config.software import provenance
+from sayd_env.config.storage import write_files
+from sayd_env.report.columns import Table
+from sayd_env.report.figures import Plot, png_bytes
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
 
-Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
-"""Header and rows; units stand in the header names (``speed_kmh``)."""
-
-Plot: TypeAlias = "Callable[[Figure], None]"
-"""Draws one picture into an empty figure."""
-
-VERSIONED = ("numpy", "scipy", "numba", "pydantic", "matplotlib", "gymnasium")
+RECORD = "result.json"
 
 
 class Result(Protocol):
@@ -53,8 +38,8 @@ class Result(Protocol):
     def plots(self) -> Mapping[str, Plot]:
         """Return drawing functions by file name without suffix; each becomes a PNG file."""
 
-    def summary(self, console: Console) -> None:
-        """Print what a person wants to see first."""
+    def summary(self, console: Console, wide: bool = False) -> None:
+        """Print what a person wants to see first, in 80 columns unless `wide`."""
 
 
 @runtime_checkable
@@ -76,8 +61,8 @@ class Paged(Protocol):
 class ResultDirectory:
     """A directory for the files of one study.
 
-    Everything is rendered in memory first, written under temporary names in the same directory, synced and
-    then renamed, ``result.json`` last: an interrupted run leaves a former or a new file, never half of one.
+    Everything is rendered in memory first and then written at once, ``result.json`` last, see
+    `sayd_env.config.storage`: a run that fails leaves nothing, and an interrupted one no file by half.
 
     Parameters
     ----------
@@ -87,7 +72,7 @@ class ResultDirectory:
     Raises
     ------
     ConfigError
-        When it cannot be created or written to.
+        When it cannot be created or written to, or holds a folder of the name of a file of ours.
     """
 
     def __init__(self, path: Path) -> None:
@@ -99,7 +84,9 @@ class ResultDirectory:
         except (FileExistsError, NotADirectoryError):
             raise ConfigError(f"--out {path}: a file is in the way, expected a directory") from None
         except (OSError, ValueError) as error:
-            raise ConfigError(f"--out {path}: cannot be written ({_reason(error)})") from None
+            reason = error.strerror if isinstance(error, OSError) else None
+            raise ConfigError(f"--out {path}: cannot be written ({reason or error})") from None
+        self._refuse_folders([RECORD])
 
     def save(self, result: Result, document: Mapping[str, Any]) -> list[Path]:
         """Write tables, plots, pages if there are any, and ``result.json``; return their paths in this order.
@@ -113,7 +100,7 @@ class ResultDirectory:
 
         Raises
         ------
-        ConfigError
+        StudyError
             When a file cannot be written (a full disk, a removed directory).
         """
         contents = {f"{name}.csv": csv_bytes(*table) for name, table in result.tables().items()}
@@ -122,33 +109,25 @@ class ResultDirectory:
         if isinstance(result, Paged):
             pages = result.pages(images, document)
             contents |= {f"{name}.html": text.encode() for name, text in pages.items()}
-        contents["result.json"] = json_text(document).encode()
+        contents[RECORD] = json_text(document).encode()
         return self.write(contents)
 
     def write(self, contents: Mapping[str, bytes]) -> list[Path]:
-        """Write several files: all of them are complete on the disk before the first gets its name."""
-        with self._temporaries(contents) as temporaries:
-            try:
-                for name, temporary in temporaries.items():
-                    _write_synced(temporary, contents[name])
-                for name, temporary in temporaries.items():
-                    os.replace(temporary, self.path / name)
-            except OSError as error:
-                raise ConfigError(f"--out {self.path}: cannot be written ({_reason(error)})") from None
-        return [self.path / name for name in contents]
+        """Write several files at once, see `save`."""
+        self._refuse_folders(contents)
+        return write_files(self.path, contents)
 
-    @contextmanager
-    def _temporaries(self, names: Iterable[str]) -> Iterator[dict[str, Path]]:
-        paths = {name: self.path / f".{name}.{os.getpid()}.tmp" for name in names}
-        try:
-            yield paths
-        finally:
-            for path in paths.values():
-                path.unlink(missing_ok=True)
+    def _refuse_folders(self, names: Iterable[str]) -> None:
+        for name in names:
+            if (self.path / name).is_dir():
+                raise ConfigError(f"--out {self.path}: a folder named {name} is in the way")
 
 
 def document(
-    result: Result, config: BaseModel | Mapping[str, Any] | None, seed: int | None
+    result: Result,
+    config: BaseModel | Mapping[str, Any] | None,
+    seed: int | None,
+    command: str | None = None,
 ) -> dict[str, Any]:
     """Everything a result needs to be understood and repeated: the content of ``result.json``.
 
@@ -160,6 +139,8 @@ def document(
         The full resolved configuration.
     seed : int, optional
         First seed of the random draws; None where nothing is random.
+    command : str, optional
+        How to repeat it.
 
     Returns
     -------
@@ -167,83 +148,17 @@ def document(
         The result's keys and ``command``, ``created``, ``seed``, ``config``, ``versions``, ``git_commit``
         (null outside a checkout) and ``git_modified`` (whether tracked files differ from that commit).
     """
-    commit, modified = git_state(Path(__file__).resolve().parents[2])
     about = {
-        "command": shlex.join(["sayd", *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": seed,
         "config": config,
-        "versions": versions(),
-        "git_commit": commit,
-        "git_modified": modified,
+        **provenance(command),
     }
     content = result.as_dict()
     if clash := sorted(set(content) & set(about)):
         raise ValueError(f"a result must not use the keys {clash}")
     plain: dict[str, Any] = jsonable(content | about)
     return plain
-
-
-def versions() -> dict[str, str]:
-    """Versions of this package, of Python and of the libraries that may change a number."""
-    libraries = {name: metadata.version(name) for name in VERSIONED}
-    return {"sayd_env": __version__, "python": platform.python_version(), **libraries}
-
-
-def git_state(root: Path) -> tuple[str | None, bool | None]:
-    """Commit of the checkout at `root` and whether it is modified; (None, None) outside a checkout."""
-    # An installed package may lie inside somebody's other checkout: only our own root counts.
-    git = shutil.which("git")
-    if git is None or not (root / ".git").exists():
-        return None, None
-
-    def answer(*arguments: str) -> str:
-        return subprocess.run(
-            [git, "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=10
-        ).stdout.strip()
-
-    try:
-        return answer("rev-parse", "HEAD"), bool(answer("status", "--porcelain", "--untracked-files=no"))
-    except (OSError, subprocess.SubprocessError):
-        return None, None
-
-
-def jsonable(value: Any) -> Any:
-    """Turn NumPy values, models, dataclasses, enums and paths into plain JSON values; NaN and inf into None.
-
-    Raises
-    ------
-    TypeError
-        A value of another type.
-    """
-    if isinstance(value, enum.Enum):
-        return jsonable(value.value)
-    if value is None or isinstance(value, str | bool | int | float):
-        return _plain_scalar(value)
-    if isinstance(value, np.generic | np.ndarray):
-        return jsonable(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(jsonable(key)): jsonable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [jsonable(item) for item in value]
-    return jsonable(_as_container(value))
-
-
-def _plain_scalar(value: str | bool | int | float | None) -> Any:
-    if isinstance(value, float):
-        # NumPy's double is a float, but prints its type.
-        return float(value) if math.isfinite(value) else None
-    return value
-
-
-def _as_container(value: Any) -> Any:
-    if isinstance(value, BaseModel):
-        return value.model_dump()
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    if isinstance(value, Path | datetime):
-        return str(value)
-    raise TypeError(f"a result holds a {type(value).__name__}, which JSON does not know")
 
 
 def json_text(content: Any) -> str:
@@ -268,25 +183,3 @@ def csv_bytes(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
             raise ValueError(f"a row of {len(cells)} cells under a header of {len(header)}")
         writer.writerow(cells)
     return text.getvalue().encode()
-
-
-def png_bytes(draw: Plot) -> bytes:
-    """Draw into a fresh figure and return it as PNG."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and --json needs none
-
-    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
-    draw(figure)
-    image = io.BytesIO()
-    figure.savefig(image, format="png", dpi=150)
-    return image.getvalue()
-
-
-def _write_synced(path: Path, content: bytes) -> None:
-    with path.open("wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def _reason(error: OSError | ValueError) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
-from sayd_env.report.files import Plot, Table, git_state, versions
+from sayd_env.config.software import provenance
+from sayd_env.report.files import Plot, Table
 from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ class TrainResult:
         """Return the learning curve."""
         return {"learning": self._draw}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print how good the best policy is beside the references."""
         done = self.trained
         lines = [("best policy", done.best), *((row["policy"], row["J"]) for row in done.references)]
@@ -94,14 +93,19 @@ class ExportResult:
         """Return none."""
         return {}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the files."""
         for file in self.files:
             console.print(str(file), markup=False, highlight=False, soft_wrap=True)
 
 
 def train(
-    config: TrainConfig, folder: Path, *, resume: bool = False, progress: Progress = silent
+    config: TrainConfig,
+    folder: Path,
+    *,
+    resume: bool = False,
+    command: str | None = None,
+    progress: Progress = silent,
 ) -> TrainResult:
     """Train a policy.
 
@@ -112,6 +116,8 @@ def train(
         Where the run lives.
     resume : bool
         Go on with the run in the folder.
+    command : str, optional
+        How to repeat it; the policy's file keeps it.
     progress : Progress
         Told the steps.
 
@@ -126,13 +132,7 @@ def train(
         from sayd_env.agents.training import train as learn  # noqa: PLC0415 - imports torch, which may be missing
     except ModuleNotFoundError as error:
         raise ConfigError(f"train {EXTRA} (no module '{error.name}')") from None
-    commit, modified = git_state(Path(__file__).resolve().parents[2])
-    about = {
-        "command": shlex.join(["sayd", *sys.argv[1:]]),
-        "versions": versions(),
-        "git_commit": commit,
-        "git_modified": modified,
-    }
+    about = provenance(command)
     return TrainResult(learn(config, folder, resume=resume, about=about, progress=progress))
 
 

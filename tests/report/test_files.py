@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import enum
 import io
 import json
 import math
@@ -19,19 +18,13 @@ import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from sayd_env.config import ConfigError, Model
+from sayd_env.config import ConfigError, Model, StudyError
 from sayd_env.report.files import (
     ResultDirectory,
     csv_bytes,
     document,
     git_state,
-    json_text,
-    jsonable,
 )
-
-
-class Colour(enum.Enum):
-    RED = "red"
 
 
 class Section(Model):
@@ -63,42 +56,6 @@ class Sine:
 RESULT = Sine(np.sin(np.linspace(0.0, math.pi, 5)))
 
 
-def test_numpy_values_become_plain_json_and_non_finite_numbers_become_null():
-    value = {
-        "array": np.array([[1.5, np.nan], [np.inf, -2.0]]),
-        "single": np.float32(0.5),
-        "double": np.float64("nan"),
-        "integer": np.int32(3),
-        "flag": np.bool_(True),
-        "enum": Colour.RED,
-        "path": Path("a/b"),
-        "model": Section(),
-        "dataclass": Sine(np.zeros(1)),
-        "none": None,
-        2: (1, "x"),
-    }
-    expected = {
-        "array": [[1.5, None], [None, -2.0]],
-        "single": 0.5,
-        "double": None,
-        "integer": 3,
-        "flag": True,
-        "enum": "red",
-        "path": "a/b",
-        "model": {"speed": 80.0},
-        "dataclass": {"values": [0.0]},
-        "none": None,
-        "2": [1, "x"],
-    }
-    assert jsonable(value) == expected
-    assert json.loads(json_text(value)) == expected
-
-
-def test_a_value_json_does_not_know_is_refused():
-    with pytest.raises(TypeError, match="complex"):
-        jsonable({"eigenvalue": 1j})
-
-
 def test_csv_reads_back_bit_for_bit_and_has_empty_cells_for_missing_numbers():
     rows = [(np.float64(0.1) * 3, math.nan), (np.float32(1.0), "a,b")]
     read = list(csv.reader(io.StringIO(csv_bytes(("x_m", "y"), rows).decode())))
@@ -114,13 +71,14 @@ def test_csv_refuses_a_row_of_another_length():
 
 
 def test_a_result_is_saved_with_tables_plots_and_provenance(tmp_path: Path):
-    content = document(RESULT, Section(), seed=7)
+    content = document(RESULT, Section(), 7, "sayd sine --seed 7")
     files = ResultDirectory(tmp_path / "deep" / "er").save(RESULT, content)
     assert [path.name for path in files] == ["sine.csv", "sine.png", "result.json"]
     assert sorted(path.name for path in files[0].parent.iterdir()) == ["result.json", "sine.csv", "sine.png"]
     stored = json.loads(files[-1].read_text())
     assert stored["config"] == {"speed": 80.0}
     assert stored["seed"] == 7
+    assert stored["command"] == "sayd sine --seed 7"
     assert stored["peak"] == 1.0
     assert stored["versions"]["numpy"] == np.__version__
     assert {"python", "sayd_env", "scipy", "numba"} <= set(stored["versions"])
@@ -191,7 +149,7 @@ def test_a_full_disk_is_one_clear_message(tmp_path: Path, monkeypatch: pytest.Mo
 
     directory = ResultDirectory(tmp_path)
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(ConfigError, match=r"cannot be written \(No space left on device\)"):
+    with pytest.raises(StudyError, match=r"cannot be written \(No space left on device\)"):
         directory.write({"result.json": b"{}"})
     assert list(tmp_path.iterdir()) == []
 
@@ -201,6 +159,14 @@ def test_a_file_in_the_way_is_found_before_the_study_starts(tmp_path: Path):
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(ConfigError, match="a file is in the way"):
             ResultDirectory(path)
+
+
+@pytest.mark.parametrize("name", ["result.json", "sine.csv"])
+def test_a_folder_in_the_way_of_a_file_leaves_no_other_file(name: str, tmp_path: Path):
+    (tmp_path / name).mkdir()
+    with pytest.raises(ConfigError, match=f"a folder named {name} is in the way"):
+        ResultDirectory(tmp_path).save(RESULT, {})
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 def test_a_directory_that_cannot_be_written_is_found_before_the_study_starts():

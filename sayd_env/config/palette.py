@@ -1,0 +1,118 @@
+"""Colours, markers and lines of all pictures: a policy or a wheelset looks the same in each of them.
+
+The colours are those of M. Okabe and K. Ito, "Color Universal Design" (2008), which colour-blind readers can
+tell apart. Where there are more things than colours, markers and lines tell them apart.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import product
+from types import MappingProxyType
+from typing import Any
+
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
+GREY = "#7F7F7F"
+"""Beside the eight: what the others are compared with."""
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, GREY)
+"""Of things without a colour of their own; yellow is too light for a line."""
+LINES = ("-", "--", "-.", ":")
+MARKERS = "osD^vP*X<>"
+FRONT, REAR = BLUE, VERMILION
+"""Colours of the bogies."""
+LIMIT = BLACK
+"""Colour of a limit, which is a dashed line."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """Colour, marker and line of one thing."""
+
+    colour: str
+    marker: str = "o"
+    line: str = "-"
+
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """Keywords of `matplotlib.axes.Axes.plot`."""
+        return {"color": self.colour, "marker": self.marker, "linestyle": self.line}
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The same without markers, for lines of many points."""
+        return {"color": self.colour, "linestyle": self.line}
+
+
+_POLICIES = MappingProxyType(
+    {
+        "passive": Style(BLACK, "o", ":"),
+        "constant": Style(GREY, "s", "-"),
+        "constant-tuned": Style(GREY, "D", "--"),
+        "mppt1": Style(SKY, "^", "--"),
+        "mppt2": Style(BLUE, "^", "-"),
+        "mppt2-tuned": Style(BLUE, "v", "-."),
+        "perturb-and-observe": Style(GREEN, "P", "-"),
+        "skyhook-onoff": Style(ORANGE, "s", "--"),
+        "skyhook-continuous": Style(ORANGE, "o", "-"),
+        "ppo": Style(VERMILION, "D", "-"),
+        "sac": Style(PURPLE, "*", "-"),
+    }
+)
+_OTHERS = tuple(Style(c, m, line) for c, m, line in product((GREEN, PURPLE, SKY, YELLOW), "X<>h8p", "-."))
+_TRAINING = re.compile(r"(?P<algorithm>[a-z]+[0-9]?)-s(?P<seed>\d+)")
+
+
+def policy_style(name: str) -> Style:
+    """Colour, marker and line of a policy, the same wherever it is drawn.
+
+    Parameters
+    ----------
+    name : str
+        A controller, an algorithm, one of its trainings (``ppo-s3``), ``constant:0.3``, or any other name.
+    """
+    if name in _POLICIES:
+        return _POLICIES[name]
+    kind, colon, value = name.partition(":")
+    if colon and kind in _POLICIES:  # a variant: the same colour
+        return Style(_POLICIES[kind].colour, *_pick(value))
+    training = _TRAINING.fullmatch(name)
+    if training is not None and training["algorithm"] in _POLICIES:
+        seed = int(training["seed"])
+        return Style(_POLICIES[training["algorithm"]].colour, MARKERS[seed % len(MARKERS)], LINES[seed % 4])
+    return _OTHERS[zlib.crc32(name.encode()) % len(_OTHERS)]
+
+
+def wheelset_style(place: int) -> Style:
+    """Colour, marker and line of a wheelset, counted from the front: a colour for each bogie."""
+    return Style((FRONT, REAR)[place // 2 % 2], "os"[place % 2], ("-", "--")[place % 2])
+
+
+def cycled(place: int) -> Style:
+    """Style of one of several things that have no name in all pictures."""
+    return Style(CYCLE[place % len(CYCLE)], MARKERS[place % len(MARKERS)], LINES[place // len(CYCLE) % 4])
+
+
+def _pick(text: str) -> tuple[str, str]:
+    number = zlib.crc32(text.encode())
+    return MARKERS[number % len(MARKERS)], LINES[number // len(MARKERS) % len(LINES)]
+
+
+@contextmanager
+def without_backend() -> Iterator[None]:
+    """Import Matplotlib inside: no picture of ours needs the windows that MPLBACKEND asks for.
+
+    Matplotlib cannot be imported where that variable names what is not installed, as in a process that a
+    notebook has started.
+    """
+    asked = os.environ.pop("MPLBACKEND", None)
+    try:
+        yield
+    finally:
+        if asked is not None:
+            os.environ["MPLBACKEND"] = asked

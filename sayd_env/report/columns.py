@@ -1,0 +1,172 @@
+"""A table, said once: its columns make what is printed, the CSV file and the rows of the JSON document."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table as PrintedTable
+
+Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
+"""Header and rows; units stand in the header names (``speed_kmh``)."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a study's table."""
+
+    name: str
+    """Where a row has its value: its key or attribute, and the name in CSV and JSON."""
+    header: str = ""
+    """Heading of the printed column; without one the column is not printed."""
+    unit: str = ""
+    """Of the printed values."""
+    scale: float = 1.0
+    """Printed value over stored value."""
+    digits: int | None = None
+    """Of a printed number behind the point; None for its shortest form."""
+    limit: float = math.inf
+    """Values above it are printed in red."""
+    best: bool = False
+    """The lowest value of a section is printed in bold."""
+    wide: bool = False
+    """Printed with ``--wide`` only."""
+    infinite: str = "inf"
+    """How an infinite value is printed."""
+    bad: Any = None
+    """A value that is printed in red."""
+
+    def of(self, row: Any) -> Any:
+        """Value of a row, a mapping or an object."""
+        return row[self.name] if isinstance(row, Mapping) else getattr(row, self.name)
+
+    def words(self, value: Any) -> str:
+        """How a value is printed."""
+        if value is None or (_is_number(value) and math.isnan(value)):
+            return "-"
+        if isinstance(value, bool | np.bool_):
+            return "yes" if value else "no"
+        if not _is_number(value):
+            return "".join(c if c.isprintable() else "\ufffd" for c in str(value))
+        if math.isinf(value):
+            return self.infinite
+        scaled = self.scale * value
+        return f"{scaled:,}" if isinstance(scaled, int) else self._number(float(scaled))
+
+    def _number(self, value: float) -> str:
+        return f"{value:g}" if self.digits is None else f"{value:.{self.digits}f}"
+
+    def style(self, value: Any, lowest: float) -> str:
+        """How a value stands out where `lowest` is the lowest one of its section."""
+        number = _is_number(value)
+        bold = self.best and number and value == lowest
+        infinite = number and math.isinf(value)
+        red = infinite or (number and value > self.limit) or (self.bad is not None and value == self.bad)
+        return " ".join(word for word, on in (("bold", bold or infinite), ("red", red)) if on)
+
+
+def csv_table(columns: Sequence[Column], rows: Iterable[Any]) -> Table:
+    """Stored values of all columns, as a CSV file has them."""
+    return [column.name for column in columns], [[column.of(row) for column in columns] for row in rows]
+
+
+def json_rows(columns: Sequence[Column], rows: Iterable[Any]) -> list[dict[str, Any]]:
+    """Stored values of all columns, as the JSON document has them."""
+    return [{column.name: column.of(row) for column in columns} for row in rows]
+
+
+def print_table(
+    console: Console,
+    title: str,
+    columns: Sequence[Column],
+    rows: Sequence[Any],
+    *,
+    wide: bool = False,
+    section: str | None = None,
+) -> None:
+    """Print the columns that have a heading.
+
+    Parameters
+    ----------
+    console : Console
+    title : str
+    columns : sequence of Column
+    rows : sequence
+        Mappings or objects that have the columns' values.
+    wide : bool
+        Also the columns that are printed with ``--wide`` only.
+    section : str, optional
+        Where rows have what a section has in common; without it the table is one section.
+
+    Notes
+    -----
+    Texts are wrapped where the console is narrow. Numbers are not: a table that needs more room gets it.
+    """
+    from rich import box  # noqa: PLC0415 - only who prints pays for it
+    from rich.table import Table as PrintedTable  # noqa: PLC0415
+    from rich.text import Text  # noqa: PLC0415
+
+    shown = [column for column in columns if column.header and (wide or not column.wide)]
+    table = PrintedTable(
+        title=Text(title),
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+        show_edge=False,
+    )
+    for column in shown:
+        _add_column(table, column, [column.of(row) for row in rows])
+    for group in _sections(rows, section):
+        lowest = [_lowest(column, group) for column in shown]
+        for row in group:
+            values = [column.of(row) for column in shown]
+            cells = [
+                Text(column.words(value), column.style(value, least))
+                for column, value, least in zip(shown, values, lowest, strict=True)
+            ]
+            table.add_row(*cells, end_section=section is not None and row is group[-1])
+    hidden = sum(bool(column.header) for column in columns) - len(shown)
+    if hidden:
+        table.caption = Text(f"{hidden} more column{'s' if hidden > 1 else ''} with --wide")
+        table.caption_justify = "left"
+    console.print(table, crop=False)
+    console.print()
+
+
+def _add_column(table: PrintedTable, column: Column, values: Sequence[Any]) -> None:
+    from rich.text import Text  # noqa: PLC0415 - only who prints pays for it
+
+    numbers = all(value is None or _is_number(value) for value in values)
+    heading = f"{column.header} ({column.unit})" if column.unit else column.header
+    whole = [*heading.split(), *(column.words(value) for value in values if numbers)]
+    table.add_column(
+        Text(heading),
+        justify="right" if numbers else "left",
+        min_width=max(map(len, whole)),
+        overflow="fold",
+    )
+
+
+def _sections(rows: Sequence[Any], section: str | None) -> list[list[Any]]:
+    if section is None:
+        return [list(rows)] if rows else []
+    common = Column(section)
+    return [list(group) for _, group in groupby(rows, common.of)]
+
+
+def _lowest(column: Column, rows: Sequence[Any]) -> float:
+    """Lowest value of a section; NaN, which equals nothing, where there is no other to compare it with."""
+    values = [value for row in rows if _is_number(value := column.of(row)) and not math.isnan(value)]
+    return min(values) if len(rows) > 1 and values else math.nan
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
