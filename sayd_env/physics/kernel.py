@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, overload
 
 # Threads that wait for work sleep instead of spinning: beside other busy processes (workers, a learner's own
 # threads) spinning costs a small batch nine tenths of its speed. Read when numba loads OpenMP.
@@ -21,6 +21,9 @@ from numba.core.compiler import Compiler
 numba_config: Any = config  # its settings are made at run time
 njit: Any = numba.njit  # its annotations leave out the option that switches reference counts off
 _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def source_hash(folder: Path) -> str:
@@ -61,8 +64,24 @@ class _DistinctArrays(Compiler):
         return super().define_pipelines()  # type: ignore[no-untyped-call]
 
 
+@overload
+def kernel(function: Callable[P, R], /) -> Callable[P, R]: ...
+
+
+@overload
+def kernel(
+    *,
+    parallel: bool = False,
+    inline: bool = False,
+    distinct: bool = False,
+    allocates: bool = True,
+    announce: str | None = None,
+) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
+
+
 def kernel(
     function: Callable[..., Any] | None = None,
+    /,
     *,
     parallel: bool = False,
     inline: bool = False,
@@ -111,6 +130,12 @@ def kernel(
         return dispatcher
 
     return compile_ if function is None else compile_(function)
+
+
+def specialised(function: Callable[P, R], arguments: tuple[Any, ...]) -> Callable[P, R]:
+    """A kernel's machine code for arguments of these types: calling it does not look at the types again."""
+    dispatcher: Any = function
+    return dispatcher.compile(tuple(map(numba.typeof, arguments)))  # type: ignore[no-any-return]
 
 
 @contextmanager
