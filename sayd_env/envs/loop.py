@@ -415,9 +415,9 @@ class Period(NamedTuple):
     """(v,) receives how the last period ended."""
 
 
-loop_of: Any = vehicle_from(Loop)
-memory_of: Any = vehicle_from(LoopState)
-filters_of: Any = vehicle_from(BandState)
+loop_of = vehicle_from(Loop)
+memory_of = vehicle_from(LoopState)
+filters_of = vehicle_from(BandState)
 
 
 class OnBoard(NamedTuple):

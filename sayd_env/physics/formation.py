@@ -106,9 +106,9 @@ def kind(plant: Plant) -> tuple[Any, ...]:
     return *common, *lengths, *structure
 
 
-plant_of: Any = vehicle_from(Plant)
-state_of: Any = vehicle_from(State)
-work_of: Any = vehicle_from(Work)
+plant_of = vehicle_from(Plant)
+state_of = vehicle_from(State)
+work_of = vehicle_from(Work)
 
 
 @kernel(allocates=False)
