@@ -1,13 +1,11 @@
-"""The one decorator of all compiled code, with a cache that notices every change of a kernel source."""
+"""The one decorator of all compiled code."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
 
 # Threads that wait for work sleep instead of spinning: beside other busy processes (workers, a learner's own
@@ -15,45 +13,19 @@ from typing import Any, ParamSpec, TypeVar, overload
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numba
-from numba.core import config, event
+from numba.core import event
 from numba.core.compiler import Compiler
 
-numba_config: Any = config  # its settings are made at run time
+from sayd_env.physics.kernel_cache import kernel_cache, kernel_folder
+
 njit: Any = numba.njit  # its annotations leave out the option that switches reference counts off
 _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-
-def source_hash(folder: Path) -> str:
-    """Hash of the sources below a folder that hold kernels, and of the numba version (16 hexadecimal digits).
-
-    Numba keys its cache by the file of the compiled function alone, so an edit of a function that this one
-    calls would go unnoticed. A cache directory named by the hash of all kernel sources cannot be stale. (The
-    processor is part of Numba's own index.)
-
-    Counted are all files beside this one and below, whose numbers kernels may take over, and of the rest
-    those that import the decorator.
-    """
-    digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(folder.rglob("*.py")):
-        content = path.read_bytes()
-        if Path(__file__).parent.name in path.relative_to(folder).parts or b"kernel import kernel" in content:
-            digest.update(path.relative_to(folder).as_posix().encode())
-            digest.update(content)
-    return digest.hexdigest()[:16]
-
-
-def cache_directory() -> Path:
-    """Directory of the compiled kernels: below SAYD_CACHE_DIR, or the user's cache directory."""
-    root = os.environ.get("SAYD_CACHE_DIR")
-    if root is None:
-        root = os.path.join(os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~/.cache")), "sayd")
-    return Path(root) / f"kernels-{source_hash(Path(__file__).parent.parent)}"
-
-
-CACHE_DIRECTORY = cache_directory()
+CACHE_DIRECTORY = kernel_folder()
+"""None where nothing can be kept."""
 
 
 class _DistinctArrays(Compiler):
@@ -111,20 +83,15 @@ def kernel(
     """
 
     def compile_(f: Callable[..., Any]) -> Any:
-        previous = numba_config.CACHE_DIR
-        numba_config.CACHE_DIR = str(CACHE_DIRECTORY)
-        try:
-            dispatcher = njit(
-                cache=True,
-                error_model="numpy",
-                nogil=True,
-                parallel=parallel,
-                forceinline=inline,
-                pipeline_class=_DistinctArrays if distinct else Compiler,
-                _nrt=allocates,
-            )(f)
-        finally:
-            numba_config.CACHE_DIR = previous
+        dispatcher = njit(
+            error_model="numpy",
+            nogil=True,
+            parallel=parallel,
+            forceinline=inline,
+            pipeline_class=_DistinctArrays if distinct else Compiler,
+            _nrt=allocates,
+        )(f)
+        dispatcher._cache = kernel_cache(f, CACHE_DIRECTORY)
         if announce is not None:
             _ANNOUNCEMENTS[f.__module__, f.__qualname__] = announce
         return dispatcher
