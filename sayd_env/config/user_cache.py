@@ -22,7 +22,7 @@ def cache_folder(name: str = "") -> Path | None:
     for place in _places():
         if _is_writable(place / name):
             return place / name
-    report_once("no cache directory can be written (SAYD_CACHE_DIR names one): kernels are compiled anew in each process")
+    report_once("no cache directory can be written, set SAYD_CACHE_DIR: each process compiles anew")
     return None
 
 

@@ -120,7 +120,7 @@ def test_an_edited_leaf_shows(package: Path) -> None:
 
 
 def test_damaged_and_unfinished_files_do_no_harm(package: Path) -> None:
-    """What cannot be read is compiled anew; what a killed process left unfinished is removed when it is old."""
+    """What cannot be read is compiled anew; what a killed process left unfinished is removed if it is old."""
     first = result(package)
     files = [Path(name) for name in compiled(package)]
     indices = list((package / "cache").rglob("*.nbi"))
