@@ -64,8 +64,8 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint]'; \
 	touch $@
 
-# The learning part, with torch, is what the tests need besides. pip's options choose torch's build:
+# The learning part, with torch, and the two clusters are what the tests need besides. pip's options choose torch's build:
 # make test PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
 $(VENV)/.learning: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[train,onnx]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[train,onnx,ray,dask]'
 	touch $@

@@ -187,19 +187,18 @@ class SignalRmsMeter(RmsMeter):
 
     def measure(self, readings: Readings, rows: Array) -> bool:
         """Take one control period's readings."""
-        return bool(
-            _measure(
-                self._band,
-                readings.filters,
-                rows,
-                self._area,
-                self._period,
-                readings.count,
-                readings.squares,
-                readings.rms,
-                readings.sample,
-                readings.filtered,
-            )
+        assert readings.filters is not None  # for signals there are some
+        return _measure(
+            self._band,
+            readings.filters,
+            rows,
+            self._area,
+            self._period,
+            readings.count,
+            readings.squares,
+            readings.rms,
+            readings.sample,
+            readings.filtered,
         )
 
     def listen(self, readings: Readings, rows: Array, begins: Index) -> None:

@@ -413,9 +413,9 @@ class Period(NamedTuple):
     """(v,) receives how the last period ended."""
 
 
-loop_of: Any = vehicle_from(Loop)
-memory_of: Any = vehicle_from(LoopState)
-filters_of: Any = vehicle_from(BandState)
+loop_of = vehicle_from(Loop)
+memory_of = vehicle_from(LoopState)
+filters_of = vehicle_from(BandState)
 
 
 class OnBoard(NamedTuple):
@@ -557,9 +557,9 @@ def _run_units(
             )
 
 
-run_units: Any = kernel(announce="the control loop (first use, about 20 s)")(named(_run_units, "run_units"))
+run_units = kernel(announce="the control loop (first use, about 20 s)")(named(_run_units, "run_units"))
 """`_run_units`, one unit after another."""
-run_units_in_parallel: Any = kernel(
+run_units_in_parallel = kernel(
     parallel=True, announce="the control loop of many vehicles (first use, about 20 s)"
 )(named(_run_units, "run_units_in_parallel"))
 """`_run_units` on all threads: the results are the same bits."""

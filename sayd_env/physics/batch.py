@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
-from numba.core import config
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.physics.formation import (
@@ -27,6 +25,7 @@ from sayd_env.physics.formation import (
     work_of,
 )
 from sayd_env.physics.kernel import kernel, named
+from sayd_env.physics.kernel_cache import numba_config
 from sayd_env.physics.plant import Plant, State, Work
 from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
 from sayd_env.physics.simulator import Simulator
@@ -34,7 +33,6 @@ from sayd_env.physics.step import largest_shift, measure, record, steps
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
-numba_config: Any = config  # its settings are made at run time
 
 
 @kernel(allocates=False)
@@ -117,11 +115,11 @@ def _advance_units(
             _advance(SINGLE, plant, states, together, work, alone, substeps[i], signals, done)
 
 
-advance_units: Any = kernel(announce="the simulator of several vehicles (first use, about 15 s)")(
+advance_units = kernel(announce="the simulator of several vehicles (first use, about 15 s)")(
     named(_advance_units, "advance_units")
 )
 """`_advance_units`, one unit after another."""
-advance_units_in_parallel: Any = kernel(
+advance_units_in_parallel = kernel(
     parallel=True, announce="the simulator of many vehicles (first use, about 15 s)"
 )(named(_advance_units, "advance_units_in_parallel"))
 """`_advance_units` on all threads: the results are the same bits."""

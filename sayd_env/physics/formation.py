@@ -106,9 +106,9 @@ def kind(plant: Plant) -> tuple[Any, ...]:
     return *common, *lengths, *structure
 
 
-plant_of: Any = vehicle_from(Plant)
-state_of: Any = vehicle_from(State)
-work_of: Any = vehicle_from(Work)
+plant_of = vehicle_from(Plant)
+state_of = vehicle_from(State)
+work_of = vehicle_from(Work)
 
 
 @kernel(allocates=False)
@@ -227,7 +227,7 @@ class Formation:
                 alone += list(run[run >= 0])
         return _units(groups, members, alone)
 
-    def arguments(self) -> tuple[Any, ...]:
+    def arguments(self) -> tuple[References, References, References, References, References, References]:
         """Vehicles and groups as a compiled call takes them, after `units`.
 
         Raises
@@ -237,8 +237,14 @@ class Formation:
         """
         if self._stale or self._changed:
             raise RuntimeError("vehicles have been replaced: call units first")
-        own = (self.plant, self.state, self.work, self._group_plant, self._group_state, self._group_work)
-        return tuple(batch.table for batch in own)
+        return (
+            self.plant.table,
+            self.state.table,
+            self.work.table,
+            self._group_plant.table,
+            self._group_state.table,
+            self._group_work.table,
+        )
 
     def _arrange(self) -> None:
         """Form groups of vehicles of one kind, in the order of the batch."""

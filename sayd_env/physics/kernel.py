@@ -1,57 +1,32 @@
-"""The one decorator of all compiled code, with a cache that notices every change of a kernel source."""
+"""The one decorator of all compiled code."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, overload
 
 # Threads that wait for work sleep instead of spinning: beside other busy processes (workers, a learner's own
 # threads) spinning costs a small batch nine tenths of its speed. Read when numba loads OpenMP.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numba
-from numba.core import config, event
+from numba.core import event
 from numba.core.compiler import Compiler
 
-numba_config: Any = config  # its settings are made at run time
+from sayd_env.physics.kernel_cache import kernel_cache, kernel_folder
+
 njit: Any = numba.njit  # its annotations leave out the option that switches reference counts off
 _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
 
+P = ParamSpec("P")
+R = TypeVar("R")
 
-def source_hash(folder: Path) -> str:
-    """Hash of the sources below a folder that hold kernels, and of the numba version (16 hexadecimal digits).
-
-    Numba keys its cache by the file of the compiled function alone, so an edit of a function that this one
-    calls would go unnoticed. A cache directory named by the hash of all kernel sources cannot be stale. (The
-    processor is part of Numba's own index.)
-
-    Counted are all files beside this one and below, whose numbers kernels may take over, and of the rest
-    those that import the decorator.
-    """
-    digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(folder.rglob("*.py")):
-        content = path.read_bytes()
-        if Path(__file__).parent.name in path.relative_to(folder).parts or b"kernel import kernel" in content:
-            digest.update(path.relative_to(folder).as_posix().encode())
-            digest.update(content)
-    return digest.hexdigest()[:16]
-
-
-def cache_directory() -> Path:
-    """Directory of the compiled kernels: below SAYD_CACHE_DIR, or the user's cache directory."""
-    root = os.environ.get("SAYD_CACHE_DIR")
-    if root is None:
-        root = os.path.join(os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~/.cache")), "sayd")
-    return Path(root) / f"kernels-{source_hash(Path(__file__).parent.parent)}"
-
-
-CACHE_DIRECTORY = cache_directory()
+CACHE_DIRECTORY = kernel_folder()
+"""None where nothing can be kept."""
 
 
 class _DistinctArrays(Compiler):
@@ -62,8 +37,24 @@ class _DistinctArrays(Compiler):
         return super().define_pipelines()  # type: ignore[no-untyped-call]
 
 
+@overload
+def kernel(function: Callable[P, R], /) -> Callable[P, R]: ...
+
+
+@overload
+def kernel(
+    *,
+    parallel: bool = False,
+    inline: bool = False,
+    distinct: bool = False,
+    allocates: bool = True,
+    announce: str | None = None,
+) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
+
+
 def kernel(
     function: Callable[..., Any] | None = None,
+    /,
     *,
     parallel: bool = False,
     inline: bool = False,
@@ -93,25 +84,26 @@ def kernel(
     """
 
     def compile_(f: Callable[..., Any]) -> Any:
-        previous = numba_config.CACHE_DIR
-        numba_config.CACHE_DIR = str(CACHE_DIRECTORY)
-        try:
-            dispatcher = njit(
-                cache=True,
-                error_model="numpy",
-                nogil=True,
-                parallel=parallel,
-                forceinline=inline,
-                pipeline_class=_DistinctArrays if distinct else Compiler,
-                _nrt=allocates,
-            )(f)
-        finally:
-            numba_config.CACHE_DIR = previous
+        dispatcher = njit(
+            error_model="numpy",
+            nogil=True,
+            parallel=parallel,
+            forceinline=inline,
+            pipeline_class=_DistinctArrays if distinct else Compiler,
+            _nrt=allocates,
+        )(f)
+        dispatcher._cache = kernel_cache(f, CACHE_DIRECTORY)
         if announce is not None:
             _ANNOUNCEMENTS[f.__module__, f.__qualname__] = announce
         return dispatcher
 
     return compile_ if function is None else compile_(function)
+
+
+def specialised(function: Callable[P, R], arguments: tuple[Any, ...]) -> Callable[P, R]:
+    """A kernel's machine code for arguments of these types: calling it does not look at the types again."""
+    dispatcher: Any = function
+    return dispatcher.compile(tuple(map(numba.typeof, arguments)))  # type: ignore[no-any-return]
 
 
 @contextmanager
@@ -151,7 +143,7 @@ def _kernel_name(compilation: Any) -> tuple[str, str]:
     return function.__module__, function.__qualname__
 
 
-def named(function: Callable[..., None], name: str) -> Callable[..., None]:
+def named(function: Callable[P, None], name: str) -> Callable[P, None]:
     """The same function under another name: Numba's cache tells its kernels apart by theirs."""
     copy = FunctionType(function.__code__, function.__globals__, name)
     copy.__qualname__, copy.__doc__, copy.__module__ = name, function.__doc__, function.__module__

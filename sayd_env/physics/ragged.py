@@ -7,9 +7,20 @@ differ in length from vehicle to vehicle, several vehicles may share one, and no
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
-from typing import Annotated, Any, Generic, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Generic,
+    NamedTuple,
+    SupportsIndex,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 import numpy.typing as npt
@@ -130,7 +141,7 @@ class RaggedBatch(Generic[Fields]):
             self.put(i, fields)
 
 
-def vehicle_from(kind: Any) -> Any:
+def vehicle_from(kind: type[Fields]) -> Callable[[Index, SupportsIndex], Fields]:
     """Compiled counterpart of `RaggedBatch.view`: ``f(table, i)`` makes vehicle i's named tuple.
 
     A Numba intrinsic, so that a field that somebody adds needs no second list of fields here.
@@ -173,7 +184,7 @@ def vehicle_from(kind: Any) -> Any:
 
         return result(table, vehicle), generate
 
-    return intrinsic(typed)
+    return cast("Callable[[Index, SupportsIndex], Fields]", intrinsic(typed))
 
 
 def _item(part: Any) -> Any:

@@ -8,7 +8,8 @@ the same order whatever W is, so its result is the same bits.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +30,7 @@ SINGLE: Lanes = (0,)
 ABREAST: Lanes = (0,) * 8
 """As many vehicles as a 512-bit register has numbers; two 256-bit registers serve as well."""
 
-
+RowProduct: TypeAlias = Callable[[Lanes, Column, Array, np.int64, np.int64, Array, Array, int], None]
 _alloca: Any = cgutils.alloca_once  # without annotations
 
 
@@ -60,7 +61,7 @@ def _check_flat(**arrays: tuple[Any, Any]) -> None:
             raise errors.TypingError(f"{name}: found {array}, expected a flat contiguous array of {dtype}")
 
 
-def _row_product(each: bool, accumulate: bool) -> Any:
+def _row_product(each: bool, accumulate: bool) -> RowProduct:
     """Intrinsic: one row of a product, with values of `each` vehicle or of all, added or written.
 
     Called as ``f(lanes, column, value, first, last, x, out, row)``.
@@ -121,7 +122,7 @@ def _row_product(each: bool, accumulate: bool) -> Any:
 
         return types.void(lanes, column, value, first, last, x, out, row), codegen
 
-    return intrinsic(typed)
+    return cast("RowProduct", intrinsic(typed))
 
 
 _row_of_all = _row_product(each=False, accumulate=False)

@@ -18,7 +18,7 @@ from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics import sayd
 from sayd_env.physics.contact import creep
-from sayd_env.physics.contact.geometry import ContactTable, kept_contact_table
+from sayd_env.physics.contact.geometry import ContactTable, cached_contact_table
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import (
     APPROACH,
@@ -577,7 +577,7 @@ def _contact_table(
 ) -> ContactTable:
     """Contact table of wheels on rails; many vehicles of a study share it."""
     profiles = wheel_profile(wheel, wear), rail_profile(rail)
-    return kept_contact_table(*profiles, gauge, contact, radius, load)
+    return cached_contact_table(*profiles, gauge, contact, radius, load)
 
 
 def checked_currents(currents: npt.ArrayLike, count: int) -> Array:

@@ -193,7 +193,7 @@ def _series_table(field: ThrottleField, wanted: Array, check: SpringValve) -> Ar
     below = np.clip(np.searchsorted(field.current, wanted, side="right") - 1, 0, len(field.current) - 2)
     share = (wanted - field.current[below]) / (field.current[below + 1] - field.current[below])
     flow = field.flow[below] + share[:, None] * (field.flow[below + 1] - field.flow[below])
-    over = (DROP_ROOT + ROOT_STEP * np.arange(ROOTS)) ** 2 - DROP_SCALE
+    over = (DROP_ROOT + ROOT_STEP * np.arange(ROOTS, dtype=np.float64)) ** 2 - DROP_SCALE
     table = np.empty((len(wanted), ROOTS))
     wide = check.nominal_flow * math.sqrt(check.full / check.nominal_drop)
     linear = 2.0 * (check.full - check.opening) / wide

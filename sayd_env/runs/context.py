@@ -50,12 +50,12 @@ class RunContext:
     """By default one in memory."""
     progress: Progress = silent
 
-    def part(self, before: float, whole: float, what: str = "") -> RunContext:
+    def part(self, before: float, whole: float, name: str = "") -> RunContext:
         """The same for a part of a study: its progress counts from `before` on, of a `whole`."""
         progress = self.progress
 
-        def report(done: float, total: float, name: str = "") -> None:
-            progress(before + done, whole, what or name)
+        def report(done: float, total: float, what: str = "") -> None:
+            progress(before + done, whole, name or what)
 
         return replace(self, progress=report)
 

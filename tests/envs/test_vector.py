@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from sayd_env.config import ConfigError
 from sayd_env.envs.single import SaydEnv
 from sayd_env.envs.vector import SaydVectorEnv
-from sayd_env.physics.kernel import numba_config
+from sayd_env.physics.kernel_cache import numba_config
 
 THREADS = [n for n in (1, 2) if n <= numba_config.NUMBA_NUM_THREADS]
 MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]

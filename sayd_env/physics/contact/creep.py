@@ -46,9 +46,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sayd_env.physics.array_cache import cached_array
 from sayd_env.physics.contact import fastsim, kalker
 from sayd_env.physics.contact.polach import polach
-from sayd_env.physics.kept import kept
 from sayd_env.physics.kernel import kernel
 
 Array = NDArray[np.float64]
@@ -298,7 +298,7 @@ def creep_table(poisson_ratio: float) -> Array:
     """
     sources = (Path(source).read_bytes() for source in (__file__, fastsim.__file__, kalker.__file__))
     content = (repr(float(poisson_ratio)).encode(), *sources)
-    return kept("creep", content, _LENGTH, lambda: build_table(poisson_ratio))
+    return cached_array("creep", content, _LENGTH, lambda: build_table(poisson_ratio))
 
 
 def build_table(poisson_ratio: float, elements: int = _ELEMENTS) -> Array:

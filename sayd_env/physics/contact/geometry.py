@@ -47,10 +47,10 @@ from scipy.interpolate import CubicSpline
 
 from sayd_env.config import DataError
 from sayd_env.config.contact import ContactConfig
+from sayd_env.physics.array_cache import cached_array
 from sayd_env.physics.contact import hertz, kalker
 from sayd_env.physics.contact.hertz import hertz_coefficients
 from sayd_env.physics.contact.kalker import kalker_coefficients
-from sayd_env.physics.kept import kept
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.profiles import Profile, gauge_point
 
@@ -249,7 +249,7 @@ def contact_table(
     )
 
 
-def kept_contact_table(
+def cached_contact_table(
     wheel: Profile, rail: Profile, gauge: float, config: ContactConfig, r0: float, load: float
 ) -> ContactTable:
     """`contact_table`, from the disk if it has been made before."""
@@ -272,7 +272,7 @@ def kept_contact_table(
         config.model_dump(),
     )
     shapes = (values.tobytes() for profile in (wheel, rail) for values in (profile.y, profile.z))
-    flat = kept("contact", (repr(numbers).encode(), *shapes, *sources), len(own) * nodes, make)
+    flat = cached_array("contact", (repr(numbers).encode(), *shapes, *sources), len(own) * nodes, make)
     columns = dict(zip(own, flat.reshape(len(own), nodes), strict=True))
     first = -config.half_nodes * config.table_step
     return ContactTable(dy_min=first, step=config.table_step, load=load, **columns)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
 import numpy as np
 from llvmlite import ir
@@ -130,7 +131,8 @@ def _weighted_rows(
     return types.void(coefficients, first, weights, out, place, stride), codegen
 
 
-weighted_rows: Any = intrinsic(_weighted_rows)
+_Weights = tuple[float, float, float, float]
+weighted_rows = cast("Callable[[Array, int, _Weights, Array, int, int], None]", intrinsic(_weighted_rows))
 
 
 @kernel

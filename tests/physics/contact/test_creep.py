@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from sayd_env.physics import kept
+from sayd_env.physics import array_cache
+from sayd_env.physics.array_cache import stored_array
 from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.fastsim import fastsim
 from sayd_env.physics.contact.kalker import TABLE_C11, TABLE_C22, TABLE_C23, TABLE_RATIO, kalker_coefficients
@@ -257,7 +258,7 @@ def test_unknown_law_is_refused():
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], list[Path]]]:
     """An empty cache; tells the tables in it."""
-    monkeypatch.setattr(kept, "CACHE_DIRECTORY", tmp_path / "kernels")
+    monkeypatch.setenv("SAYD_CACHE_DIR", str(tmp_path))
     creep.creep_table.cache_clear()
     yield lambda: sorted(tmp_path.glob("creep-*"))
     creep.creep_table.cache_clear()
@@ -293,14 +294,12 @@ def test_damaged_file_is_made_anew(folder: Callable[[], list[Path]], damage: str
     creep.creep_table.cache_clear()
     np.testing.assert_array_equal(creep.creep_table(POISSON), made)
     creep.creep_table.cache_clear()
-    np.testing.assert_array_equal(kept.stored(file, len(made)), made)
+    np.testing.assert_array_equal(stored_array(file, len(made)), made)
 
 
-def test_table_without_a_place_to_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """A file stands where the cache's folder should be: the table is made all the same."""
-    blocked = tmp_path / "blocked"
-    blocked.write_text("")
-    monkeypatch.setattr(kept, "CACHE_DIRECTORY", blocked / "kernels")
+def test_table_without_a_place_to_write(monkeypatch: pytest.MonkeyPatch):
+    """No cache directory can be written: the table is made all the same."""
+    monkeypatch.setattr(array_cache, "cache_folder", lambda: None)
     creep.creep_table.cache_clear()
     assert np.all(np.isfinite(creep.creep_table(POISSON)))
     creep.creep_table.cache_clear()

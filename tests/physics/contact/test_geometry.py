@@ -10,10 +10,9 @@ import pytest
 from sayd_env.config import DataError
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.profile import load_rail, load_wheel
-from sayd_env.physics import kept
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.conicity import harmonic_conicity, radius_difference
-from sayd_env.physics.contact.geometry import contact_table, kept_contact_table, linearised, rigid_contact
+from sayd_env.physics.contact.geometry import cached_contact_table, contact_table, linearised, rigid_contact
 from sayd_env.physics.contact.hertz import hertz_coefficients
 from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
 
@@ -206,14 +205,14 @@ def test_a_kept_table_is_the_one_that_was_made(
     rail: Profile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the disk the same bits as made anew; another wheel, load or gauge is another file."""
-    monkeypatch.setattr(kept, "CACHE_DIRECTORY", tmp_path / "kernels")
+    monkeypatch.setenv("SAYD_CACHE_DIR", str(tmp_path))
     wheel = wheel_profile(load_wheel("s1002cn"))
     made = contact_table(wheel, rail, GAUGE, CONFIG, RADIUS, LOAD)
     for _ in range(2):
-        found = kept_contact_table(wheel, rail, GAUGE, CONFIG, RADIUS, LOAD)
+        found = cached_contact_table(wheel, rail, GAUGE, CONFIG, RADIUS, LOAD)
         np.testing.assert_array_equal(found.packed(), made.packed())
         assert (found.dy_min, found.step, found.load) == (made.dy_min, made.step, made.load)
     assert len(list(tmp_path.glob("contact-*.npy"))) == len(list(tmp_path.iterdir())) == 1
-    kept_contact_table(wheel, rail, GAUGE + 1e-3, CONFIG, RADIUS, LOAD)
-    kept_contact_table(wheel, rail, GAUGE, CONFIG, RADIUS, 0.9 * LOAD)
+    cached_contact_table(wheel, rail, GAUGE + 1e-3, CONFIG, RADIUS, LOAD)
+    cached_contact_table(wheel, rail, GAUGE, CONFIG, RADIUS, 0.9 * LOAD)
     assert len(list(tmp_path.iterdir())) == 3

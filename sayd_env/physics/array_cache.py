@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
-import os
-import tempfile
 import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sayd_env.physics.kernel import CACHE_DIRECTORY
+from sayd_env.config.errors import StudyError
+from sayd_env.config.storage import remove_leftovers, write_file
+from sayd_env.config.units import Array
+from sayd_env.config.user_cache import cache_folder
 
-Array = NDArray[np.float64]
 
-
-def kept(name: str, content: Iterable[bytes], length: int, make: Callable[[], Array]) -> Array:
+def cached_array(name: str, content: Iterable[bytes], length: int, make: Callable[[], Array]) -> Array:
     """Return a flat array, from the disk if it has been made before.
 
     Parameters
@@ -33,18 +32,23 @@ def kept(name: str, content: Iterable[bytes], length: int, make: Callable[[], Ar
         Makes it. It is called where there is no file, where the file is damaged, and in every process where
         there is no place to write.
     """
+    folder = cache_folder()
+    if folder is None:
+        return make()
     digest = hashlib.sha256()
     for part in content:
         digest.update(part)
-    file = CACHE_DIRECTORY.parent / f"{name}-{digest.hexdigest()[:16]}.npy"
-    found = stored(file, length)
+    remove_leftovers(folder)
+    file = folder / f"{name}-{digest.hexdigest()[:16]}.npy"
+    found = stored_array(file, length)
     if found is None:
         found = make()
-        _store(file, found)
+        with contextlib.suppress(StudyError):  # a full disk: the next process makes it again
+            write_file(file, _with_checksum(found))
     return found
 
 
-def stored(file: Path, length: int) -> Array | None:
+def stored_array(file: Path, length: int) -> Array | None:
     """The array in a file, whose last number is the checksum of the others; None if there is no good one."""
     try:
         content = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
@@ -56,18 +60,10 @@ def stored(file: Path, length: int) -> Array | None:
     return values if content[-1] == _checksum(values) else None
 
 
-def _store(file: Path, values: Array) -> None:
-    """Write the array in one move, so that another process finds all of it or nothing."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as temporary:
-            try:
-                np.save(temporary, np.append(values, _checksum(values)))
-                os.replace(temporary.name, file)
-            finally:
-                Path(temporary.name).unlink(missing_ok=True)
-    except OSError:
-        return  # no place to write: the next process makes it again
+def _with_checksum(values: Array) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, np.append(values, _checksum(values)))
+    return stream.getvalue()
 
 
 def _checksum(values: Array) -> float:
