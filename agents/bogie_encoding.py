@@ -37,6 +37,8 @@ QUANTITIES = {
     "place": "-, -1 for the front bogie, 1 for the rear one",
 }
 """What the network of a bogie may see. A row is what was observed in one control period."""
+LARGEST_MATRIX = 2**24
+"""Weights between an observation and the inputs of the networks (128 MiB)."""
 ONCE = ("speed", "place")
 """What does not come row by row."""
 
@@ -112,6 +114,8 @@ class BogieEncoding(Encoding):
         ]
         self.size = len(slots)
         width, signals = self.units * self.size, interface.history * len(interface.signals)
+        if signals * width > LARGEST_MATRIX:
+            raise ConfigError(f"history: {interface.history} rows are too many for the view of a bogie")
         forces = self.units * self.row_count * len(DAMPERS)
         self.linear, self.constant = np.zeros((signals, width)), np.zeros(width)
         self.force, self.level = np.zeros((signals, forces)), np.zeros((forces, width))

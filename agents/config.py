@@ -14,6 +14,10 @@ from sayd_env.config.loader import read_overridden
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 """A whole number of 1 or more."""
+WIDEST = 3.4028234663852886e38
+"""Largest number in single precision."""
+LARGEST = 1e12
+"""Larger numbers than any signal's in SI units."""
 View = Literal["vehicle", "bogie"]
 """What one network sees and commands."""
 
@@ -38,9 +42,11 @@ class InputConfig(Model):
     law: Literal["linear", "log"] = Field(
         "linear", description="linear: (value - middle) / half. log: ln(value / middle) / half"
     )
-    middle: Number = Field(description="Value that becomes 0, in the signal's unit")
+    middle: Number = Field(ge=-LARGEST, le=LARGEST, description="Value that becomes 0, in the signal's unit")
     half: Number = Field(
-        gt=0.0, description="What becomes 1: a difference in the signal's unit, or a logarithm of a ratio"
+        ge=1.0 / LARGEST,
+        le=LARGEST,
+        description="What becomes 1: a difference in the signal's unit, or a logarithm of a ratio",
     )
 
     @model_validator(mode="after")
@@ -155,7 +161,7 @@ class TrainConfig(Model):
         "vehicle", description="vehicle: one network for all. bogie: the same network for each bogie"
     )
     inputs: dict[str, InputConfig] = Field(min_length=1, description="Quantities that the network sees")
-    clip: float = quantity("-", "Largest input of the network", gt=0.0)
+    clip: float = quantity("-", "Largest input of the network", gt=0.0, le=WIDEST)
     output: OutputConfig
     network: NetworkConfig
     learning: PpoConfig | SacConfig = Field(discriminator="algorithm")

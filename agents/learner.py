@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import torch
 from sayd_env.agents.config import PpoConfig, TrainConfig
-from sayd_env.agents.disk import write_folder
 from sayd_env.agents.learning_env import EncodedVecEnv
 from sayd_env.agents.policy_file import Layers
 from stable_baselines3 import PPO, SAC
 
 from sayd_env.config import DataError
+from sayd_env.config.storage import write_folder
 
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 STATE, REPLAY, PROGRESS = "state.pt", "replay.npz", "progress.json"

@@ -7,58 +7,79 @@ reading nor running it needs torch.
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
-from collections.abc import Mapping
+import hashlib
+import re
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import yaml
-from pydantic import Field
+from pydantic import AfterValidator, Field, field_validator
 from sayd_env.agents.bogie_encoding import make_encoding
-from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig, View
-from sayd_env.agents.disk import write_file
-from sayd_env.agents.encoding import Encoding, Observation
+from sayd_env.agents.config import WIDEST, InputConfig, NetworkConfig, OutputConfig, View
+from sayd_env.agents.encoding import Encoding, Observation, VehicleEncoding
+from sayd_env.agents.policy_archive import Arrays, PolicyArchive, pack, shown_path
 from sayd_env.agents.products import layer
 
-from sayd_env.config import DataError, Model, parse_yaml, quantity, validate
+from sayd_env.config import Model, quantity, validate
 from sayd_env.config.assessment import load_assessment
-from sayd_env.config.control import load_online
+from sayd_env.config.control import CONTROLLERS, load_online
 from sayd_env.config.damper import load_sayd
+from sayd_env.config.environment import LONGEST_HISTORY, whole_period
 from sayd_env.config.errors import ConfigError
+from sayd_env.config.explain import shown
+from sayd_env.config.storage import write_file
+from sayd_env.config.units import Array
 from sayd_env.envs.interface import Interface, Signal
 
-Array = npt.NDArray[np.float64]
 Layers = tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
 
-DESCRIPTION = "policy.yaml"
-LARGEST = 256 * 2**20
-"""Bytes that a file may unpack to."""
-_FIRST_DAY = (1980, 1, 1, 0, 0, 0)  # the same policy is the same file, whenever it is written
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_NORMALISATION = ("input_middle", "input_half")
+
+
+def checked_name(name: str) -> str:
+    """The name of a learned policy, after which files are called.
+
+    Raises
+    ------
+    ValueError
+        It has other characters than letters, digits and ``_ . -``, more than 64, or is a controller's.
+    """
+    if not NAME.fullmatch(name):
+        raise ValueError(f"found {shown(name)}; a policy's name has at most 64 letters, digits and _ . -")
+    if name in CONTROLLERS:
+        raise ValueError(f"found '{name}', which is a controller's name")
+    return name
 
 
 class PolicyDescription(Model):
     """What a policy is, beside its weights."""
 
     format: Literal[1] = Field(description="Version of this format")
-    name: str = Field(min_length=1)
+    name: Annotated[str, AfterValidator(checked_name)]
     observation: Literal["signals", "history", "features"]
-    signals: tuple[str, ...] = Field(min_length=1, description="Signals of a vector, in order")
-    history: int = Field(strict=True, ge=1, description="Vectors in an observation")
+    signals: tuple[Annotated[str, Field(max_length=64)], ...] = Field(
+        min_length=1, max_length=256, description="Signals of a vector, in order"
+    )
+    history: int = Field(strict=True, ge=1, le=LONGEST_HISTORY, description="Vectors in an observation")
     valves: Literal["bogie", "damper", "vehicle"]
-    control_period: float = quantity("s", "Time for which a command holds", gt=0.0)
+    control_period: float = quantity("s", "Time for which a command holds", gt=0.0, le=1.0)
     view: View = "vehicle"
     inputs: dict[str, InputConfig] = Field(min_length=1)
-    clip: float = quantity("-", "Largest input of the network", gt=0.0)
+    clip: float = quantity("-", "Largest input of the network", gt=0.0, le=WIDEST)
     output: OutputConfig
     network: NetworkConfig
     squash: Literal["tanh", "clip"] = Field(description="What keeps the output within -1 and 1")
     made: dict[str, Any] = Field({}, description="Where it comes from: configuration, versions, evaluation")
+
+    @field_validator("control_period")
+    @classmethod
+    def _divides_a_second(cls, period: float) -> float:
+        return whole_period(period)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +91,17 @@ class StoredPolicy:
     """Weights (out, in) and biases (out) of each layer."""
     source: str = "policy"
     """Where it was read, for messages."""
+    normalisation: tuple[Array, Array] | None = None
+    """Middle and half of each number of an observation, in place of those of its quantity."""
+
+    @property
+    def needs(self) -> dict[str, Any]:
+        """Keywords of the environments in which it can act."""
+        return interface_like(self.description).keywords
+
+    def identity(self) -> str:
+        """SHA-256 of all that it is."""
+        return hashlib.sha256(policy_bytes(self)).hexdigest()
 
     def bound(self, interface: Interface) -> LearnedPolicy:
         """The policy, ready to act in an environment.
@@ -81,18 +113,36 @@ class StoredPolicy:
         """
         return LearnedPolicy(self, interface)
 
+    def encoding(self, interface: Interface) -> Encoding:
+        """What its network sees and commands in an environment."""
+        told = self.description
+        try:
+            encoding = make_encoding(interface, told.view, told.inputs, told.clip, told.output)
+        except ConfigError as error:
+            raise ConfigError(f"{self.source}: {error}") from None
+        if self.normalisation is not None and isinstance(encoding, VehicleEncoding):
+            middle, half = self.normalisation
+            encoding.middle, encoding.per_half = middle, 1.0 / half
+        return encoding
 
-def describe(interface: Interface, **content: Any) -> PolicyDescription:
-    """Description of a policy for an environment; what is not told by its interface comes by keyword."""
-    return PolicyDescription(
-        format=1,
-        observation=interface.observation,
-        signals=tuple(signal.name for signal in interface.signals),
-        history=interface.history,
-        valves=interface.valves,
-        control_period=interface.control_period,
-        **content,
-    )
+
+def describe(interface: Interface, source: str = "policy", **content: Any) -> PolicyDescription:
+    """Description of a policy for an environment; what its interface does not say comes by keyword.
+
+    Raises
+    ------
+    ConfigError
+        Content that is not allowed; the message begins with the source.
+    """
+    told = {
+        "format": 1,
+        "observation": interface.observation,
+        "signals": tuple(signal.name for signal in interface.signals),
+        "history": interface.history,
+        "valves": interface.valves,
+        "control_period": interface.control_period,
+    }
+    return validate(PolicyDescription, told | content, source)
 
 
 def interface_like(description: PolicyDescription) -> Interface:
@@ -113,15 +163,12 @@ def interface_like(description: PolicyDescription) -> Interface:
 
 def policy_bytes(policy: StoredPolicy) -> bytes:
     """Content of a policy's file."""
-    stream = io.BytesIO()
     arrays: dict[str, Any] = {}
     for i, (weight, bias) in enumerate(policy.layers):
         arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
-    np.savez(stream, **arrays)
+    arrays |= dict(zip(_NORMALISATION, policy.normalisation or (), strict=False))
     text = yaml.safe_dump(policy.description.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
-    with zipfile.ZipFile(stream, "a") as archive:
-        archive.writestr(zipfile.ZipInfo(DESCRIPTION, _FIRST_DAY), text)
-    return stream.getvalue()
+    return pack(text, arrays)
 
 
 def save_policy(path: Path, policy: StoredPolicy) -> None:
@@ -141,24 +188,28 @@ def read_policy(path: Path | str) -> StoredPolicy:
     Raises
     ------
     ConfigError
-        There is no such file.
+        There is no such file, or its description is not allowed.
     DataError
         The file is damaged, is no policy, or holds weights that do not fit its description.
     """
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from None
-    try:
-        text, arrays = _unpacked(content)
-    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, OSError, NotImplementedError):
-        raise DataError(
-            f"{path}: is damaged or no policy; expected an archive of '{DESCRIPTION}' and weights, as "
-            "'sayd train' and 'sayd export' write it"
-        ) from None
-    where = f"{path}: {DESCRIPTION}"
-    description = validate(PolicyDescription, parse_yaml(text, where), where)
-    return StoredPolicy(description, _layers(description, arrays, str(path)), str(path))
+    archive, source = PolicyArchive(Path(path)), shown_path(path)
+    description = validate(PolicyDescription, archive.description(), f"{source}: policy.yaml")
+    policy = StoredPolicy(description, (), source)
+    encoding = policy.encoding(interface_like(description))
+    expected: Arrays = {}
+    for i, (before, after) in enumerate(
+        pairwise([encoding.size, *description.network.hidden, encoding.actions])
+    ):
+        expected |= {f"weight_{i}": ((after, before), "float32"), f"bias_{i}": ((after,), "float32")}
+    if archive.optional(_NORMALISATION) and isinstance(encoding, VehicleEncoding):
+        rows = () if description.observation != "history" else (description.history,)
+        expected |= dict.fromkeys(_NORMALISATION, ((*rows, len(encoding.columns)), "float64"))
+    arrays = archive.arrays(expected)
+    layers = tuple(
+        (arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(len(description.network.hidden) + 1)
+    )
+    normalisation = tuple(arrays[name] for name in _NORMALISATION if name in arrays) or None
+    return StoredPolicy(description, layers, source, normalisation)
 
 
 def load_policy(path: Path | str, interface: Interface) -> LearnedPolicy:
@@ -170,42 +221,6 @@ def load_policy(path: Path | str, interface: Interface) -> LearnedPolicy:
         See `read_policy` and `StoredPolicy.bound`.
     """
     return read_policy(path).bound(interface)
-
-
-def _unpacked(content: bytes) -> tuple[str, dict[str, Any]]:
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        if sum(member.file_size for member in archive.infolist()) > LARGEST:
-            raise ValueError("too large")
-        text = archive.read(DESCRIPTION).decode()
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return text, {name: file[name] for name in file.files if name != DESCRIPTION}
-
-
-def _layers(description: PolicyDescription, arrays: Mapping[str, Any], source: str) -> Layers:
-    """The weights, checked against the description."""
-    widths = _widths(description)
-    expected: dict[str, tuple[int, ...]] = {}
-    for i, (before, after) in enumerate(pairwise(widths)):
-        expected |= {f"weight_{i}": (after, before), f"bias_{i}": (after,)}
-    found = {name: np.shape(value) for name, value in arrays.items()}
-    if found != expected:
-        raise DataError(f"{source}: found weights of shapes {found}; the description asks for {expected}")
-    for name, value in arrays.items():
-        if value.dtype != np.float32 or not np.all(np.isfinite(value)):
-            raise DataError(f"{source}: {name}: expected finite numbers of type float32")
-    return tuple((arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(len(widths) - 1))
-
-
-def _widths(description: PolicyDescription) -> list[int]:
-    """Units from the inputs to the outputs."""
-    encoding = _encoding(description, interface_like(description))
-    return [encoding.size, *description.network.hidden, encoding.actions]
-
-
-def _encoding(description: PolicyDescription, interface: Interface) -> Encoding:
-    return make_encoding(
-        interface, description.view, description.inputs, description.clip, description.output
-    )
 
 
 class LearnedPolicy:
@@ -236,7 +251,7 @@ class LearnedPolicy:
         self.name = description.name
         self.parameters = description
         self.interface = interface
-        self.encoding = _encoding(description, interface)
+        self.encoding = stored.encoding(interface)
         self.sensors = self.encoding.sensors
         # In double precision, so that the number of vehicles side by side does not show in the commands.
         self.layers = [

@@ -7,9 +7,8 @@ import io
 from pathlib import Path
 from typing import Any
 
-from sayd_env.agents.disk import write_file
-
 from sayd_env.config import DataError
+from sayd_env.config.storage import write_file
 
 
 class Table:

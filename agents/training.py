@@ -32,7 +32,6 @@ import numpy as np
 import torch
 import yaml
 from sayd_env.agents.config import TrainConfig, load_train
-from sayd_env.agents.disk import new_folder, remove_leftovers, write_file
 from sayd_env.agents.learner import Progress, load_model, make_model, policy_layers, save_model
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env, seed_environments
 from sayd_env.agents.policy_file import StoredPolicy, describe, read_policy, save_policy
@@ -43,6 +42,7 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 
 from sayd_env.config import ConfigError, DataError, parse_yaml, read_text
 from sayd_env.config.errors import Interrupted
+from sayd_env.config.storage import remove_leftovers, write_file
 from sayd_env.envs.keywords import configured
 
 CONFIG, RUN, BEST, LAST, CHECKPOINTS = "config.yaml", "run.yaml", "best.npz", "last.npz", "checkpoints"
@@ -136,8 +136,7 @@ class _Run:
         self.env, self.encoding = make_learning_env(config)
         self.model = make_model(config, self.env)
         if not resume:
-            new_folder(folder)
-            (folder / CHECKPOINTS).mkdir()
+            _make_folders(folder)
         remove_leftovers(folder)
         remove_leftovers(folder / CHECKPOINTS)
         self.origin = Progress(0, 0, len(starts), 0.0)
@@ -305,6 +304,19 @@ class _Writer(KVWriter):
     def close(self) -> None:
         """Write the table."""
         self._table.save()
+
+
+def _make_folders(folder: Path) -> None:
+    """Make the folders of a new run; refuse one that holds something."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise ConfigError(
+                f"{folder}: is not empty; take another folder, or go on with that run by --resume"
+            )
+        (folder / CHECKPOINTS).mkdir()
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be made ({error.strerror or error})") from None
 
 
 def _starts(config: TrainConfig, folder: Path, digest: str) -> list[dict[str, Any]]:

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sayd_env.agents.disk import write_file
 from sayd_env.agents.policy_file import read_policy
 from sayd_env.agents.pretrained import FOLDER, groups
 from sayd_env.agents.pretrained.curves import PICTURE, draw
 
 from sayd_env.config import DataError
+from sayd_env.config.storage import write_file
 
 README = "README.md"
 COLUMNS = ("name", "algorithm", "seed", "commit", "environment", "steps", "training", "J", "SHA-256")

@@ -31,6 +31,26 @@ PERIODS = tuple(n for n in range(1, 1001) if 1000 % n == 0)
 """Control periods that divide a second (ms)."""
 
 
+LONGEST_HISTORY = 1000
+"""Vectors in an observation."""
+
+
+def whole_period(period: float) -> float:
+    """A control period that is a whole number of milliseconds and divides a second.
+
+    Raises
+    ------
+    ValueError
+        It is another one.
+    """
+    if not (is_multiple(period, SAMPLE) and 1000 % round(period / SAMPLE) == 0):
+        raise ValueError(
+            "expected a whole number of milliseconds that divides a second: "
+            f"{', '.join(map(str, PERIODS))} ms"
+        )
+    return period
+
+
 class Limits(NamedTuple):
     """Values that a quantity of an episode may have."""
 
@@ -199,7 +219,7 @@ class EnvironmentConfig(Model):
     run_in: float = quantity("m", "Distance before step 0, with the initial current", ge=0.0, le=10e3)
     valves: Literal["bogie", "damper", "vehicle"] = Field(description="Which valves a command goes to")
     observation: Literal["signals", "history", "features"] = Field(description="What an observation is")
-    history: int = quantity("-", "Number of vectors in an observation of type 'history'", ge=1, le=1000)
+    history: int = quantity("-", "Vectors in an observation of type 'history'", ge=1, le=LONGEST_HISTORY)
     derailment: DerailmentConfig
     termination_cost: float = quantity(
         "-", "J_term, charged for each remaining second, at the weights k_y = 1 and k_F = 0.5", ge=0.0
@@ -210,12 +230,7 @@ class EnvironmentConfig(Model):
     @field_validator("control_period")
     @classmethod
     def _divides_a_second(cls, period: float) -> float:
-        if not (is_multiple(period, SAMPLE) and 1000 % round(period / SAMPLE) == 0):
-            raise ValueError(
-                "expected a whole number of milliseconds that divides a second: "
-                f"{', '.join(map(str, PERIODS))} ms"
-            )
-        return period
+        return whole_period(period)
 
     @model_validator(mode="after")
     def _whole_periods(self) -> EnvironmentConfig:

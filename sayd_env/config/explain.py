@@ -99,7 +99,10 @@ def _several(model: type[BaseModel], data: Any, group: list[_Problem]) -> str:
 
 def shown(value: Any) -> str:
     """Return a value as a message shows it: not longer than a line."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no number of more than 4300 digits
+        text = f"a {type(value).__name__} too long to write"
     return text if len(text) <= LONGEST_FOUND else text[: LONGEST_FOUND - 3] + "..."
 
 

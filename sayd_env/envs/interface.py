@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -78,6 +79,13 @@ class Interface:
         """Shape of one observation."""
         width = len(self.signals)
         return (self.history, width) if self.observation == "history" else (width,)
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Keywords with which `gymnasium.make` gives an environment of this interface."""
+        rows = {"history": self.history} if self.observation == "history" else {}
+        common = {"observation": self.observation, "valves": self.valves, "damper": self.damper.type}
+        return {**common, **rows, "control_period": self.control_period}
 
     def index(self, name: str) -> int:
         """Position of a signal in an observation's vector.

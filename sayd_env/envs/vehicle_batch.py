@@ -329,7 +329,7 @@ class VehicleBatch:
         step. They do not change.
         """
         kernel = run_units if self.num_threads == 1 else run_units_in_parallel
-        return kernel.compile(tuple(map(type_of, arguments)))
+        return specialised(kernel, arguments)
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_compiled": None}

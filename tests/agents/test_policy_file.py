@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import pickle
+import tracemalloc
 import zipfile
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -51,7 +53,7 @@ def stored(
     ]
     description = describe(
         interface,
-        name="a policy",
+        name="a-policy",
         inputs=INPUTS,
         clip=3.0,
         output=output,
@@ -208,12 +210,156 @@ def test_nothing_in_a_file_is_run(interface: Interface, tmp_path: Path) -> None:
 def test_weights_that_do_not_fit_are_refused(interface: Interface, tmp_path: Path) -> None:
     policy, path = stored(interface), tmp_path / "policy.npz"
     save_policy(path, StoredPolicy(policy.description, policy.layers[:-1]))
-    with pytest.raises(DataError, match="weight_2"):
+    with pytest.raises(DataError, match=r"lacks 'bias_2\.npy'"):
         read_policy(path)
     policy.layers[1][0][0, 0] = np.nan
     save_policy(path, policy)
     with pytest.raises(DataError, match="weight_1: expected finite"):
         read_policy(path)
+
+
+def rewritten(good: bytes, members: dict[str, bytes | None], **archive: Any) -> bytes:
+    """A policy file with other members; None removes one."""
+    with zipfile.ZipFile(io.BytesIO(good)) as before:
+        content: dict[str, bytes | None] = {name: before.read(name) for name in before.namelist()}
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", **archive) as after:
+        for name, data in (content | members).items():
+            if data is not None:
+                after.writestr(name, data)
+    return stream.getvalue()
+
+
+def text_of(good: bytes, old: str, new: str) -> bytes:
+    """A policy file with another description."""
+    with zipfile.ZipFile(io.BytesIO(good)) as archive:
+        text = archive.read("policy.yaml").decode()
+    assert old in text
+    return rewritten(good, {"policy.yaml": text.replace(old, new).encode()})
+
+
+def npy(header: str) -> bytes:
+    """An array that begins with a header and has no numbers."""
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(400)
+
+
+def encrypted(good: bytes) -> bytes:
+    """A policy file whose members claim to be encrypted."""
+    content = bytearray(good)
+    for mark, place in ((b"PK\3\4", 6), (b"PK\1\2", 8)):
+        start = content.find(mark)
+        while start >= 0:
+            content[start + place] |= 1
+            start = content.find(mark, start + 4)
+    return bytes(content)
+
+
+LAUGHS = "made: {a: &a [1, 1], b: &b [*a, *a, *a, *a, *a, *a, *a, *a], " + ", ".join(
+    f"{new}: &{new} [{', '.join([f'*{old}'] * 8)}]" for old, new in pairwise("bcdefghij")
+)
+NAMED = "name: a-policy"
+
+
+@pytest.mark.parametrize(
+    ("attack", "message"),
+    [
+        (lambda good: text_of(good, NAMED, "name: ../../x"), r"name.*'../../x'; a policy's name has"),
+        (lambda good: text_of(good, NAMED, "name: /tmp/x"), "a policy's name has at most 64"),
+        (lambda good: text_of(good, NAMED, 'name: "a\\0b"'), "without control characters"),
+        (lambda good: text_of(good, NAMED, f"name: {'n' * 5000}"), "a policy's name has at most 64"),
+        (lambda good: text_of(good, NAMED, "name: mppt2"), "'mppt2', which is a controller's name"),
+        (lambda good: text_of(good, NAMED, "name: _hidden"), "a policy's name has"),
+        (lambda good: text_of(good, NAMED, f'{NAMED}\n"\\e[2J": 1'), "without control characters"),
+        (lambda good: text_of(good, "speed:", "bogus:"), "no quantity 'bogus'"),
+        (lambda good: text_of(good, "history: 1", "history: 1000000"), "history.*1000"),
+        (lambda good: text_of(good, "control_period: 0.05", "control_period: 5.0e-324"), "control_period"),
+        (lambda good: text_of(good, "control_period: 0.05", "control_period: 0.03"), "divides a second"),
+        (lambda good: text_of(good, "middle: 80.0", "middle: -1.7e308"), "middle"),
+        (lambda good: text_of(good, "made:", LAUGHS + "}\nother:"), "more than 10000 values"),
+        (
+            lambda good: text_of(good, "made:", "made: {a: !!binary aGVsbG8=}\nother:"),
+            "expected text, finite",
+        ),
+        (
+            lambda good: text_of(good, "made:", f"made: {{a: 0x{'f' * 5000}}}\nother:"),
+            "expected text, finite",
+        ),
+        (lambda good: text_of(good, NAMED, "#" * 200_000 + "\n" + NAMED), "damaged"),
+        (lambda good: rewritten(good, {f"extra_{i}.npy": b"" for i in range(300)}), "holds 'extra_0.npy'"),
+        (lambda good: rewritten(good, {f"{'x' * 90}{i}": b"" for i in range(2000)}), "damaged"),
+        (lambda good: rewritten(good, {"../evil.npy": b""}), r"holds '\.\./evil\.npy'"),
+        (lambda good: rewritten(good, {"weight_0.npy": b""}), "weight_0: expected finite numbers"),
+        (lambda good: rewritten(good, {"weight_0.npy": bytes(10**6)}), "found 1000000 bytes"),
+        (lambda good: rewritten(good, {"weight_0.npy": npy("{'descr': '<f4', 'shape': ((")}), "damaged"),
+        (lambda good: rewritten(good, {"weight_0.npy": npy("  {'descr':\n a\n  b")}), "damaged"),
+        (
+            lambda good: rewritten(
+                good,
+                {"weight_0.npy": npy("{'descr': '<f4', 'fortran_order': False, 'shape': (9**9, 9**9)}")},
+            ),
+            "damaged",
+        ),
+        (
+            lambda good: rewritten(
+                good,
+                {"weight_0.npy": npy("{'descr': '<f4', 'fortran_order': False, 'shape': (99999999, 99)}")},
+            ),
+            r"weight_0: expected .*\(6, 13\)",
+        ),
+        (lambda good: rewritten(good, {}, compression=zipfile.ZIP_BZIP2), "damaged"),
+        (encrypted, "damaged"),
+    ],
+)
+def test_files_of_somebody_who_means_harm_are_refused(
+    attack: Callable[[bytes], bytes], message: str, interface: Interface, tmp_path: Path
+) -> None:
+    """By one line that names the file, before anything large is read."""
+    path = tmp_path / "p.npz"
+    path.write_bytes(attack(policy_bytes(stored(interface))))
+    tracemalloc.start()
+    with pytest.raises((ConfigError, DataError), match=message) as caught:
+        read_policy(path)
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
+    text = str(caught.value)
+    assert "p.npz" in text
+    assert len(text) < 1000
+    assert text.replace("\n", "").isprintable()
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "/dev", "a\0b.npz", f"{'n' * 5000}.npz", "\x1b[2J.npz"])
+def test_what_is_no_file_is_refused(path: str) -> None:
+    with pytest.raises(ConfigError, match=r"is no file|cannot be read") as caught:
+        read_policy(path)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 1500
+
+
+@pytest.mark.parametrize("name", ["../x", "", "mppt1", "a b", "x" * 65])
+def test_a_policy_is_not_written_under_a_bad_name(name: str, interface: Interface) -> None:
+    content = stored(interface).description.model_dump()
+    with pytest.raises(ConfigError, match="name"):
+        describe(interface, "mine", **content | {"name": name})
+
+
+def test_a_normalisation_is_kept_and_applied(interface: Interface, tmp_path: Path) -> None:
+    """Two policies that command the same: one by maps of quantities, one by a map of each number."""
+    policy = stored(interface)
+    encoding = policy.encoding(interface)
+    halves = 1.0 / encoding.per_half
+    linear = {name: InputConfig(middle=0.0, half=1.0) for name in ("command", "speed")}
+    description = policy.description.model_copy(update={"inputs": linear})
+    layers = ((policy.layers[0][0][:, 4:].copy(), policy.layers[0][1]), *policy.layers[1:])
+    plain = policy.description.model_copy(update={"inputs": {n: INPUTS[n] for n in linear}})
+    save_policy(
+        tmp_path / "p.npz",
+        StoredPolicy(description, layers, normalisation=(encoding.middle[4:], halves[4:])),
+    )
+    seen = observations(interface, 5)
+    expected = StoredPolicy(plain, layers).bound(interface).predict(seen)[0]
+    found = read_policy(tmp_path / "p.npz")
+    np.testing.assert_allclose(found.bound(interface).predict(seen)[0], expected, atol=1e-6)
+    assert found.identity() != StoredPolicy(description, layers).identity()
 
 
 def test_inputs_that_the_environment_lacks_are_refused(interface: Interface) -> None:
@@ -233,7 +379,7 @@ def test_a_full_disk_leaves_the_former_file(
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("sayd_env.agents.disk.os.fsync", full)
+    monkeypatch.setattr("sayd_env.config.storage.os.fsync", full)
     with pytest.raises(StudyError, match="No space left"):
         save_policy(path, stored(interface, CHANGE))
     assert path.read_bytes() == before
@@ -277,7 +423,7 @@ def test_onnxruntime_gives_the_commands_of_both_bogies(tmp_path: Path) -> None:
     )
     description = describe(
         interface,
-        name="of a bogie",
+        name="of-a-bogie",
         view="bogie",
         inputs={name: InputConfig(middle=0.0, half=half) for name, half in zip(names, halves, strict=True)},
         clip=5.0,

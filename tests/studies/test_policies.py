@@ -77,7 +77,7 @@ def test_a_policy_may_not_call_itself_like_a_controller(tmp_path: Path) -> None:
     stored = read_source(tmp_path / "own.npz")
     description = stored.description.model_copy(update={"name": "passive"})
     save_policy(tmp_path / "own.npz", StoredPolicy(description, stored.layers))
-    with pytest.raises(DataError, match=r"own.npz.*calls itself 'passive'"):
+    with pytest.raises(ConfigError, match=r"own.npz.*'passive', which is a controller's name"):
         policy_spec(str(tmp_path / "own.npz"))
 
 
