@@ -33,6 +33,7 @@ from sayd_env.envs.trace import DAMPERS, TRACE
 from sayd_env.envs.vehicle import LoopSettings, Vehicle
 from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.formation import Formation
+from sayd_env.physics.kernel import specialised
 from sayd_env.physics.plant import State
 from sayd_env.physics.ragged import RaggedBatch
 from sayd_env.stability.online import Band, BandState
@@ -40,7 +41,6 @@ from sayd_env.stability.online import Band, BandState
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-type_of: Any = numba.typeof  # it has no annotations
 
 ON_BOARD = ("loop", "memory", "passed", "felt")
 """What looks at a vehicle, in the order of the compiled loop's arguments."""
