@@ -24,6 +24,8 @@ from sayd_env.config.software import source_fingerprint
 from sayd_env.config.storage import remove_leftovers, write_file
 
 Record = TypeVar("Record")
+_KEY = "_key"
+"""Name under which a file says which run it is."""
 
 
 class RunCache:
@@ -60,7 +62,7 @@ class RunCache:
             return known
         content = None if self._folder is None else _content(self._folder / f"{key}.npz")
         names = {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-        if content is None or not set(content) <= names:
+        if content is None or content.pop(_KEY, None) != key or not set(content) <= names:
             return None
         self.reused += 1
         record = self._memory[key] = kind(**dict.fromkeys(names) | content)
@@ -80,7 +82,8 @@ class RunCache:
         if not self._folder.is_dir():
             self._folder.mkdir(parents=True, exist_ok=True)
         stream = io.BytesIO()
-        np.savez_compressed(stream, **{name: v for name, v in vars(record).items() if v is not None})
+        content = {name: value for name, value in vars(record).items() if value is not None}
+        np.savez_compressed(stream, **content, **{_KEY: key})
         write_file(self._folder / f"{key}.npz", stream.getvalue())
 
     def forget_former(self) -> None:

@@ -6,7 +6,9 @@ computed again by a new executor, or the study ends with one message.
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
 import threading
@@ -230,16 +232,18 @@ class _Ray(Executor):
         except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
             reason = " ".join(str(error).split())[:200]
             raise ConfigError(f"--executor {choice}: no connection ({reason})") from None
-        self._remote: dict[Callable[..., Any], Any] = {}
+        self._call = ray.remote(_call)
 
     def submit(self, function: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
-        if function not in self._remote:
-            self._remote[function] = self._ray.remote(function)
-        future: Future[T] = self._remote[function].remote(*args, **kwargs).future()
+        future: Future[T] = self._call.remote(function, *args, **kwargs).future()
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         self._ray.shutdown()
+
+
+def _call(function: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+    return function(*args, **kwargs)
 
 
 def _ray_address(address: str) -> str:
@@ -261,6 +265,7 @@ class _Dask(Executor):
     """A client of Dask, whose executor leaves its cluster open."""
 
     def __init__(self, client: Any, choice: ExecutorChoice) -> None:
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is computed again
         where = {"address": f"tcp://{choice.address}"} if choice.address else {"n_workers": choice.count}
         alone = {} if choice.address else {"threads_per_worker": 1, "dashboard_address": None}
         try:
