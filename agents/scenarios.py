@@ -13,12 +13,10 @@ from sayd_env.agents.policy_file import StoredPolicy
 
 from sayd_env import baselines
 from sayd_env.config.damper import SaydDamperConfig
-from sayd_env.config.environment import EnvironmentConfig
-from sayd_env.config.scenario import Scenario
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
-from sayd_env.envs.rollout import Policy, Rollout, roll_out
+from sayd_env.envs.rollout import Policy, roll_out
 
 Array = npt.NDArray[np.float64]
 
@@ -96,14 +94,4 @@ class Judge:
             for case in self.cases
         ]
         runs = roll_out(batch, policy, episodes, [batch.steps] * len(episodes))
-        return np.array([episode_cost(run, batch.config, batch.scenario) for run in runs])
-
-
-def episode_cost(run: Rollout, config: EnvironmentConfig, scenario: Scenario) -> float:
-    """Minus the reward per second of an episode: the weighted J and the charge for an early end."""
-    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
-    cost = float(np.dot(weights, run.cost(config.episode_s)))
-    if run.ending is None:
-        return cost
-    remaining = config.episode_s - len(run.terms) * run.control_period
-    return cost + config.termination_cost * remaining / config.episode_s
+        return np.array([run.episode_cost(batch.config, batch.scenario).total for run in runs])
