@@ -122,15 +122,17 @@ def export(
     ] = False,
     trust_pickles: options.TrustPickles = False,
     trained_period: options.TrainedPeriod = None,
+    vec_normalize: options.VecNormalize = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
     """Write a learned policy as files for others: weights with their description, and an ONNX model."""
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415
     from sayd_env.studies.learning import export as study  # noqa: PLC0415
-    from sayd_env.studies.learning import foreign_reader, read_source  # noqa: PLC0415
+    from sayd_env.studies.learning import read_source  # noqa: PLC0415
 
-    foreign = foreign_reader(trust_pickles, load_environment(), trained_period)
+    foreign = foreign_reader(trust_pickles, load_environment(), trained_period, vec_normalize)
     stored = read_source(source, foreign)  # before the directory is made
     target = out or RESULTS / "export"
     job = Job("export", target, as_json)

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from sayd_env.agents.config import TrainConfig
     from sayd_env.agents.policy_file import StoredPolicy
     from sayd_env.agents.training import Trained
-    from sayd_env.config.environment import EnvironmentConfig
     from sayd_env.runs.policies import ForeignReader
 
 EXTRA = "needs torch and Stable-Baselines3: install them with pip install 'sayd-env[train]'"
@@ -136,43 +135,8 @@ def train(
     return TrainResult(learn(config, folder, resume=resume, about=about, progress=progress))
 
 
-def foreign_reader(
-    trusted: bool, config: EnvironmentConfig, period: float | None = None
-) -> ForeignReader | None:
-    """What reads files of Stable-Baselines3, or None.
-
-    Parameters
-    ----------
-    trusted : bool
-        Whether such files, which can run any code while they are loaded, may be loaded.
-    config : EnvironmentConfig
-        The environment of their training.
-    period : float, optional
-        Control period of their training (s); that of `config` by default.
-
-    Raises
-    ------
-    ConfigError
-        A period, where no file may be loaded.
-    """
-    if not trusted:
-        if period is not None:
-            raise ConfigError("--trained-period: is that of files of Stable-Baselines3: add --trust-pickles")
-        return None
-
-    def read(path: Path) -> StoredPolicy:
-        from sayd_env.agents.foreign import read_foreign  # noqa: PLC0415 - keeps the import of studies light
-
-        try:
-            return read_foreign(path, config, period)
-        except ModuleNotFoundError as error:
-            raise ConfigError(f"{path}: {EXTRA} (no module '{error.name}')") from None
-
-    return read
-
-
 def read_source(source: Path, foreign: ForeignReader | None = None) -> StoredPolicy:
-    """Read a policy file, the best policy of a run's folder, or a ready policy by its name.
+    """Read a learned policy: of a file, the best one of a run's folder, or a ready one by its name.
 
     Parameters
     ----------
@@ -183,16 +147,16 @@ def read_source(source: Path, foreign: ForeignReader | None = None) -> StoredPol
     Raises
     ------
     ConfigError
-        No policy there, or a file that is not trusted.
+        No policy there, one that has not been learned here, or a file that is not trusted.
     DataError
         A damaged file.
     """
-    from sayd_env.agents import pretrained  # noqa: PLC0415 - keeps the import of studies light
-    from sayd_env.runs.policies import read_learned  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415 - keeps the import of studies light
 
-    if not source.exists() and str(source) in pretrained.names():
-        return read_learned(pretrained.path(str(source)))
-    return read_learned(source / "best.npz" if source.is_dir() else source, foreign)
+    found = policy_spec(str(source / "best.npz" if source.is_dir() else source), foreign).learned
+    if found is None:
+        raise ConfigError(f"{source}: has no weights; expected a learned policy, its file or a run's folder")
+    return found
 
 
 def export(stored: StoredPolicy, target: Path, *, onnx: bool) -> ExportResult:
