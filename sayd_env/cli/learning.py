@@ -58,6 +58,7 @@ def train(
             help="Threads of the simulator (default: all cores); results do not change.",
         ),
     ] = None,
+    executor: options.Executor = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -75,8 +76,10 @@ def train(
     checkpoints. Ctrl-C saves and says how to go on; a run that was killed goes on from its last checkpoint.
     """
     from sayd_env.agents.config import load_train  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415
     from sayd_env.studies.learning import train as study  # noqa: PLC0415
 
+    evaluations = ExecutorChoice.parse(executor, workers)
     if resume is not None:
         _refuse_with_resume(algorithm, config, out)
         config, out = str(resume / "config.yaml"), resume
@@ -96,7 +99,14 @@ def train(
     folder = out or RESULTS / f"train-{chosen.learning.algorithm}-s{chosen.seed}"
     job = Job("train", folder, as_json)
     with job.progress() as progress:
-        result = study(chosen, folder, resume=resume is not None, command=command_text(), progress=progress)
+        result = study(
+            chosen,
+            folder,
+            resume=resume is not None,
+            command=command_text(),
+            executor=evaluations,
+            progress=progress,
+        )
     job.finish(result, config=chosen, seed=chosen.seed)
 
 
