@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Annotated, Literal
+from itertools import product
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -110,7 +111,7 @@ class SacConfig(Model):
 
 
 class EvaluationConfig(Model):
-    """The scenarios on which a policy is judged while it learns: all combinations."""
+    """The scenarios on which a policy is evaluated while it learns: all combinations."""
 
     every: Count = Field(description="Steps between evaluations")
     speeds_kmh: tuple[Number, ...] = Field(min_length=1, description="Speeds (km/h)")
@@ -120,7 +121,13 @@ class EvaluationConfig(Model):
     )
     initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
     episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
-    references: tuple[str, ...] = Field((), description="Controllers that are judged once, to compare with")
+    references: tuple[str, ...] = Field((), description="Policies that are evaluated once, to compare with")
+
+    @property
+    def cases(self) -> list[dict[str, Any]]:
+        """All scenarios: the seed and the options of an episode."""
+        combinations = product(self.speeds_kmh, self.wear, self.seeds)
+        return [{"speed_kmh": speed, "wear": wear, "seed": seed} for speed, wear, seed in combinations]
 
 
 class RewardReferenceConfig(Model):

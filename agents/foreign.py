@@ -7,8 +7,8 @@ raw observation, as `agents.policy_file.LearnedPolicy`, and command what ``predi
 
 from __future__ import annotations
 
-import hashlib
 import json
+import pickle
 import warnings
 import zipfile
 import zlib
@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
+from sayd_env.agents.config import WIDEST, InputConfig, NetworkConfig, OutputConfig
+from sayd_env.agents.policy_archive import file_digest, read_bytes
 from sayd_env.agents.policy_file import Layers, LearnedPolicy, StoredPolicy, describe
 
 from sayd_env.config import ConfigError, DataError, validate
@@ -47,12 +48,16 @@ _UNUSED = {
     "clip_range_vf": None,
     "buffer_size": 1,
 }
-_WIDEST = float(np.finfo(np.float32).max)
 _TOLERANCE = 1e-4
 """Of a command; the library computes in single precision."""
 
 
-def read_foreign(path: Path | str, config: EnvironmentConfig, period: float | None = None) -> StoredPolicy:
+def read_foreign(
+    path: Path | str,
+    config: EnvironmentConfig,
+    period: float | None = None,
+    statistics: Path | None = None,
+) -> StoredPolicy:
     """Load a policy that ``PPO.save`` or ``SAC.save`` wrote. This can run any code that the file holds.
 
     Observation, rows of a history and layout of the valves follow from the shapes of its spaces.
@@ -64,25 +69,28 @@ def read_foreign(path: Path | str, config: EnvironmentConfig, period: float | No
         The environment of its training, but for what its spaces say otherwise.
     period : float, optional
         Control period of its training (s), which the file does not say; that of `config` by default.
+    statistics : Path, optional
+        File that ``VecNormalize.save`` wrote in its training. This can run any code, too.
 
     Raises
     ------
     ConfigError
-        No such file; another algorithm, another network than a plain one, or spaces that no environment has.
+        No such file; another algorithm, another network than a plain one, or spaces that no environment has;
+        statistics beside the file that were not given.
     DataError
         A damaged file.
     ModuleNotFoundError
         Torch or Stable-Baselines3 are not installed.
     """
     path = Path(path)
-    try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from None
+    digest = file_digest(path)
+    if statistics is None:
+        _refuse_forgotten_statistics(path)
     algorithm = _algorithm(path)
     with _one_thread():
         model = _loaded(path, algorithm)
         interface = _interface(path, model, config, period)
+        normal = None if statistics is None else _statistics(statistics, model)
         made = {
             "file": path.name,
             "sha256": digest,
@@ -90,9 +98,41 @@ def read_foreign(path: Path | str, config: EnvironmentConfig, period: float | No
             "steps": int(model.num_timesteps),
             "libraries": {"stable_baselines3": metadata.version("stable_baselines3")},
         }
-        policy = _policy(path, model, interface, made)
-        _check(path, model, policy.bound(interface))
+        if statistics is not None:
+            made["vec_normalize"] = {"file": statistics.name, "sha256": file_digest(statistics)}
+        policy = _policy(path, model, interface, made, normal)
+        _check(path, model, policy.bound(interface), normal)
     return policy
+
+
+def _refuse_forgotten_statistics(path: Path) -> None:
+    """A policy that has learned behind `VecNormalize` does something else without its statistics."""
+    folder = path.parent
+    found = [p for p in (*folder.glob("*.pkl"), *folder.glob("*.pickle")) if "normalize" in p.stem.lower()]
+    if found:
+        raise ConfigError(
+            f"{path}: {found[0].name} beside it holds statistics of VecNormalize: a policy that has learned "
+            f"with them needs --vec-normalize {found[0]} (which can run any code, too). If it has learned "
+            "without, move either file"
+        )
+
+
+def _statistics(path: Path, model: Any) -> Any:
+    """The `VecNormalize` of a training."""
+    read_bytes(path)  # refuses what is no file
+    try:
+        with path.open("rb") as stream:
+            found = pickle.load(stream)  # whoever gives it trusts it
+        shape = np.shape(found.obs_rms.mean) if found.norm_obs else model.observation_space.shape
+    except Exception as error:  # code from a file fails in any way
+        detail = " ".join(str(error).split())[:200] or type(error).__name__
+        raise DataError(f"{path}: is no VecNormalize that can be loaded ({detail})") from None
+    if shape != model.observation_space.shape:
+        raise ConfigError(
+            f"{path}: is of observations of shape {shape}, those of the policy have "
+            f"{model.observation_space.shape}"
+        )
+    return found if found.norm_obs else None
 
 
 @contextmanager
@@ -190,8 +230,8 @@ def _made(config: EnvironmentConfig, changes: dict[str, Any], source: str) -> In
     return make_interface(changed, environment_scenario(changed), load_online())
 
 
-def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any]) -> StoredPolicy:
-    """The same network as a policy of ours that sees raw signals."""
+def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any], normal: Any) -> StoredPolicy:
+    """The same network as a policy of ours that sees raw signals, or what a `VecNormalize` makes of them."""
     ppo = made["algorithm"] == "ppo"
     body = model.policy.mlp_extractor.policy_net if ppo else model.actor.latent_pi
     modules = [*body, model.policy.action_net if ppo else model.actor.mu]
@@ -205,13 +245,18 @@ def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any]) 
         )
     layers = tuple((_numbers(module.weight), _numbers(module.bias)) for module in modules[::2])
     squashed = bool(model.policy.squash_output)
+    normalisation = None
+    if normal is not None:
+        half = np.sqrt(normal.obs_rms.var + normal.epsilon)
+        normalisation = normal.obs_rms.mean.reshape(interface.shape), half.reshape(interface.shape)
     description = describe(
         interface,
+        str(path),
         name=path.stem,
         inputs={
             signal.name.partition(".")[0]: InputConfig(middle=0.0, half=1.0) for signal in interface.signals
         },
-        clip=_WIDEST,
+        clip=WIDEST if normal is None else min(float(normal.clip_obs), WIDEST),
         output=OutputConfig(kind="command"),
         network=NetworkConfig(
             hidden=tuple(len(bias) for _, bias in layers[:-1]),
@@ -220,7 +265,7 @@ def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any]) 
         squash="tanh" if squashed else "clip",
         made=made,
     )
-    return StoredPolicy(description, layers if squashed else _doubled(layers), str(path))
+    return StoredPolicy(description, layers if squashed else _doubled(layers), str(path), normalisation)
 
 
 def _numbers(tensor: Any) -> Array:
@@ -234,7 +279,7 @@ def _doubled(layers: Layers) -> Layers:
     return (*layers[:-1], (2.0 * weight, 2.0 * bias - 1.0))
 
 
-def _check(path: Path, model: Any, policy: LearnedPolicy) -> None:
+def _check(path: Path, model: Any, policy: LearnedPolicy, normal: Any) -> None:
     """Refuse a model that is more than its network: the commands of both must be the same."""
     space = observation_box(policy.interface)
     random = np.random.default_rng(0)
@@ -242,7 +287,8 @@ def _check(path: Path, model: Any, policy: LearnedPolicy) -> None:
     scales = np.logspace(-9.0, 0.0, 64).reshape(-1, *[1] * len(space.shape))
     seen = (scales * random.uniform(space.low, space.high, (64, *space.shape))).astype(np.float32)
     mine, _ = policy.predict(seen)
-    theirs, _ = model.predict(seen.reshape(64, *model.observation_space.shape), deterministic=True)
+    flat = seen.reshape(64, *model.observation_space.shape)
+    theirs, _ = model.predict(flat if normal is None else normal.normalize_obs(flat), deterministic=True)
     if not np.allclose(mine, theirs, rtol=0.0, atol=_TOLERANCE):
         raise ConfigError(
             f"{path}: has more than a plain network (its commands are others); expected what "

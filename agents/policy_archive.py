@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 import struct
@@ -57,6 +58,17 @@ def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
     except (OSError, ValueError) as error:  # ValueError: no file can have such a name
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(f"{shown_path(path)}: cannot be read ({reason})") from None
+
+
+def file_digest(path: Path | str) -> str:
+    """SHA-256 of a file.
+
+    Raises
+    ------
+    ConfigError
+        As `read_bytes`.
+    """
+    return hashlib.sha256(read_bytes(Path(path))).hexdigest()
 
 
 def shown_path(path: Path | str) -> str:

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,7 @@ from pydantic import AfterValidator, Field, field_validator
 from sayd_env.agents.bogie_encoding import make_encoding
 from sayd_env.agents.config import WIDEST, InputConfig, NetworkConfig, OutputConfig, View
 from sayd_env.agents.encoding import Encoding, Observation, VehicleEncoding
-from sayd_env.agents.policy_archive import Arrays, PolicyArchive, pack, shown_path
+from sayd_env.agents.policy_archive import PolicyArchive, pack, shown_path
 from sayd_env.agents.products import layer
 
 from sayd_env.config import Model, quantity, validate
@@ -37,6 +38,7 @@ from sayd_env.envs.interface import Interface, Signal
 
 Layers = tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
 
+Kind = TypeVar("Kind")
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _NORMALISATION = ("input_middle", "input_half")
 
@@ -97,7 +99,20 @@ class StoredPolicy:
     @property
     def needs(self) -> dict[str, Any]:
         """Keywords of the environments in which it can act."""
-        return interface_like(self.description).keywords
+        told = self.description
+        rows = {"history": told.history} if told.observation == "history" else {}
+        common = {"observation": told.observation, "valves": told.valves}
+        return {**common, **rows, "control_period": told.control_period}
+
+    @property
+    def algorithm(self) -> str | None:
+        """How it was trained, if it says so."""
+        return _nested(self.description.made, str, "config", "learning", "algorithm")
+
+    @property
+    def seed(self) -> int | None:
+        """Of its training, if it says so."""
+        return _nested(self.description.made, int, "config", "seed")
 
     def identity(self) -> str:
         """SHA-256 of all that it is."""
@@ -124,6 +139,13 @@ class StoredPolicy:
             middle, half = self.normalisation
             encoding.middle, encoding.per_half = middle, 1.0 / half
         return encoding
+
+
+def _nested(content: Any, kind: type[Kind], *keys: str) -> Kind | None:
+    """What nested keys hold; None if they hold nothing of this type."""
+    for key in keys:
+        content = content.get(key) if isinstance(content, Mapping) else None
+    return content if isinstance(content, kind) else None
 
 
 def describe(interface: Interface, source: str = "policy", **content: Any) -> PolicyDescription:
@@ -196,7 +218,7 @@ def read_policy(path: Path | str) -> StoredPolicy:
     description = validate(PolicyDescription, archive.description(), f"{source}: policy.yaml")
     policy = StoredPolicy(description, (), source)
     encoding = policy.encoding(interface_like(description))
-    expected: Arrays = {}
+    expected: dict[str, tuple[tuple[int, ...], str]] = {}
     for i, (before, after) in enumerate(
         pairwise([encoding.size, *description.network.hidden, encoding.actions])
     ):
@@ -208,7 +230,8 @@ def read_policy(path: Path | str) -> StoredPolicy:
     layers = tuple(
         (arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(len(description.network.hidden) + 1)
     )
-    normalisation = tuple(arrays[name] for name in _NORMALISATION if name in arrays) or None
+    middle, half = (arrays.get(name) for name in _NORMALISATION)
+    normalisation = None if middle is None or half is None else (middle, half)
     return StoredPolicy(description, layers, source, normalisation)
 
 
@@ -247,7 +270,7 @@ class LearnedPolicy:
 
     def __init__(self, stored: StoredPolicy, interface: Interface) -> None:
         description = stored.description
-        _check(description, interface, stored.source)
+        interface.check(stored.source, stored.needs, description.signals)
         self.name = description.name
         self.parameters = description
         self.interface = interface
@@ -305,25 +328,3 @@ class LearnedPolicy:
 def _relu(values: Array) -> Array:
     positive: Array = np.maximum(values, 0.0)
     return positive
-
-
-def _check(description: PolicyDescription, interface: Interface, source: str) -> None:
-    """Refuse an environment with other signals, commands or another clock."""
-    for name in ("observation", "history", "valves", "control_period"):
-        mine, found = getattr(description, name), getattr(interface, name)
-        if mine != found:
-            raise ConfigError(
-                f"{source}: the policy has learned with {name}={mine!r}, the environment has {found!r}"
-            )
-    signals = tuple(signal.name for signal in interface.signals)
-    if signals != description.signals:
-        place = next(
-            (i for i, (a, b) in enumerate(zip(signals, description.signals, strict=False)) if a != b),
-            min(len(signals), len(description.signals)),
-        )
-        mine = description.signals[place] if place < len(description.signals) else "nothing"
-        theirs = signals[place] if place < len(signals) else "nothing"
-        raise ConfigError(
-            f"{source}: the policy has learned from other signals: number {place} was {mine}, here it is "
-            f"{theirs}"
-        )

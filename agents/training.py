@@ -1,4 +1,4 @@
-"""Training: a learner on the batch environment, judged on a list of scenarios, safe against interruptions.
+"""Training: a learner on the batch environment, evaluated on a list of scenarios, safe against interruptions.
 
 A run is a folder::
 
@@ -35,7 +35,6 @@ from sayd_env.agents.config import TrainConfig, load_train
 from sayd_env.agents.learner import Progress, load_model, make_model, policy_layers, save_model
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env, seed_environments
 from sayd_env.agents.policy_file import StoredPolicy, describe, read_policy, save_policy
-from sayd_env.agents.scenarios import Judge
 from sayd_env.agents.table import Table
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
@@ -43,6 +42,7 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 from sayd_env.config import ConfigError, DataError, parse_yaml, read_text
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.storage import remove_leftovers, write_file
+from sayd_env.config.units import Array
 from sayd_env.envs.keywords import configured
 
 CONFIG, RUN, BEST, LAST, CHECKPOINTS = "config.yaml", "run.yaml", "best.npz", "last.npz", "checkpoints"
@@ -54,6 +54,8 @@ MAY_CHANGE = {"total_steps"}
 """Keys that a resumed run may have otherwise."""
 
 Report = Callable[[float, float, str], None]
+Evaluator = Callable[[StoredPolicy | str], Array]
+"""Gives J of a policy, or of that of a name, in each of `EvaluationConfig.cases`."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class Trained:
 def train(
     config: TrainConfig,
     folder: Path,
+    evaluator: Evaluator,
     *,
     resume: bool = False,
     about: Mapping[str, Any] | None = None,
@@ -85,6 +88,8 @@ def train(
     config : TrainConfig
     folder : Path
         Where the run lives: a new or empty folder, or with `resume` one of a run.
+    evaluator : callable
+        Evaluates the policy as it is, and references, on the scenarios of the configuration.
     resume : bool
         Go on with a run from its last checkpoint.
     about : mapping, optional
@@ -104,7 +109,7 @@ def train(
         By Ctrl-C or SIGTERM, after all was saved.
     """
     torch.set_num_threads(config.torch_threads)
-    run = _Run(config, folder, resume=resume, about=dict(about or {}))
+    run = _Run(config, folder, evaluator, resume=resume, about=dict(about or {}))
     try:
         run.learn(progress or _silent)
     except KeyboardInterrupt:
@@ -128,11 +133,18 @@ def _silent(done: float, total: float, what: str) -> None:
 class _Run:
     """A run in its folder."""
 
-    def __init__(self, config: TrainConfig, folder: Path, *, resume: bool, about: dict[str, Any]) -> None:
-        self.config, self.folder = config, folder
+    def __init__(
+        self,
+        config: TrainConfig,
+        folder: Path,
+        evaluator: Evaluator,
+        *,
+        resume: bool,
+        about: dict[str, Any],
+    ) -> None:
+        self.config, self.folder, self.evaluator = config, folder, evaluator
         self.digest = environment_digest(config)
         starts = _starts(config, folder, self.digest) if resume else []
-        self.judge = Judge(config)
         self.env, self.encoding = make_learning_env(config)
         self.model = make_model(config, self.env)
         if not resume:
@@ -161,8 +173,8 @@ class _Run:
         """Run what is left of the training."""
         if not self.references.rows:
             for name in self.config.evaluation.references:
-                report(self.steps, self.config.total_steps, f"judging {name}")
-                self.references.add({"policy": name} | self._judged(self.judge.reference(name)))
+                report(self.steps, self.config.total_steps, f"evaluating {name}")
+                self.references.add({"policy": name} | self._row(self.evaluator(name)))
             self.references.save()
         writers: list[KVWriter] = [_Writer(self.log)]
         if _installed("tensorboard"):
@@ -183,10 +195,10 @@ class _Run:
         return Progress(self.steps, self.model._n_updates, self.origin.restarts, seconds)
 
     def evaluate(self) -> None:
-        """Judge the policy as it is, and keep it if it is the best."""
+        """Evaluate the policy as it is, and keep it if it is the best."""
         stand, policy = self.stand(), self._policy(None)
-        costs = self.judge.learned(policy)
-        row = {"steps": stand.steps, "seconds": round(stand.seconds, 1)} | self._judged(costs)
+        costs = self.evaluator(policy)
+        row = {"steps": stand.steps, "seconds": round(stand.seconds, 1)} | self._row(costs)
         self.evaluations.add(row)
         self.model.logger.record("evaluation/J", row["J"])
         if row["J"] < self.best:
@@ -218,8 +230,9 @@ class _Run:
             self.references.rows,
         )
 
-    def _judged(self, costs: Any) -> dict[str, float]:
-        names = [f"J_{c.speed_kmh:g}_kmh_wear_{c.wear:g}_seed_{c.seed}" for c in self.judge.cases]
+    def _row(self, costs: Array) -> dict[str, float]:
+        cases = self.config.evaluation.cases
+        names = [f"J_{c['speed_kmh']:g}_kmh_wear_{c['wear']:g}_seed_{c['seed']}" for c in cases]
         return {"J": float(np.mean(costs))} | dict(zip(names, map(float, costs), strict=True))
 
     def _policy(self, cost: float | None) -> StoredPolicy:

@@ -3,7 +3,8 @@
     policy = baselines.make("mppt1", env)
     action, state = policy.predict(observation, state, episode_start)
 
-They see sensor signals alone, and one policy serves one vehicle or many side by side.
+They see sensor signals alone, and one policy serves one vehicle or many side by side. `make` makes other
+policies, too, learned ones and those of one's own code, as far as their loader is registered.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from sayd_env.baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
 
 from sayd_env.config import ConfigError
 from sayd_env.config.control import controller_of, load_controller
+from sayd_env.envs.registration import policy_loader
 
 __all__ = ["NAMES", "Policy", "interface_of", "make", "parse"]
 
@@ -37,25 +39,27 @@ NAMES = tuple(_KINDS)
 """Controllers that `make` knows."""
 
 
-def make(name: str, env_or_spec: Any, **parameters: Any) -> Policy[Any, Any]:
-    """Make a controller for an environment.
+def make(name: str, env_or_spec: Any, **parameters: Any) -> Any:
+    """Make a policy for an environment.
 
     Parameters
     ----------
     name : str
         One of `NAMES`, ``constant:V`` with a valve command V, or the path of a YAML file of parameters that
         is named after its controller, such as ``sayd tune`` writes: ``results/tune-mppt2/mppt2-tuned.yaml``.
+        Or whatever else `sayd_env.load_policy` loads: ``ppo``, a ``.npz``, a ``.onnx``, ``file.py:factory``.
     env_or_spec
         What it is to control: an `Interface`, a Gymnasium environment or vector environment (wrapped or not),
         a vector environment of Stable-Baselines3, or an environment's id or `EnvSpec`.
     **parameters
-        Values that replace those of ``configs/control/NAME.yaml``; the controller's docstring lists them.
+        Values that replace those of ``configs/control/NAME.yaml``; the controller's docstring lists them. For
+        a policy that is no controller, options of `sayd_env.load_policy`.
 
     Returns
     -------
     Policy
         With ``predict(observation, state=None, episode_start=None, deterministic=True)`` and the attributes
-        ``name``, ``parameters`` and ``sensors``.
+        ``name``, ``interface``, and those of controllers ``parameters`` and ``sensors``.
 
     Raises
     ------
@@ -63,13 +67,16 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Policy[Any, Any]:
         Unknown name or parameter, a value that cannot be used, or an environment without the signals, valves
         or dampers that the controller needs.
     """
-    name, short = parse(name)
+    given, (name, short) = name, parse(name)
+    if name not in NAMES and not name.endswith((".yaml", ".yml")):
+        return policy_loader()(given, env_or_spec, **parameters)
     twice = short.keys() & parameters
     if twice:
         raise ConfigError(f"policy '{name}': {', '.join(twice)} is given behind the colon and as a parameter")
     config = load_controller(name, {**short, **parameters})
     name = controller_of(name)
-    return _KINDS[name](name, interface_of(env_or_spec), config)  # type: ignore[no-any-return]
+    keywords = {"damper": "passive"} if name == "passive" else None
+    return _KINDS[name](name, interface_of(env_or_spec, keywords), config)
 
 
 def parse(text: str) -> tuple[str, dict[str, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from sayd_env.config import ConfigError
@@ -9,7 +10,7 @@ from sayd_env.config.explain import shown
 from sayd_env.envs.interface import Interface
 
 
-def interface_of(source: Any) -> Interface:
+def interface_of(source: Any, keywords: Mapping[str, Any] | None = None) -> Interface:
     """What a policy may know of an environment.
 
     Parameters
@@ -17,6 +18,8 @@ def interface_of(source: Any) -> Interface:
     source
         An `Interface`, a Gymnasium environment or vector environment (wrapped or not), a vector environment
         of Stable-Baselines3, or an id or `EnvSpec`, of which an environment is made and closed again.
+    keywords : mapping, optional
+        With which an environment of an id is made.
 
     Raises
     ------
@@ -26,7 +29,7 @@ def interface_of(source: Any) -> Interface:
     if isinstance(source, Interface):
         return source
     if _is_specification(source):
-        return _of_specification(source)
+        return _of_specification(source, keywords or {})
     inner = getattr(source, "unwrapped", source)
     found = getattr(inner, "interface", None)
     if found is None and hasattr(inner, "get_attr"):
@@ -43,13 +46,13 @@ def _is_specification(source: Any) -> bool:
     return isinstance(source, str) or hasattr(source, "entry_point")
 
 
-def _of_specification(source: Any) -> Interface:
+def _of_specification(source: Any, keywords: Mapping[str, Any]) -> Interface:
     import gymnasium  # noqa: PLC0415 - policies of an interface need no Gymnasium
 
     import sayd_env  # noqa: F401, PLC0415 - registers the ids
 
     try:
-        env = gymnasium.make(source)
+        env = gymnasium.make(source, **keywords)
     except (gymnasium.error.Error, ImportError) as error:
         raise ConfigError(f"environment {shown(source)}: {error}") from None
     try:

@@ -49,7 +49,7 @@ class Origin:
     seconds: float | None
     """Of training until then."""
     J: float | None
-    """Mean over the scenarios that judged it while it learned."""
+    """Mean over the scenarios of its evaluations while it learned."""
     environment: str | None
     """In which it has learned."""
     sha256: str

@@ -45,6 +45,9 @@ def compare(
             help="Of the bootstrap; the seeds of the scenarios are the configuration's.",
         ),
     ] = None,
+    trust_pickles: options.TrustPickles = False,
+    trained_period: options.TrainedPeriod = None,
+    vec_normalize: options.VecNormalize = None,
     workers: options.Workers = None,
     executor: options.Executor = None,
     out: options.Out = None,
@@ -59,12 +62,15 @@ def compare(
     directory: an interrupted comparison goes on where it stopped.
     """
     from sayd_env.config.comparison import HELD_OUT, load_comparison  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415
+    from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415
     from sayd_env.studies.comparison.compare import compare as study  # noqa: PLC0415
-    from sayd_env.studies.comparison.entrants import contestants  # noqa: PLC0415
+    from sayd_env.studies.comparison.entrants import read_entrants  # noqa: PLC0415
 
     given = list(assignments or ()) + ([] if seed is None else [f"bootstrap.seed={seed}"])
     conditions = load_comparison(config or HELD_OUT, given)
-    chosen = contestants(policies)
+    foreign = foreign_reader(trust_pickles, load_environment(), trained_period, vec_normalize)
+    chosen = read_entrants(policies, foreign)
     if out is None and quick and not as_json:
         out = Path("results") / "compare-quick"  # a look must not replace a result
     job = Job("compare", out, as_json)

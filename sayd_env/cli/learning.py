@@ -58,6 +58,7 @@ def train(
             help="Threads of the simulator (default: all cores); results do not change.",
         ),
     ] = None,
+    executor: options.Executor = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -75,8 +76,10 @@ def train(
     checkpoints. Ctrl-C saves and says how to go on; a run that was killed goes on from its last checkpoint.
     """
     from sayd_env.agents.config import load_train  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415
     from sayd_env.studies.learning import train as study  # noqa: PLC0415
 
+    evaluations = ExecutorChoice.parse(executor, workers)
     if resume is not None:
         _refuse_with_resume(algorithm, config, out)
         config, out = str(resume / "config.yaml"), resume
@@ -96,7 +99,14 @@ def train(
     folder = out or RESULTS / f"train-{chosen.learning.algorithm}-s{chosen.seed}"
     job = Job("train", folder, as_json)
     with job.progress() as progress:
-        result = study(chosen, folder, resume=resume is not None, command=command_text(), progress=progress)
+        result = study(
+            chosen,
+            folder,
+            resume=resume is not None,
+            command=command_text(),
+            executor=evaluations,
+            progress=progress,
+        )
     job.finish(result, config=chosen, seed=chosen.seed)
 
 
@@ -122,15 +132,17 @@ def export(
     ] = False,
     trust_pickles: options.TrustPickles = False,
     trained_period: options.TrainedPeriod = None,
+    vec_normalize: options.VecNormalize = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
     """Write a learned policy as files for others: weights with their description, and an ONNX model."""
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415
     from sayd_env.studies.learning import export as study  # noqa: PLC0415
-    from sayd_env.studies.learning import foreign_reader, read_source  # noqa: PLC0415
+    from sayd_env.studies.learning import read_source  # noqa: PLC0415
 
-    foreign = foreign_reader(trust_pickles, load_environment(), trained_period)
+    foreign = foreign_reader(trust_pickles, load_environment(), trained_period, vec_normalize)
     stored = read_source(source, foreign)  # before the directory is made
     target = out or RESULTS / "export"
     job = Job("export", target, as_json)

@@ -342,8 +342,8 @@ Policies = Annotated[
         "--policies",
         parser=parse_policies,
         metavar="A,B,...",
-        help="Controllers: passive, constant:V, mppt1, mppt2, perturb-and-observe, skyhook-onoff, "
-        "skyhook-continuous, ready ones ('sayd policies' lists all), or files of learned policies (.npz).",
+        help="Names ('sayd policies' lists all), constant:V, files of learned policies (.npz, .onnx, .zip) "
+        "or of controllers (.yaml), or code of one's own: module:factory, file.py:factory.",
     ),
 ]
 TrustPickles = Annotated[
@@ -362,6 +362,15 @@ TrainedPeriod = Annotated[
         metavar="S",
         help="With --trust-pickles: control period of its training (s), which the file does not say. "
         "Default: the environment's.",
+    ),
+]
+VecNormalize = Annotated[
+    Path | None,
+    typer.Option(
+        "--vec-normalize",
+        metavar="FILE",
+        help="With --trust-pickles: statistics of the VecNormalize behind which it has learned (.pkl), which "
+        "can run any code, too.",
     ),
 ]
 Reward = Annotated[

@@ -21,11 +21,13 @@ def render(
         typer.Option(
             "--policy",
             metavar="NAME|FILE",
-            help="Who commands the valves: a name ('sayd policies' lists all), constant:0.3, or a file.",
+            help="Who commands the valves: a name ('sayd policies' lists all), constant:0.3, a file, or "
+            "code of one's own: module:factory, file.py:factory.",
         ),
     ] = "mppt2",
     trust_pickles: options.TrustPickles = False,
     trained_period: options.TrainedPeriod = None,
+    vec_normalize: options.VecNormalize = None,
     speed: Annotated[
         float | None,
         typer.Option(
@@ -96,8 +98,7 @@ def render(
     imageio-ffmpeg: pip install 'sayd-env[render]' or 'sayd-env[video]'.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
-    from sayd_env.studies.learning import foreign_reader  # noqa: PLC0415
+    from sayd_env.runs.policies import foreign_reader, policy_spec  # noqa: PLC0415
     from sayd_env.studies.render import Film, fixed_laws  # noqa: PLC0415
     from sayd_env.studies.render import render as study  # noqa: PLC0415
 
@@ -113,7 +114,7 @@ def render(
         "tracks": track is not None or any(key.split(".")[0] == "track" for key in given),
     }
     target = file or (out or Path("results") / "render") / "render.gif"
-    spec = policy_spec(policy, foreign_reader(trust_pickles, laws, trained_period))
+    spec = policy_spec(policy, foreign_reader(trust_pickles, laws, trained_period, vec_normalize))
     film = Film(spec, target, seconds, fps, exaggeration)
     job = Job("render", out, as_json)
     with job.progress() as progress:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from sayd_env.config.scenario import Scenario
-    from sayd_env.runs.policies import ForeignReader, PolicySpec
 
 KMH = 3.6
 
@@ -41,6 +40,7 @@ def evaluate(
     ] = "0",  # type: ignore[assignment] # the parser turns the text into a number
     trust_pickles: options.TrustPickles = False,
     trained_period: options.TrainedPeriod = None,
+    vec_normalize: options.VecNormalize = None,
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
     config: options.Config = None,
@@ -62,12 +62,12 @@ def evaluate(
     filter of the assessment. The weights do not change what the controllers mppt1 and mppt2 minimise.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.policies import foreign_reader, policy_specs  # noqa: PLC0415
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
-    from sayd_env.studies.learning import foreign_reader  # noqa: PLC0415
 
     scenario = _scenario(config, assignments, profile, wear, friction, track, damper, reward)
     laws = load_environment(environment)
-    specs = _specs(policies, foreign_reader(trust_pickles, laws, trained_period))
+    specs = policy_specs(policies or (), foreign_reader(trust_pickles, laws, trained_period, vec_normalize))
     job = Job("evaluate", out, as_json)
     with job.runs(executor, workers) as context:
         result = study(
@@ -109,12 +109,6 @@ def _scenario(
     return scenario if reward is None else with_reward(scenario, reward)
 
 
-def _specs(names: Iterable[str] | None, foreign: ForeignReader | None = None) -> list[PolicySpec]:
-    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415 - keeps --help fast
-
-    return [policy_spec(name, foreign) for name in names or ()]
-
-
 def _metres_per_second(speeds: Iterable[float]) -> list[float]:
     return [v / KMH for v in speeds]
 
@@ -139,6 +133,9 @@ def map_(
     damper: options.DamperKind = None,
     reward: options.Reward = None,
     environment: options.Environment = "nominal",
+    trust_pickles: options.TrustPickles = False,
+    trained_period: options.TrainedPeriod = None,
+    vec_normalize: options.VecNormalize = None,
     constants: Annotated[
         bool, typer.Option("--constants/--no-constants", help="Look for the best constant currents, too.")
     ] = True,
@@ -174,6 +171,7 @@ def map_(
 
     from sayd_env.config import ConfigError  # noqa: PLC0415
     from sayd_env.config.environment import load_environment  # noqa: PLC0415
+    from sayd_env.runs.policies import foreign_reader, policy_specs  # noqa: PLC0415
     from sayd_env.studies.map import POLICIES, QUICK, MapGrid, stability_map  # noqa: PLC0415
 
     if condition_speeds and not constants:
@@ -189,8 +187,9 @@ def map_(
     }
     changes: dict[str, Any] = {key: tuple(values) for key, values in given.items() if values}
     grid = replace(QUICK if quick else MapGrid(), **changes)
-    specs = _specs(policies or POLICIES)
     laws = load_environment(environment)
+    foreign = foreign_reader(trust_pickles, laws, trained_period, vec_normalize)
+    specs = policy_specs(policies or POLICIES, foreign)
     job = Job("map", out, as_json)
     count = seeds or (1 if quick else 2)
     with job.runs(executor, workers) as context:

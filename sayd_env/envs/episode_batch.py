@@ -19,11 +19,12 @@ import numpy.typing as npt
 from sayd_env.config import ConfigError
 from sayd_env.config.control import OnlineConfig, load_online
 from sayd_env.config.damper import SaydDamperConfig
-from sayd_env.config.environment import EnvironmentConfig, charge_a_second
+from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.fault import SensorNoisy
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import SIGNALS as SENSED
 from sayd_env.config.sensors import UNITS
+from sayd_env.envs.cost import termination_charge
 from sayd_env.envs.draw import Episode, episode_scenario
 from sayd_env.envs.faults import FaultSchedule
 from sayd_env.envs.interface import ACTIONS, BOGIES, Interface, RunIn, Signal
@@ -300,9 +301,9 @@ class EpisodeBatch:
 
     def _last_reward(self, i: int) -> float:
         """Reward of the period in which a run ended, with the charge for the rest of the episode."""
-        remaining = self.config.episode_s - self.elapsed[i] * self.config.control_period
         last = float(self.vehicles.rewards[i]) if self.elapsed[i] else 0.0
-        charge = charge_a_second(self.config, self.scenario.cost) * float(remaining)
+        elapsed = float(self.elapsed[i] * self.config.control_period)
+        charge = termination_charge(self.config, self.scenario.cost, elapsed)
         return (last if math.isfinite(last) else 0.0) - charge
 
     def observations(self) -> Observation:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.envs import trace
+from sayd_env.envs.cost import squares
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.loop import (
     BOGIES,
@@ -28,9 +29,7 @@ Array = npt.NDArray[np.float64]
 
 def cost_terms(batch: EpisodeBatch) -> tuple[Array, Array]:
     """Terms of the cost of the last period, unweighted, means of the bogies: new arrays of shape (count,)."""
-    terms = batch.vehicles.terms
-    acceleration = (terms[:, COST_ACCELERATION] + terms[:, COST_ACCELERATION + 1]) / BOGIES
-    force = (terms[:, COST_FORCE] + terms[:, COST_FORCE + 1]) / BOGIES
+    acceleration, force = squares(batch.vehicles.terms)
     if np.count_nonzero(batch.vehicles.status):
         return np.nan_to_num(acceleration, posinf=0.0), np.nan_to_num(force, posinf=0.0)
     return acceleration, force

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -86,6 +88,39 @@ class Interface:
         rows = {"history": self.history} if self.observation == "history" else {}
         common = {"observation": self.observation, "valves": self.valves, "damper": self.damper.type}
         return {**common, **rows, "control_period": self.control_period}
+
+    def check(self, source: str, needs: Mapping[str, Any], signals: Sequence[str] = ()) -> None:
+        """Refuse to let a policy act that needs another environment.
+
+        Parameters
+        ----------
+        source : str
+            Names the policy in the message.
+        needs : mapping
+            `keywords` that it needs.
+        signals : sequence of str
+            The numbers of a vector, in order, that it needs; empty for any.
+
+        Raises
+        ------
+        ConfigError
+            The environment is another one.
+        """
+        mine = self.keywords
+        for name, needed in needs.items():
+            if mine.get(name) != needed:
+                keywords = ", ".join(f"{key}={value!r}" for key, value in needs.items())
+                raise ConfigError(
+                    f"{source}: the policy needs {name}={needed!r}, the environment has {mine.get(name)!r}; "
+                    f"make it with {keywords}"
+                )
+        names = [signal.name for signal in self.signals]
+        for i, (needed, found) in enumerate(zip_longest(signals, names, fillvalue="nothing")):
+            if signals and needed != found:
+                raise ConfigError(
+                    f"{source}: the policy has learned from other signals: number {i} was {needed}, here it "
+                    f"is {found}"
+                )
 
     def index(self, name: str) -> int:
         """Position of a signal in an observation's vector.

@@ -1,8 +1,12 @@
-"""The ids under which Gymnasium makes the environments."""
+"""The ids under which Gymnasium makes the environments, and what loads policies that are no controllers."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import gymnasium
+from gymnasium.envs.registration import load_env_creator
 
 IDS = {
     "SAYD/Nominal-v0": "nominal",
@@ -25,3 +29,23 @@ def register_environments() -> None:
                 vector_entry_point="sayd_env.envs.vector:SaydVectorEnv",
                 kwargs={"environment": environment},
             )
+
+
+_policy_loaders: list[str] = []
+
+
+def register_policy_loader(entry_point: str) -> None:
+    """Register what makes policies that are no controllers.
+
+    Parameters
+    ----------
+    entry_point : str
+        ``module:function``, as Gymnasium has entry points: it is imported when it is needed. The function
+        takes a policy's name and an environment.
+    """
+    _policy_loaders[:] = [entry_point]
+
+
+def policy_loader() -> Callable[..., Any]:
+    """The function that was registered."""
+    return load_env_creator(_policy_loaders[0])

@@ -13,9 +13,10 @@ import numpy.typing as npt
 from sayd_env.config import StudyError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.envs.cost import EpisodeCost, episode_cost, mean_squares
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
-from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, LOG, RUNNING, TERMS
+from sayd_env.envs.loop import LOG, RUNNING, TERMS
 from sayd_env.physics.simulator import RUN_OUT
 
 Array = npt.NDArray[np.float64]
@@ -81,12 +82,12 @@ class Rollout:
         seconds : float, optional
             How much of the run; by default its whole seconds.
         """
-        seconds = math.floor(len(self.terms) * self.control_period + 1e-9) if seconds is None else seconds
-        rows = self.terms[: round(seconds / self.control_period)]
-        sums = rows.sum(axis=0) / seconds
-        parts = (sums[start : start + BOGIES].mean() for start in (COST_ACCELERATION, COST_FORCE))
-        acceleration, force = parts
-        return float(acceleration), float(force)
+        return mean_squares(self.terms, self.control_period, seconds)
+
+    def episode_cost(self, config: EnvironmentConfig, scenario: Scenario) -> EpisodeCost:
+        """J over the episode of the environment that ran, with the charge for an early end."""
+        terminated = self.ending is not None
+        return episode_cost(self.terms, self.control_period, config, scenario.cost, terminated=terminated)
 
 
 def assessed_steps(config: EnvironmentConfig, scenario: Scenario, speed: float) -> int:

@@ -1,7 +1,9 @@
-"""Policies on the scenarios of a tuning, one after another."""
+"""How good is a policy? J on a fixed list of scenarios, for training and tuning, one policy after another."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,14 +14,18 @@ from sayd_env.config.control import load_online
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.tuning import TuningConfig
 from sayd_env.config.units import Array
+from sayd_env.envs.cost import episode_cost
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState
 from sayd_env.envs.keywords import configured
-from sayd_env.envs.loop import NOT_FINITE, RUNNING
+from sayd_env.envs.loop import NOT_FINITE, RUNNING, TERMS
 from sayd_env.envs.rollout import first_state
-from sayd_env.runs.policies import PASSIVE, PolicySpec
+from sayd_env.runs.cache import fingerprint
+from sayd_env.runs.policies import PolicySpec
+
+MOST_PREPARED = 16
+"""Lists of vehicles that a process keeps ready."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +38,29 @@ class Costs:
     """Scenarios that ended early."""
 
 
-class Proving:
-    """The vehicles of a tuning's scenarios, ready for one policy after another.
+class PolicyEvaluator:
+    """Runs policies on the same scenarios: tracks, vehicles, sensors.
 
-    All policies meet the same tracks, vehicles and sensors. A vehicle is built and run in once; each policy
-    starts from a copy of its state.
+    A vehicle is built and run in once; each policy starts from a copy of its state. What a scenario leaves
+    open is drawn from its seed as the environment has it.
 
     Parameters
     ----------
-    settings : TuningConfig
+    environment : str
+        Name or path of the environment. Each policy gets it with the signals, valves and clock that it needs.
+    cases : sequence of mapping
+        Of each scenario the ``seed`` and the options of its episode.
+    episode_s : float
+        Time over which J is taken, s.
+    reward : str
+        Weights of J: ``mppt1`` or ``mppt2``.
+    initial_current : float
+        Valve command of the run-in, where the valves have one.
+    executor : Executor, optional
+        Makes the runs in as many pieces as it has workers; without, threads of this process do. The costs
+        do not depend on it.
     workers : int, optional
-        Threads; all cores by default. The costs do not depend on it.
+        Number of these workers or threads; all cores by default, or a single piece.
 
     Raises
     ------
@@ -50,65 +68,118 @@ class Proving:
         An environment that cannot be used.
     """
 
-    def __init__(self, settings: TuningConfig, workers: int | None = None) -> None:
-        self._settings = settings
-        self._workers = workers
-        self._ready: dict[str, tuple[EpisodeBatch, list[EpisodeState]]] = {}
-        self.environment, self.scenario = self._configured("sayd")
-
-    def _configured(self, damper: str) -> tuple[EnvironmentConfig, Scenario]:
-        settings = self._settings
-        return configured(settings.environment, damper=damper, episode_s=settings.episode_s, reward="mppt2")
+    def __init__(
+        self,
+        environment: str,
+        cases: Sequence[Mapping[str, Any]],
+        *,
+        episode_s: float,
+        reward: str = "mppt2",
+        initial_current: float = 0.0,
+        executor: Executor | None = None,
+        workers: int | None = None,
+    ) -> None:
+        self._environment = {"environment": environment, "episode_s": episode_s, "reward": reward}
+        self._cases, self._current = [dict(case) for case in cases], initial_current
+        self._executor, self._workers = executor, workers
+        self._pieces: dict[str, list[_Piece]] = {}
+        self._sayd = configured(**self._environment, damper="sayd")
 
     def inputs(self) -> tuple[Any, ...]:
         """What the costs depend on beside the policy; J is taken by the on-line filter."""
-        settings = self._settings
-        what = settings.model_dump(include={"episode_s", "initial_current", "scenarios"})
-        return what, self.environment, self.scenario, load_online()
+        return self._cases, self._current, *self._sayd, load_online()
 
     def costs(self, policy: PolicySpec) -> Costs:
         """J of a policy in each scenario.
-
-        J is minus the mean reward per second of the episode: by the on-line filter, with the charge for a
-        derailment.
 
         Raises
         ------
         ConfigError
             A policy that does not fit, or conditions that are not allowed.
         StudyError
-            A run that diverged.
+            A run that diverged, or a worker that was lost.
         """
-        batch, states = self._fleet("passive" if policy.name == PASSIVE else "sayd")
-        batch.set_state(states)
-        actor, total = policy.make(batch), np.zeros(batch.count)
-        observation = batch.observations()
-        state, start = first_state(actor, batch)
-        for _ in range(batch.steps):
-            action, state = actor.predict(observation, state, start, deterministic=True)
-            start[:] = False
-            observation, rewards, _, _ = batch.step(action)
-            total -= rewards
-        self._refuse_diverged(policy, batch)
-        derailed = int(np.count_nonzero(batch.vehicles.status != RUNNING))
-        return Costs(total / batch.config.episode_s, derailed)
+        work = [(piece, policy) for piece in self._split(policy)]
+        try:
+            found = list(map(_costs, work) if self._executor is None else self._executor.map(_costs, work))
+        except BrokenExecutor as error:
+            raise StudyError(
+                f"{policy.title}: a worker has ended ({error}); the same command goes on"
+            ) from None
+        return Costs(np.concatenate([costs for costs, _ in found]), sum(derailed for _, derailed in found))
 
-    def _refuse_diverged(self, policy: PolicySpec, batch: EpisodeBatch) -> None:
-        for i in np.flatnonzero(batch.vehicles.status == NOT_FINITE):
-            seed = self._settings.scenarios[int(i)].seed
-            raise StudyError(f"{policy.title}: the run of seed {seed} diverged")
-
-    def _fleet(self, damper: str) -> tuple[EpisodeBatch, list[EpisodeState]]:
-        if damper not in self._ready:
-            config, scenario = self._configured(damper)
-            cases = self._settings.scenarios
-            batch = EpisodeBatch(config, len(cases), scenario=scenario, num_threads=self._workers)
-            semi_active = isinstance(scenario.damper, SaydDamperConfig)
-            current = {"initial_current": self._settings.initial_current} if semi_active else {}
-            episodes = [
-                draw_episode(config, case.seed, 0, case.model_dump(exclude={"seed"}) | current)
-                for case in cases
+    def _split(self, policy: PolicySpec) -> list[_Piece]:
+        """The scenarios in the environment that a policy needs, in pieces."""
+        key = str(sorted(policy.needs.items()))
+        if key not in self._pieces:
+            config, scenario = self._sayd
+            if policy.needs.get("damper") == "passive":
+                config, scenario = configured(**self._environment, damper="passive")
+            config = policy.environment(config)
+            alone = self._executor is None
+            self._pieces[key] = [
+                _Piece(config, scenario, part.tolist(), self._current, self._workers if alone else 1)
+                for part in np.array_split(
+                    self._cases, 1 if alone else min(self._workers or 1, len(self._cases))
+                )
             ]
-            batch.reset(range(batch.count), episodes, listen=True)
-            self._ready[damper] = batch, [batch.get_state(i) for i in range(batch.count)]
-        return self._ready[damper]
+        return self._pieces[key]
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """Some scenarios in one environment."""
+
+    config: EnvironmentConfig
+    scenario: Scenario
+    cases: Sequence[Mapping[str, Any]]
+    initial_current: float
+    threads: int | None
+
+
+_prepared: dict[str, tuple[EpisodeBatch, list[EpisodeState]]] = {}
+
+
+def _vehicles(piece: _Piece) -> tuple[EpisodeBatch, list[EpisodeState]]:
+    """The vehicles of some scenarios at step 0; a process keeps the latest ones."""
+    key = fingerprint(piece.config, piece.scenario, piece.cases, piece.initial_current, piece.threads)
+    if key not in _prepared:
+        while len(_prepared) >= MOST_PREPARED:
+            del _prepared[next(iter(_prepared))]
+        batch = EpisodeBatch(
+            piece.config, len(piece.cases), scenario=piece.scenario, num_threads=piece.threads
+        )
+        semi_active = isinstance(piece.scenario.damper, SaydDamperConfig)
+        current = {"initial_current": piece.initial_current} if semi_active else {}
+        episodes = []
+        for case in piece.cases:
+            options = {name: value for name, value in case.items() if name != "seed"}
+            episodes.append(draw_episode(piece.config, case["seed"], 0, options | current))
+        batch.reset(range(batch.count), episodes, listen=True)
+        _prepared[key] = batch, [batch.get_state(i) for i in range(batch.count)]
+    return _prepared[key]
+
+
+def _costs(work: tuple[_Piece, PolicySpec]) -> tuple[Array, int]:
+    """J of a policy in some scenarios, and how many of them ended early."""
+    piece, policy = work
+    batch, states = _vehicles(piece)
+    batch.set_state(states)
+    actor, terms = policy.make(batch), np.zeros((batch.steps, batch.count, TERMS))
+    observation = batch.observations()
+    state, start = first_state(actor, batch)
+    for n in range(batch.steps):
+        action, state = actor.predict(observation, state, start, deterministic=True)
+        start[:] = False
+        observation, _, _, _ = batch.step(action)
+        terms[n] = batch.vehicles.terms
+    ended, period = batch.vehicles.status != RUNNING, batch.config.control_period
+    for i in np.flatnonzero(batch.vehicles.status == NOT_FINITE):
+        raise StudyError(f"{policy.title}: the run of seed {piece.cases[i]['seed']} diverged")
+    costs = [
+        episode_cost(
+            terms[: batch.elapsed[i], i], period, piece.config, piece.scenario.cost, terminated=ended[i]
+        )
+        for i in range(batch.count)
+    ]
+    return np.array([cost.total for cost in costs]), int(np.count_nonzero(ended))

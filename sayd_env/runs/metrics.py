@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from sayd_env.config import StudyError
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.config.environment import EnvironmentConfig, charge_a_second
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.loop import (
@@ -133,8 +132,9 @@ def policy_row(run: Run, rollout: Rollout) -> Row:
     """
     scenario = run.scenario
     weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
-    parts = episode_cost(rollout, run.environment)
-    charge = termination_charge(rollout, run)
+    if rollout.ending is not None:
+        _refuse_divergence(rollout)
+    cost = rollout.episode_cost(run.environment, scenario)
     over_the_length = _derailed() if rollout.ending is not None else _measured(rollout, scenario, weights)
     return Row(
         policy=run.policy.title,
@@ -142,9 +142,9 @@ def policy_row(run: Run, rollout: Rollout) -> Row:
         wear=scenario.wear,
         friction=scenario.friction,
         seed=rollout.episode.seed,
-        J=float(np.dot(weights, parts)) + charge,
-        J_acceleration=parts[0],
-        J_force=parts[1],
+        J=cost.total,
+        J_acceleration=cost.acceleration,
+        J_force=cost.force,
         **over_the_length,
         **valve_use(run, rollout),
         ending=rollout.ending,
@@ -152,35 +152,13 @@ def policy_row(run: Run, rollout: Rollout) -> Row:
     )
 
 
-def episode_cost(rollout: Rollout, config: EnvironmentConfig) -> tuple[float, float]:
-    """Unweighted means of (psi_y / y_lim)^2 and (psi_F / F_max)^2 over the episode of the environment.
-
-    A run that is shorter than the episode, because so short a length is assessed, counts with its whole
-    seconds. A run that ended early counts with what there is of it; `termination_charge` is the rest.
-    """
-    run = len(rollout.terms) * rollout.control_period
-    short = rollout.ending is None and run < config.episode_s
-    return rollout.cost(math.floor(run + 1e-9) if short else config.episode_s)
-
-
-def termination_charge(rollout: Rollout, run: Run) -> float:
-    """What the environment charges for the seconds that a derailment has cut off, as a part of J.
-
-    Raises
-    ------
-    StudyError
-        The simulation diverged: this is no derailment.
-    """
-    if rollout.ending is None:
-        return 0.0
+def _refuse_divergence(rollout: Rollout) -> None:
+    """Refuse a run that ended because the simulation diverged: this is no derailment."""
     fiercest = np.max(np.abs(rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]))
-    if rollout.ending.startswith("non-finite") or not fiercest < IMPOSSIBLE:
+    if str(rollout.ending).startswith("non-finite") or not fiercest < IMPOSSIBLE:
         raise StudyError(
             f"the run of seed {rollout.episode.seed} at {rollout.episode.speed * KMH:g} km/h diverged"
         )
-    episode = run.environment.episode_s
-    remaining = max(episode - len(rollout.terms) * rollout.control_period, 0.0)
-    return charge_a_second(run.environment, run.scenario.cost) * remaining / episode
 
 
 def offline_cost(

@@ -1,71 +1,126 @@
-"""Policies by name, as command lines and studies name them."""
+"""Policies by name, as command lines, studies and users' programs name them."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from sayd_env import baselines
 from sayd_env.agents import pretrained
-from sayd_env.agents.policy_file import StoredPolicy, policy_bytes, read_policy
-from sayd_env.config import ConfigError, DataError, nearest, validate
-from sayd_env.config.control import load_controller
+from sayd_env.agents.onnx_policy import read_onnx
+from sayd_env.agents.policy_file import StoredPolicy, read_policy
+from sayd_env.config import ConfigError, nearest, validate
+from sayd_env.config.control import controller_of, load_controller, load_online
 from sayd_env.config.damper import PassiveDamperConfig, load_sayd
-from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.environment import EnvironmentConfig, load_environment
+from sayd_env.config.explain import shown
 from sayd_env.config.scenario import Scenario
-from sayd_env.envs.episode_batch import EpisodeBatch
+from sayd_env.envs.episode_batch import environment_scenario, make_interface
+from sayd_env.envs.interface import Interface
+from sayd_env.runs.own_code import OwnPolicy
 
 PASSIVE = "passive"
 LEARNED = ".npz"
 """How the files of learned policies end."""
 FOREIGN = ".zip"
 """How the files of Stable-Baselines3 end."""
-PARAMETERS = ".yaml"
+ONNX = ".onnx"
+PARAMETERS = (".yaml", ".yml")
 """How the files of parameters of controllers end."""
+EXPECTED = (
+    f"constant:V, the file of a learned policy (*{LEARNED}, *{ONNX}) or of a controller's parameters "
+    f"(*{PARAMETERS[0]}), or code of one's own: module:factory, file.py:factory"
+)
+_CODE = re.compile(r"(?P<place>[\w.]+|.+\.py):(?P<factory>\w+)")
 ForeignReader = Callable[[Path], StoredPolicy]
 """Reads a file of Stable-Baselines3, for whoever trusts it."""
 
 
+class PolicyContent(Protocol):
+    """What the file of a policy holds: weights, a model or code."""
+
+    @property
+    def source(self) -> str:
+        """The file, for messages."""
+
+    @property
+    def needs(self) -> Mapping[str, Any]:
+        """Keywords of the environments in which it can act."""
+
+    def identity(self) -> Any:
+        """What changes whenever its content changes."""
+
+    def bound(self, interface: Interface) -> Any:
+        """The policy, ready to act in an environment."""
+
+
 @dataclass(frozen=True)
 class PolicySpec:
-    """A policy: one of `baselines.NAMES` with parameters, ``constant:0.3`` for short, or a learned one."""
+    """A policy: one of `baselines.NAMES` with parameters, ``constant:0.3`` for short, or that of a file."""
 
     name: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Of a learned policy the hash of its content, by which studies know kept runs of it."""
+    """Of a controller."""
     label: str = ""
     """How tables call it; its name by default."""
-    stored: StoredPolicy | None = None
-    """A learned policy."""
+    stored: PolicyContent | None = None
+    """Of a policy that is no controller."""
 
     @property
     def title(self) -> str:
         """How tables call it."""
         return self.label or self.name
 
+    @property
+    def learned(self) -> StoredPolicy | None:
+        """Weights with the description of their training, if it has such."""
+        return self.stored if isinstance(self.stored, StoredPolicy) else None
+
+    @property
+    def needs(self) -> Mapping[str, Any]:
+        """Keywords of the environments in which it can act; what it leaves open is not there."""
+        if self.stored is not None:
+            return self.stored.needs
+        return {"damper": "passive"} if self.name == PASSIVE else {}
+
     def identity(self) -> Any:
-        """What a run depends on because of its policy: all parameters, or the SHA-256 of a learned one.
+        """What a kept run depends on because of its policy: always the same object.
+
+        Of a controller all its parameters, of a file its content, of code its sources.
 
         Raises
         ------
         ConfigError
             A controller whose parameters cannot be read.
         """
-        if self.stored is not None:
-            return self.name, hashlib.sha256(policy_bytes(self.stored)).hexdigest()
-        return self.name, load_controller(self.name, self.parameters).model_dump(mode="json")
+        return self._identity
 
-    def make(self, batch: EpisodeBatch) -> Any:
-        """Make the policy for a batch."""
+    @cached_property
+    def _identity(self) -> Any:
         if self.stored is not None:
-            return self.stored.bound(batch.interface)
-        return baselines.make(self.name, batch.interface, **self.parameters)
+            return {"content": self.stored.identity()}
+        parameters = load_controller(self.name, self.parameters).model_dump(mode="json")
+        return {"controller": controller_of(self.name), "parameters": parameters}
+
+    def make(self, env: Any) -> Any:
+        """Make the policy for an environment, a batch or an `Interface`.
+
+        Raises
+        ------
+        ConfigError
+            It needs another environment.
+        """
+        interface = baselines.interface_of(env)
+        if self.stored is not None:
+            return self.stored.bound(interface)
+        return baselines.make(self.name, interface, **self.parameters)
 
     def environment(self, config: EnvironmentConfig) -> EnvironmentConfig:
-        """The environment as the policy needs it: a learned one brings signals, valves and clock of its own.
+        """The environment as the policy needs it: it brings signals, valves and clock of its own.
 
         Raises
         ------
@@ -74,22 +129,19 @@ class PolicySpec:
         """
         if self.stored is None:
             return config
-        learned = self.stored.description
-        changes = {"observation": learned.observation, "valves": learned.valves}
-        period = {"control_period": learned.control_period}
-        rows = {"history": learned.history} if learned.observation == "history" else {}
-        return validate(EnvironmentConfig, dict(config) | changes | period | rows, self.stored.source)
+        return validate(EnvironmentConfig, dict(config) | dict(self.stored.needs), self.stored.source)
 
 
 def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
-    """Read a policy from the command line.
+    """Read a policy from a command line.
 
     Parameters
     ----------
     text : str
         A name of `baselines.NAMES`, ``constant:V`` with a valve command V from 0 to 1, a name of
-        `agents.pretrained`, or the path of a learned policy's file, which ends in ``.npz``, or in ``.zip``
-        if Stable-Baselines3 wrote it, or of a controller's parameters in ``.yaml``, named after it.
+        `agents.pretrained`; the path of a learned policy's file, which ends in ``.npz``, in ``.onnx``, or in
+        ``.zip`` if Stable-Baselines3 wrote it; of a controller's parameters in ``.yaml``, named after it; or
+        ``module:factory`` or ``file.py:factory`` of one's own code.
     foreign : callable, optional
         What reads a file of Stable-Baselines3; without, it is refused.
 
@@ -103,21 +155,132 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
     given = text.strip()
     if given.endswith((LEARNED, FOREIGN)):
         return learned_spec(read_learned(Path(given), foreign))
+    if given.endswith(ONNX):
+        return PolicySpec(Path(given).stem, stored=read_onnx(Path(given)))
     if given.endswith(PARAMETERS):
         load_controller(given)  # refused here rather than under way
         return PolicySpec(given, label=f"{Path(given).stem}@{Path(given).resolve().parent.name}")
     name, parameters = baselines.parse(given)
     if name in baselines.NAMES:
         return PolicySpec(name, parameters, given) if parameters else PolicySpec(name)
-    ready = pretrained.names()
-    if name in ready:
+    if name in pretrained.names():
         file = pretrained.path(name)
         return learned_spec(read_policy(file), file.stem)
-    known = (*baselines.NAMES, *ready)
+    if _CODE.fullmatch(given):
+        own = OwnPolicy.read(given)
+        return PolicySpec(own.title, stored=own)
+    known = (*baselines.NAMES, *pretrained.names())
     raise ConfigError(
-        f"policy '{text}': unknown{nearest(name, known)}; expected {', '.join(known)}, constant:V, "
-        f"a file of a learned policy (*{LEARNED}) or of a controller's parameters (*{PARAMETERS})"
+        f"policy {shown(text)}: unknown{nearest(name.partition(':')[0], known)}; expected "
+        f"{', '.join(known)}, {EXPECTED}"
     )
+
+
+def policy_specs(texts: Iterable[str], foreign: ForeignReader | None = None) -> list[PolicySpec]:
+    """Read several policies, and give those of the same name titles of their own.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `policy_spec`, or a policy that is named twice.
+    """
+    found: dict[str, PolicySpec] = {}
+    for text in texts:
+        spec = policy_spec(text, foreign)
+        if spec.title in found and spec.identity() != found[spec.title].identity():
+            place = spec.stored.source if spec.stored is not None else spec.name
+            titles = (f"{spec.title}@{Path(part).name}" for part in Path(place).resolve().parents)
+            spec = replace(spec, label=next((title for title in titles if title not in found), spec.title))
+        if spec.title in found:
+            raise ConfigError(f"policy '{spec.title}': duplicate")
+        found[spec.title] = spec
+    return list(found.values())
+
+
+def load_policy(
+    policy: str,
+    env: Any = None,
+    *,
+    trust_pickles: bool = False,
+    trained_period: float | None = None,
+    vec_normalize: Path | None = None,
+) -> Any:
+    """Make a policy of any kind, ready to act.
+
+    Parameters
+    ----------
+    policy : str
+        As on a command line, see `policy_spec`.
+    env : optional
+        What it is to control, see `baselines.make`. An environment must be as the policy needs it. Of an id,
+        or without any (then ``SAYD/Nominal``), an environment that fits is assumed: make it with
+        ``gymnasium.make(ID, **policy.interface.keywords)``.
+    trust_pickles : bool
+        Whether a file of Stable-Baselines3, which can run any code while it is loaded, may be loaded.
+    trained_period, vec_normalize
+        With it: control period of its training (s), and the file of its `VecNormalize`.
+
+    Returns
+    -------
+    object
+        With ``predict(observation, state=None, episode_start=None, deterministic=True)`` and the attributes
+        ``name`` and ``interface``.
+
+    Raises
+    ------
+    ConfigError
+        As `policy_spec`, or an environment without what the policy needs; the message says what that is.
+    DataError
+        A damaged file.
+    """
+    nominal = load_environment()
+    spec = policy_spec(policy, foreign_reader(trust_pickles, nominal, trained_period, vec_normalize))
+    if env is not None:
+        return spec.make(baselines.interface_of(env, spec.needs))
+    config = validate(EnvironmentConfig, dict(nominal) | dict(spec.needs), policy)
+    return spec.make(make_interface(config, environment_scenario(config), load_online()))
+
+
+def foreign_reader(
+    trusted: bool,
+    config: EnvironmentConfig,
+    period: float | None = None,
+    statistics: Path | None = None,
+) -> ForeignReader | None:
+    """What reads files of Stable-Baselines3, or None.
+
+    Parameters
+    ----------
+    trusted : bool
+        Whether such files, which can run any code while they are loaded, may be loaded.
+    config : EnvironmentConfig
+        The environment of their training.
+    period : float, optional
+        Control period of their training (s); that of `config` by default.
+    statistics : Path, optional
+        File of the `VecNormalize` of their training.
+
+    Raises
+    ------
+    ConfigError
+        A period or statistics, where no file may be loaded.
+    """
+    for option, value in (("--trained-period", period), ("--vec-normalize", statistics)):
+        if not trusted and value is not None:
+            raise ConfigError(f"{option}: is that of files of Stable-Baselines3: add --trust-pickles")
+
+    def read(path: Path) -> StoredPolicy:
+        try:
+            from sayd_env.agents.foreign import read_foreign  # noqa: PLC0415 - imports torch, which may be missing
+
+            return read_foreign(path, config, period, statistics)
+        except ModuleNotFoundError as error:
+            raise ConfigError(
+                f"{path}: needs torch and Stable-Baselines3: install them with pip install 'sayd-env[train]' "
+                f"(no module '{error.name}')"
+            ) from None
+
+    return read if trusted else None
 
 
 def read_learned(path: Path, foreign: ForeignReader | None = None) -> StoredPolicy:
@@ -147,24 +310,8 @@ def read_learned(path: Path, foreign: ForeignReader | None = None) -> StoredPoli
 
 
 def learned_spec(stored: StoredPolicy, label: str = "") -> PolicySpec:
-    """A learned policy among the others.
-
-    Parameters
-    ----------
-    stored : StoredPolicy
-    label : str
-        How tables call it; by default as it calls itself.
-
-    Raises
-    ------
-    DataError
-        It calls itself like one of `baselines.NAMES`.
-    """
-    name = stored.description.name
-    if name in baselines.NAMES:
-        raise DataError(f"{stored.source}: the policy calls itself '{name}', which is a controller's name")
-    digest = hashlib.sha256(policy_bytes(stored)).hexdigest()
-    return PolicySpec(name, {"sha256": digest}, label, stored)
+    """A learned policy among the others; tables call it as it calls itself, unless by a label."""
+    return PolicySpec(stored.description.name, label=label, stored=stored)
 
 
 def for_policy(scenario: Scenario, policy: PolicySpec, sayd: str = "sayd") -> Scenario:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,15 +12,18 @@ from sayd_env.config import ConfigError
 from sayd_env.config.software import provenance
 from sayd_env.report.files import Plot, Table
 from sayd_env.runs.context import Progress, silent
+from sayd_env.runs.executors import THREADS, ExecutorChoice
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from matplotlib.figure import Figure
     from rich.console import Console
 
     from sayd_env.agents.config import TrainConfig
     from sayd_env.agents.policy_file import StoredPolicy
-    from sayd_env.agents.training import Trained
-    from sayd_env.config.environment import EnvironmentConfig
+    from sayd_env.agents.training import Evaluator, Trained
+    from sayd_env.config.units import Array
     from sayd_env.runs.policies import ForeignReader
 
 EXTRA = "needs torch and Stable-Baselines3: install them with pip install 'sayd-env[train]'"
@@ -105,6 +109,7 @@ def train(
     *,
     resume: bool = False,
     command: str | None = None,
+    executor: ExecutorChoice | None = None,
     progress: Progress = silent,
 ) -> TrainResult:
     """Train a policy.
@@ -118,6 +123,8 @@ def train(
         Go on with the run in the folder.
     command : str, optional
         How to repeat it; the policy's file keeps it.
+    executor : ExecutorChoice, optional
+        Makes the runs of the evaluations; by default as many threads as the configuration says.
     progress : Progress
         Told the steps.
 
@@ -133,46 +140,55 @@ def train(
     except ModuleNotFoundError as error:
         raise ConfigError(f"train {EXTRA} (no module '{error.name}')") from None
     about = provenance(command)
-    return TrainResult(learn(config, folder, resume=resume, about=about, progress=progress))
+    with ExitStack() as stack:
+        started = None
+        if executor is not None and executor.kind not in ("", THREADS):
+            started = stack.enter_context(executor.open(executor.count))
+        workers = config.environment.threads if executor is None or started is None else executor.count
+        evaluator = policy_evaluator(config, started, workers)
+        return TrainResult(learn(config, folder, evaluator, resume=resume, about=about, progress=progress))
 
 
-def foreign_reader(
-    trusted: bool, config: EnvironmentConfig, period: float | None = None
-) -> ForeignReader | None:
-    """What reads files of Stable-Baselines3, or None.
+def policy_evaluator(
+    config: TrainConfig, executor: Executor | None = None, workers: int | None = None
+) -> Evaluator:
+    """What evaluates policies on the scenarios of a training.
 
     Parameters
     ----------
-    trusted : bool
-        Whether such files, which can run any code while they are loaded, may be loaded.
-    config : EnvironmentConfig
-        The environment of their training.
-    period : float, optional
-        Control period of their training (s); that of `config` by default.
+    config : TrainConfig
+    executor : Executor, optional
+        Makes the runs; without, threads of this process do.
+    workers : int, optional
+        Its workers, or these threads.
 
     Raises
     ------
     ConfigError
-        A period, where no file may be loaded.
+        An environment that cannot be used.
     """
-    if not trusted:
-        if period is not None:
-            raise ConfigError("--trained-period: is that of files of Stable-Baselines3: add --trust-pickles")
-        return None
+    from sayd_env.runs.evaluator import PolicyEvaluator  # noqa: PLC0415 - keeps the import of studies light
+    from sayd_env.runs.policies import learned_spec, policy_spec  # noqa: PLC0415
 
-    def read(path: Path) -> StoredPolicy:
-        from sayd_env.agents.foreign import read_foreign  # noqa: PLC0415 - keeps the import of studies light
+    settings = config.evaluation
+    found = PolicyEvaluator(
+        config.environment.name,
+        settings.cases,
+        episode_s=settings.episode_s,
+        reward=config.environment.reward,
+        initial_current=settings.initial_current,
+        executor=executor,
+        workers=workers,
+    )
 
-        try:
-            return read_foreign(path, config, period)
-        except ModuleNotFoundError as error:
-            raise ConfigError(f"{path}: {EXTRA} (no module '{error.name}')") from None
+    def evaluate(policy: StoredPolicy | str) -> Array:
+        return found.costs(policy_spec(policy) if isinstance(policy, str) else learned_spec(policy)).costs
 
-    return read
+    return evaluate
 
 
 def read_source(source: Path, foreign: ForeignReader | None = None) -> StoredPolicy:
-    """Read a policy file, the best policy of a run's folder, or a ready policy by its name.
+    """Read a learned policy: of a file, the best one of a run's folder, or a ready one by its name.
 
     Parameters
     ----------
@@ -183,16 +199,16 @@ def read_source(source: Path, foreign: ForeignReader | None = None) -> StoredPol
     Raises
     ------
     ConfigError
-        No policy there, or a file that is not trusted.
+        No policy there, one that has not been learned here, or a file that is not trusted.
     DataError
         A damaged file.
     """
-    from sayd_env.agents import pretrained  # noqa: PLC0415 - keeps the import of studies light
-    from sayd_env.runs.policies import read_learned  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415 - keeps the import of studies light
 
-    if not source.exists() and str(source) in pretrained.names():
-        return read_learned(pretrained.path(str(source)))
-    return read_learned(source / "best.npz" if source.is_dir() else source, foreign)
+    found = policy_spec(str(source / "best.npz" if source.is_dir() else source), foreign).learned
+    if found is None:
+        raise ConfigError(f"{source}: has no weights; expected a learned policy, its file or a run's folder")
+    return found
 
 
 def export(stored: StoredPolicy, target: Path, *, onnx: bool) -> ExportResult:

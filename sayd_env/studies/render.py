@@ -15,9 +15,10 @@ from gymnasium.error import DependencyNotInstalled
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.envs.cost import squares, weighted
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
-from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, RUNNING
+from sayd_env.envs.loop import RUNNING
 from sayd_env.envs.recorder import Recorder
 from sayd_env.envs.rollout import first_state, listens
 from sayd_env.physics.simulator import VehicleModel
@@ -259,7 +260,7 @@ def _pictures(
             observation, _, _, _ = batch.step(checked_actions(action, shape))
             recorder.take()
             steps += 1
-            sums += _terms(batch)
+            sums += squares(np.nan_to_num(batch.vehicles.terms[0], posinf=0.0))
         picture = renderer.draw()
         assert picture is not None  # the renderer has no window
         result.pictures += 1
@@ -273,22 +274,12 @@ def _pictures(
     _finish(result, recorder, steps * period, sums)
 
 
-def _terms(batch: EpisodeBatch) -> npt.NDArray[np.float64]:
-    """Unweighted terms of the cost of a period, means of the bogies."""
-    terms = np.nan_to_num(batch.vehicles.terms[0], posinf=0.0)
-    return np.array(
-        [terms[start : start + BOGIES].mean() for start in (COST_ACCELERATION, COST_FORCE)], dtype=np.float64
-    )
-
-
 def _finish(result: RenderResult, recorder: Recorder, seconds: float, sums: npt.NDArray[np.float64]) -> None:
-    frame, weights = recorder.frame(), recorder.batch.scenario.cost
+    frame = recorder.frame()
     result.seconds = seconds
     if seconds > 0.0:
         result.cost_acceleration, result.cost_force = (float(value) for value in sums / seconds)
-    result.cost = (
-        weights.acceleration_weight * result.cost_acceleration + weights.force_weight * result.cost_force
-    )
+    result.cost = weighted(recorder.batch.scenario.cost, result.cost_acceleration, result.cost_force)
     result.faults, result.ending = frame.faults, frame.ending
 
 

@@ -20,6 +20,7 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 from gymnasium.wrappers import FlattenObservation, RescaleAction  # noqa: E402
 from sayd_env.agents.foreign import read_foreign  # noqa: E402
 from sayd_env.agents.policy_file import load_policy  # noqa: E402
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize  # noqa: E402
 
 from sayd_env.cli import main  # noqa: E402
 from sayd_env.config import ConfigError, DataError  # noqa: E402
@@ -122,6 +123,46 @@ def test_other_files_are_refused(saved: Saved, quick: str, tmp_path: Path) -> No
         path.write_bytes(broken)
         with pytest.raises(DataError, match=r"policy.zip: is damaged"):
             read_foreign(path, nominal)
+
+
+@pytest.mark.parametrize("keywords", [{}, {"observation": "history", "history": 3}])
+def test_statistics_of_observations_come_along(
+    keywords: dict[str, Any], saved: Saved, quick: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A policy that has learned behind VecNormalize commands what both do together, clipped inputs too."""
+    nominal = load_environment(quick)
+    vector = VecNormalize(DummyVecEnv([lambda: SaydEnv(quick, **keywords)]), clip_obs=2.0)
+    path, model = saved(SB3.PPO, vector)
+    vector.reset()
+    for _ in range(20):
+        vector.step([vector.action_space.sample()])
+    statistics = tmp_path / "my_vecnormalize_stats.pkl"
+    vector.save(str(statistics))
+    with pytest.raises(ConfigError, match=r"my_vecnormalize_stats.pkl beside it.*--vec-normalize"):
+        read_foreign(path, nominal)
+    env = SaydEnv(quick, **keywords)
+    observations = seen_by(env)
+    stored = read_foreign(path, nominal, statistics=statistics)
+    mine, _ = stored.bound(env.interface).predict(observations)
+    vector.training = False
+    theirs, _ = model.predict(vector.normalize_obs(observations), deterministic=True)
+    assert mine == pytest.approx(theirs, abs=1e-5)
+    assert np.ptp(mine) > 0.1
+    out = tmp_path / "out"
+    options = ["--trust-pickles", "--vec-normalize", str(statistics), "--out", str(out)]
+    assert main(["export", str(path), *options]) == 0
+    again, _ = load_policy(out / "policy.npz", env.interface).predict(observations)
+    np.testing.assert_array_equal(again, mine)
+    capsys.readouterr()
+    assert main(["export", str(path), *options[1:]]) == 2
+    assert "--vec-normalize: is that of files of Stable-Baselines3: add" in capsys.readouterr().err
+    statistics.write_bytes(b"no pickle")
+    with pytest.raises(DataError, match=r"is no VecNormalize that can be loaded"):
+        read_foreign(path, nominal, statistics=statistics)
+    other = VecNormalize(DummyVecEnv([lambda: SaydEnv(quick, observation="features")]))
+    other.save(str(statistics))
+    with pytest.raises(ConfigError, match=r"is of observations of shape \(31,\), those of the policy have"):
+        read_foreign(path, nominal, statistics=statistics)
 
 
 class Evil:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import platform
+import re
 import shutil
 import signal
 import subprocess
@@ -19,13 +21,13 @@ import yaml
 SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
-from sayd_env.agents.config import load_train  # noqa: E402
+from sayd_env.agents.config import TrainConfig, load_train  # noqa: E402
 from sayd_env.agents.learner import load_model, make_model  # noqa: E402
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env  # noqa: E402
 from sayd_env.agents.policy_file import load_policy, read_policy  # noqa: E402
-from sayd_env.agents.scenarios import Judge  # noqa: E402
 from sayd_env.agents.table import Table  # noqa: E402
-from sayd_env.agents.training import Trained, train  # noqa: E402
+from sayd_env.agents.training import Trained  # noqa: E402
+from sayd_env.agents.training import train as learn  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.monitor import Monitor  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv  # noqa: E402
@@ -35,6 +37,7 @@ from sayd_env.config import ConfigError, DataError  # noqa: E402
 from sayd_env.config.errors import Interrupted, StudyError  # noqa: E402
 from sayd_env.envs.loop import COST_ACCELERATION, COST_FORCE  # noqa: E402
 from sayd_env.envs.single import SaydEnv  # noqa: E402
+from sayd_env.studies.learning import policy_evaluator  # noqa: E402
 
 SMALL = [
     "environment.lanes=4",
@@ -54,6 +57,10 @@ OF = {
 }
 # Too many runs of 500 m before step 0 otherwise.
 RUN_IN = "base: randomized\nrun_in: 20.0\n"
+
+
+def train(config: TrainConfig, folder: Path, **options: Any) -> Trained:
+    return learn(config, folder, policy_evaluator(config), **options)
 
 
 def settings(algorithm: str, folder: Path) -> list[str]:
@@ -110,9 +117,9 @@ def test_the_stored_policy_acts_as_the_model(trained: Trained) -> None:
         seen = env._seen
 
 
-def test_the_judge_gives_what_evaluate_policy_gives(trained: Trained) -> None:
+def test_the_evaluator_gives_what_evaluate_policy_gives(trained: Trained) -> None:
     config = trained.config
-    costs = Judge(config).learned(read_policy(trained.folder / "best.npz"))
+    costs = policy_evaluator(config)(read_policy(trained.folder / "best.npz"))
     assert np.mean(costs) == pytest.approx(trained.best, abs=1e-12)
     env = SaydEnv(**environment_keywords(config) | {"episode_s": 1.0})
     policy = load_policy(trained.folder / "best.npz", env.interface)
@@ -303,8 +310,9 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
     # Whatever it was about to write when it was killed: what counts is whole.
-    (folder / "checkpoints" / ".000000000999.77.tmp").mkdir()
-    (folder / "checkpoints" / ".000000000999.77.tmp" / "state.pt").write_bytes(b"half")
+    half = folder / "checkpoints" / f".000000000999.{re.sub(r'\W', '_', platform.node())}.{2**22 + 1}.tmp"
+    half.mkdir()
+    (half / "state.pt").write_bytes(b"half")
     newest = max(path for path in (folder / "checkpoints").iterdir() if path.name.startswith("0"))
     config = load_train(str(folder / "config.yaml"))
     model = make_model(config, make_learning_env(config)[0])

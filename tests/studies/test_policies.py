@@ -63,11 +63,11 @@ def test_ready_policies_have_names(ready: Path) -> None:
     assert policy_spec("ppo").title == "ppo-s0"
     spec = policy_spec("ppo-s1")
     assert (spec.title, spec.name) == ("ppo-s1", "ppo-s1")
-    assert spec.stored is not None
-    assert read_source(Path("ppo-s1")).description == spec.stored.description
+    assert spec.learned is not None
+    assert read_source(Path("ppo-s1")).description == spec.learned.description
     # What is kept of a policy's runs shall not serve another one of the same name.
     save(ready / "ppo-s1.npz", "ppo", 1)
-    assert policy_spec("ppo-s1").parameters == spec.parameters != policy_spec("ppo").parameters
+    assert policy_spec("ppo-s1").identity() == spec.identity() != policy_spec("ppo").identity()
     with pytest.raises(ConfigError, match=r"'ppo-s2': unknown, did you mean 'ppo-s[01]'\?.*mppt2.*ppo-s0"):
         policy_spec("ppo-s2")
 

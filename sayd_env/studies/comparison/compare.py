@@ -16,7 +16,7 @@ from sayd_env.report.files import Table
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison import page
-from sayd_env.studies.comparison.entrants import Contestant, provenance
+from sayd_env.studies.comparison.entrants import Entrant, provenance
 from sayd_env.studies.comparison.figures import draw
 from sayd_env.studies.comparison.grid import (
     ScenarioGrid,
@@ -60,7 +60,7 @@ class CompareResult(Comparison):
 
 def compare(
     config: ComparisonConfig,
-    contestants: Sequence[Contestant],
+    entrants: Sequence[Entrant],
     *,
     quick: bool = False,
     context: RunContext | None = None,
@@ -70,7 +70,7 @@ def compare(
     Parameters
     ----------
     config : ComparisonConfig
-    contestants : sequence of Contestant
+    entrants : sequence of Entrant
         The passive vehicle and MPPT2 among them.
     quick : bool
         A look at a few of the conditions, see `fewer`.
@@ -86,8 +86,8 @@ def compare(
     chosen = fewer(config) if quick else config
     grid = ScenarioGrid.of(chosen)
     study = _critical_study(chosen.critical_speed)
-    learned = tuple(provenance(p) for each in contestants if each.learned for p in each.members)
-    members = [member for each in contestants for member in each.members]
+    learned = tuple(provenance(p) for each in entrants if each.learned for p in each.members)
+    members = [member for each in entrants for member in each.members]
     bounding = [constant(current) for current in chosen.constants]
     context = context or RunContext()
     runs = run_all(grid, members, context, "conditions")
@@ -97,7 +97,7 @@ def compare(
     costs = {
         variant: {
             each.name: np.stack([grid.costs(runs[title], variant) for title in each.titles])
-            for each in contestants
+            for each in entrants
         }
         for variant in variants(chosen)
     }
@@ -109,10 +109,10 @@ def compare(
     }
     return CompareResult(
         grid=grid,
-        contestants=tuple(contestants),
+        entrants=tuple(entrants),
         runs=runs,
         costs=costs,
-        scores=_scores(grid, costs, bounds, [each.name for each in contestants if not each.learned]),
+        scores=_scores(grid, costs, bounds, [each.name for each in entrants if not each.learned]),
         bounds=bounds,
         stability={cell.policy: stability_of(cell) for cell in cells.cells},
         learned=learned,

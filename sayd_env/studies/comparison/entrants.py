@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sayd_env import baselines
 from sayd_env.agents import pretrained
-from sayd_env.agents.policy_file import StoredPolicy, read_policy
-from sayd_env.config import ConfigError, DataError
-from sayd_env.runs.policies import LEARNED, PolicySpec, policy_spec
+from sayd_env.agents.policy_archive import file_digest
+from sayd_env.agents.policy_file import NAME, StoredPolicy
+from sayd_env.config import ConfigError
+from sayd_env.runs.policies import LEARNED, ForeignReader, PolicySpec, policy_spec, read_learned
 
 PAPER = ("mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
 """The paper's controllers, as printed."""
@@ -21,12 +20,11 @@ REFERENCES = ("passive", "mppt2")
 """What all others are compared with."""
 DEFAULT = ("passive", *PAPER, "mppt2-tuned", "constant-tuned")
 """Who takes part beside the ready policies if nobody is named."""
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 _BEST = "best.npz"  # in the folder of a training
 
 
 @dataclass(frozen=True)
-class Contestant:
+class Entrant:
     """A controller, or the policies that one way of learning came to with several training seeds."""
 
     name: str
@@ -36,7 +34,7 @@ class Contestant:
     @property
     def learned(self) -> bool:
         """Whether it was trained."""
-        return self.members[0].stored is not None
+        return self.members[0].learned is not None
 
     @property
     def titles(self) -> tuple[str, ...]:
@@ -44,21 +42,23 @@ class Contestant:
         return tuple(member.title for member in self.members)
 
 
-def contestants(names: Sequence[str] | None = None) -> list[Contestant]:
+def read_entrants(names: Sequence[str] | None = None, foreign: ForeignReader | None = None) -> list[Entrant]:
     """Read who takes part; the passive vehicle and MPPT2 always do.
 
     Parameters
     ----------
     names : sequence of str, optional
-        Each is one of `baselines.NAMES`, ``constant:V``, a ready policy or all of an algorithm (``ppo``), the
-        file of a learned policy, ``NAME=FILE+FILE...`` for the training seeds of one way of learning, or a
-        folder of files, which become one group for each algorithm. A folder that a training has left stands
-        for its best policy. By default the paper's and the tuned controllers and all ready policies.
+        Each is a policy as `policy_spec` reads it, a ready algorithm (``ppo``) for all of its training seeds,
+        ``NAME=FILE+FILE...`` for the training seeds of one way of learning, or a folder of files, which
+        become one group for each algorithm. A folder that a training has left stands for its best policy. By
+        default the paper's and the tuned controllers and all ready policies.
+    foreign : callable, optional
+        What reads a file of Stable-Baselines3; without, it is refused.
 
     Raises
     ------
     ConfigError
-        An unknown name, a missing file, a folder without policies, a name or a file that stands there twice.
+        An unknown name, a missing file, a folder without policies, a duplicate name or file.
     DataError
         A damaged file.
     """
@@ -66,8 +66,8 @@ def contestants(names: Sequence[str] | None = None) -> list[Contestant]:
         chosen = [*DEFAULT, *pretrained.groups()]
     else:
         chosen = [*(name for name in REFERENCES if name not in names), *names]
-    found = [contestant for text in chosen for contestant in _read(text.strip())]
-    _check_different(found)
+    found = [entrant for text in chosen for entrant in _read(text.strip(), foreign)]
+    _refuse_duplicates(found)
     return found
 
 
@@ -76,17 +76,18 @@ def provenance(policy: PolicySpec) -> dict[str, Any]:
 
     Raises
     ------
-    DataError
+    ConfigError
         The file has gone.
     """
-    assert policy.stored is not None  # only learned policies come from somewhere
-    made = policy.stored.description.made
+    stored = policy.learned
+    assert stored is not None  # only learned policies come from somewhere
+    made = stored.description.made
     return {
         "name": policy.title,
-        "file": Path(policy.stored.source).name,
-        "sha256": file_digest(policy.stored),
-        "algorithm": _algorithm(policy.stored),
-        "seed": _training_seed(policy.stored),
+        "file": Path(stored.source).name,
+        "sha256": file_digest(stored.source),
+        "algorithm": stored.algorithm,
+        "seed": stored.seed,
         "steps": made.get("steps"),
         "seconds": made.get("seconds"),
         "training_J": made.get("J"),
@@ -96,31 +97,17 @@ def provenance(policy: PolicySpec) -> dict[str, Any]:
     }
 
 
-def file_digest(stored: StoredPolicy) -> str:
-    """SHA-256 of a policy's file.
-
-    Raises
-    ------
-    DataError
-        The file has gone.
-    """
-    try:
-        return hashlib.sha256(Path(stored.source).read_bytes()).hexdigest()
-    except OSError as error:
-        raise DataError(f"{stored.source}: cannot be read again ({error.strerror or error})") from None
-
-
-def _read(text: str) -> list[Contestant]:
+def _read(text: str, foreign: ForeignReader | None) -> list[Entrant]:
     name, equals, files = text.partition("=")
     if equals:
-        return [_group(name.strip(), _files(files.split("+")))]
+        return [_group(name.strip(), [read_learned(file, foreign) for file in _files(files.split("+"))])]
     ready = pretrained.groups()
     if text in ready:
-        return [_group(text, ready[text])]
+        return [_group(text, [read_learned(file) for file in ready[text]])]
     if Path(text).is_dir():
-        return _by_algorithm(_files([text]))
-    spec = policy_spec(text)
-    return [Contestant(spec.title, (spec,))]
+        return _by_algorithm([read_learned(file) for file in _files([text])])
+    spec = policy_spec(text, foreign)
+    return [Entrant(spec.title, (spec,))]
 
 
 def _files(texts: Iterable[str]) -> list[Path]:
@@ -140,69 +127,49 @@ def _files(texts: Iterable[str]) -> list[Path]:
     return found
 
 
-def _by_algorithm(files: Sequence[Path]) -> list[Contestant]:
-    groups: dict[str, list[Path]] = {}
-    for file in files:
-        algorithm = _algorithm(read_policy(file))
-        if algorithm is None:
+def _by_algorithm(policies: Iterable[StoredPolicy]) -> list[Entrant]:
+    groups: dict[str, list[StoredPolicy]] = {}
+    for policy in policies:
+        if policy.algorithm is None:
             raise ConfigError(
-                f"{file}: does not say with which algorithm it was trained; give it a name: NAME={file}"
+                f"{policy.source}: does not say with which algorithm it was trained; give it a name: "
+                f"NAME={policy.source}"
             )
-        groups.setdefault(algorithm, []).append(file)
+        groups.setdefault(policy.algorithm, []).append(policy)
     return [_group(name, groups[name]) for name in sorted(groups)]
 
 
-def _group(name: str, files: Sequence[Path]) -> Contestant:
+def _group(name: str, policies: Sequence[StoredPolicy]) -> Entrant:
     """Policies under one name, called by their training seeds where these are known and differ."""
-    if not _NAME.fullmatch(name):
+    if not NAME.fullmatch(name):
         raise ConfigError(
             f"policies '{name}=...': expected a name of letters, digits and _ . - before the equals sign"
         )
     if name in baselines.NAMES:  # it would be taken for that controller, the paper's perhaps
         raise ConfigError(f"policies '{name}=...': is the name of a controller; choose another one")
-    policies = [read_policy(file) for file in files]
-    seeds = [_training_seed(policy) for policy in policies]
-    known = None not in seeds and len(set(seeds)) == len(seeds)
-    numbered = [f"s{seed}" if known else f"{i}" for i, seed in enumerate(seeds)]
-    members = [
-        PolicySpec(f"{name}-{number}", stored=replace(policy, source=str(file)))
-        for number, policy, file in zip(numbered, policies, files, strict=True)
-    ]
-    order = sorted(range(len(members)), key=lambda i: seeds[i] or 0) if known else range(len(members))
-    return Contestant(name, tuple(members[i] for i in order))
+    seeds = [policy.seed for policy in policies]
+    if None not in seeds and len(set(seeds)) == len(seeds):
+        numbered = sorted(
+            zip((f"s{seed}" for seed in seeds), policies, strict=True), key=lambda p: p[1].seed or 0
+        )
+    else:
+        numbered = [(str(i), policy) for i, policy in enumerate(policies)]
+    return Entrant(name, tuple(PolicySpec(f"{name}-{number}", stored=policy) for number, policy in numbered))
 
 
-def _check_different(found: Sequence[Contestant]) -> None:
+def _refuse_duplicates(found: Sequence[Entrant]) -> None:
     names, titles, files = set[str](), set[str](), dict[str, str]()
-    for contestant in found:
-        if contestant.name in names:
-            raise ConfigError(f"policy '{contestant.name}' stands there twice")
-        names.add(contestant.name)
-        for member in contestant.members:
-            if member.title in titles:
-                raise ConfigError(f"policy '{member.title}' stands there twice")
-            titles.add(member.title)
-            if member.stored is not None:
-                digest = file_digest(member.stored)
+    for entrant in found:
+        if entrant.name in names or titles & set(entrant.titles):
+            raise ConfigError(f"policy '{entrant.name}': duplicate")
+        names.add(entrant.name)
+        titles.update(entrant.titles)
+        for member in entrant.members:
+            if member.learned is not None:
+                source = member.learned.source
+                digest = file_digest(source)
                 if digest in files:
                     raise ConfigError(
-                        f"{member.stored.source}: is the same policy as {files[digest]}; "
-                        "a training seed counts once"
+                        f"{source}: is the same policy as {files[digest]}; a training seed counts once"
                     )
-                files[digest] = member.stored.source
-
-
-def _made_config(policy: StoredPolicy) -> dict[str, Any]:
-    config = policy.description.made.get("config")
-    return config if isinstance(config, dict) else {}
-
-
-def _training_seed(policy: StoredPolicy) -> int | None:
-    seed = _made_config(policy).get("seed")
-    return seed if isinstance(seed, int) else None
-
-
-def _algorithm(policy: StoredPolicy) -> str | None:
-    learning = _made_config(policy).get("learning")
-    algorithm = learning.get("algorithm") if isinstance(learning, dict) else None
-    return algorithm if isinstance(algorithm, str) else None
+                files[digest] = source

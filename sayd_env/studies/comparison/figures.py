@@ -30,7 +30,7 @@ def draw(result: Comparison, figure: Figure) -> None:
         + (", --quick: a look, no result" if result.quick else "")
     )
     axes = figure.subplots(2, 3)
-    colours = {each.name: f"C{i}" for i, each in enumerate(result.contestants)}
+    colours = {each.name: f"C{i}" for i, each in enumerate(result.entrants)}
     _speeds(result, axes[0, 0], colours)
     _profiles(result, axes[0, 1], colours)
     _middles(result, axes[0, 2], colours)
@@ -115,8 +115,8 @@ def _controlled(result: Comparison) -> dict[str, Score]:
 
 def _reductions(result: Comparison, axis: Axes, colours: dict[str, str]) -> None:
     """Reduction against the best of the paper's controllers by each way of taking J."""
-    chosen = [each.name for each in result.contestants if each.learned] or [
-        each.name for each in result.contestants if each.name != "passive"
+    chosen = [each.name for each in result.entrants if each.learned] or [
+        each.name for each in result.entrants if each.name != "passive"
     ]
     labels = [f"{'on' if v.filter == 'online' else 'off'} line, k_F x {v.factor:g}" for v in result.scores]
     for k, name in enumerate(chosen):

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.report.files import Table
-from sayd_env.studies.comparison.entrants import Contestant
+from sayd_env.studies.comparison.entrants import Entrant
 from sayd_env.studies.comparison.grid import OWN, Variant
 from sayd_env.studies.comparison.result import MATRIX, Comparison
 from sayd_env.studies.comparison.scores import Stability
@@ -72,7 +72,7 @@ def show(result: Comparison, console: Console) -> None:
     console.print(_scores_table(result))
     for line in _notes(result):
         console.print(line, markup=False, highlight=False)
-    if any(each.learned for each in result.contestants):
+    if any(each.learned for each in result.entrants):
         console.print(_against_table(result))
     if rows := result.targets:
         from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
@@ -104,7 +104,7 @@ def _scores_table(result: Comparison) -> Any:
     for name in headers:
         whole = name in ("policy", "/ MPPT2 (95 %)")
         table.add_column(name, justify="left" if name == "policy" else "right", no_wrap=whole)
-    for each in result.contestants:
+    for each in result.entrants:
         table.add_row(*_line(result, each))
     offline = result.bounds[Variant("offline", 1.0)].costs.mean()
     table.add_section()
@@ -119,32 +119,32 @@ def _against_table(result: Comparison) -> Any:
     from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
     from rich.table import Table as Printed  # noqa: PLC0415
 
-    learned = [each.name for each in result.contestants if each.learned]
+    learned = [each.name for each in result.entrants if each.learned]
     headers = map(escape, learned)
     table = Printed("controller", *headers, title="mean J of learned policies below the controller's (95 %)")
-    for other in (each.name for each in result.contestants if not each.learned):
+    for other in (each.name for each in result.entrants if not each.learned):
         gains = [result.scores[OWN][name].reductions[other] for name in learned]
         cells = [f"{100 * g.value:.1f} % ({100 * g.low:.1f} to {100 * g.high:.1f})" for g in gains]
         table.add_row(escape(other), *cells)
     return table
 
 
-def _line(result: Comparison, contestant: Contestant) -> list[str]:
+def _line(result: Comparison, entrant: Entrant) -> list[str]:
     from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
 
-    own = result.scores[OWN][contestant.name]
-    offline = result.scores[Variant("offline", 1.0)][contestant.name]
-    count = len(contestant.members)
+    own = result.scores[OWN][entrant.name]
+    offline = result.scores[Variant("offline", 1.0)][entrant.name]
+    count = len(entrant.members)
     return [
-        escape(contestant.name) + (f" ({count} seeds)" if count > 1 else ""),
+        escape(entrant.name) + (f" ({count} seeds)" if count > 1 else ""),
         f"{own.mean:.4f}",
         f"{own.to_passive.value:.2f}",
         f"{own.to_mppt2.value:.2f} ({own.to_mppt2.low:.2f}-{own.to_mppt2.high:.2f})",
         f"{own.improvement['mppt2'].value:.2f}",
         f"{own.worst_vs_passive:.2f}",
         f"{offline.mean:.4f}",
-        *(_ratio(value) for value in result.largest_ratios(contestant)),
-        _critical(result.stability_of(contestant), result.config.critical_speed.speeds_kmh),
+        *(_ratio(value) for value in result.largest_ratios(entrant)),
+        _critical(result.stability_of(entrant), result.config.critical_speed.speeds_kmh),
     ]
 
 
@@ -157,16 +157,16 @@ def _notes(result: Comparison) -> list[str]:
     notes += [
         f"{each.name}: {count} of {result.field(each, 'lost').size} runs derailed; they count with infinite "
         "ratios, and in J with the environment's charge for what is missing, off line of the whole length"
-        for each in result.contestants
+        for each in result.entrants
         if (count := result.derailed(each))
     ]
     notes += [
         f"{each.name}, mean J of each training seed: "
         + ", ".join(f"{cost:.4f}" for cost in result.scores[OWN][each.name].by_training)
-        for each in result.contestants
+        for each in result.entrants
         if len(each.members) > 1
     ]
-    if result.missing and any(each.learned for each in result.contestants):
+    if result.missing and any(each.learned for each in result.entrants):
         notes.append(f"no targets are judged without {', '.join(result.missing)}")
     return notes
 
@@ -174,7 +174,7 @@ def _notes(result: Comparison) -> list[str]:
 def _scores(result: Comparison) -> list[list[Any]]:
     rows = []
     for variant, found in result.scores.items():
-        for each in result.contestants:
+        for each in result.entrants:
             own = found[each.name]
             best = own.best_of_paper
             rows.append(
@@ -193,7 +193,7 @@ def _scores(result: Comparison) -> list[list[Any]]:
 
 
 def _against(result: Comparison) -> list[list[Any]]:
-    controllers = [each.name for each in result.contestants if not each.learned]
+    controllers = [each.name for each in result.entrants if not each.learned]
     rows = []
     for variant, found in result.scores.items():
         for name, own in found.items():
@@ -209,7 +209,7 @@ def _scenario_header(result: Comparison) -> tuple[str, ...]:
 
 def _matrix(result: Comparison) -> list[list[Any]]:
     rows = []
-    for each in result.contestants:
+    for each in result.entrants:
         columns = result.columns(each)
         for r, title in enumerate(each.titles):
             for c, condition in enumerate(result.grid.conditions):

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.stability import Crossing
-from sayd_env.studies.comparison.entrants import PAPER, REFERENCES, Contestant
+from sayd_env.studies.comparison.entrants import PAPER, REFERENCES, Entrant
 from sayd_env.studies.comparison.grid import Condition, Variant
 from sayd_env.studies.comparison.statistics import (
     Bootstrap,
@@ -246,13 +246,13 @@ LEAST_REDUCTION = 0.1
 
 
 def targets(
-    contestant: Contestant, scores: Mapping[Variant, Score], stability: Stability, largest: float
+    entrant: Entrant, scores: Mapping[Variant, Score], stability: Stability, largest: float
 ) -> list[Target]:
     """Judge a learned policy by what it was to reach.
 
     Parameters
     ----------
-    contestant : Contestant
+    entrant : Entrant
     scores : mapping
         By all ways of taking J.
     stability : Stability
@@ -260,7 +260,7 @@ def targets(
     largest : float
         Largest ratio to a limit of EN 14363 of all runs in the comparison's conditions, to be told beside it.
     """
-    name, count = contestant.name, len(contestant.members)
+    name, count = entrant.name, len(entrant.members)
     rows = [_reduced(name, variant, found) for variant, found in scores.items()]
     rows += [
         _never_worse(name, variant, found, count)

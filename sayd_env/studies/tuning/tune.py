@@ -18,7 +18,7 @@ from sayd_env.config.tuning import Gains, TuningConfig
 from sayd_env.config.units import Array
 from sayd_env.runs.cache import fingerprint
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.evaluator import Costs, Proving
+from sayd_env.runs.evaluator import Costs, PolicyEvaluator
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning.search import minimise
 
@@ -271,8 +271,15 @@ class _Tuning:
     def __init__(self, controller: str, settings: TuningConfig, references: int, context: RunContext) -> None:
         self.evaluations: list[Evaluation] = []
         self._controller, self._settings, self._tuning = controller, settings, settings.of(controller)
-        self._proving, self._context = Proving(settings, context.executor.workers), context
-        self._inputs = fingerprint(*self._proving.inputs())
+        self._context = context
+        self._evaluator = PolicyEvaluator(
+            settings.environment,
+            [case.model_dump() for case in settings.scenarios],
+            episode_s=settings.episode_s,
+            initial_current=settings.initial_current,
+            workers=context.executor.workers,
+        )
+        self._inputs = fingerprint(*self._evaluator.inputs())
         self._total = references + self._tuning.search + self._tuning.polish
         self._asked = 0
         self._seen: dict[tuple[float, ...], Evaluation] = {}
@@ -293,7 +300,7 @@ class _Tuning:
         key = fingerprint(self._inputs, spec.identity())
         found = self._context.cache.get(key, Costs)
         if found is None:
-            found = self._proving.costs(spec)
+            found = self._evaluator.costs(spec)
             self._context.cache.put(key, found)
         evaluation = Evaluation(spec.title, stage, gains, tuple(map(float, found.costs)), found.derailed)
         self.evaluations.append(evaluation)

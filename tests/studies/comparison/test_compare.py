@@ -21,7 +21,7 @@ from sayd_env.envs.single import SaydEnv
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison import compare as module
 from sayd_env.studies.comparison.compare import CompareResult, compare, fewer
-from sayd_env.studies.comparison.entrants import Contestant, contestants
+from sayd_env.studies.comparison.entrants import Entrant, read_entrants
 from sayd_env.studies.comparison.grid import OWN, Keeper, ScenarioGrid, Variant, constant
 from sayd_env.studies.comparison.scores import Stability
 
@@ -95,25 +95,25 @@ def folder(policy: Callable[..., StoredPolicy], tmp_path: Path) -> Path:
 
 
 def test_a_folder_is_a_group_for_each_algorithm(folder: Path):
-    found = contestants([str(folder)])
+    found = read_entrants([str(folder)])
     assert [each.name for each in found] == ["passive", "mppt2", "ppo", "sac"]
     assert found[2].titles == ("ppo-s0", "ppo-s1", "ppo-s2")
     assert [each.learned for each in found] == [False, False, True, True]
 
 
 def test_files_are_grouped_under_a_name(folder: Path, policy: Callable[..., StoredPolicy]):
-    (found,) = contestants([f"mine={folder}/c.npz+{folder}/a.npz", "mppt2", "passive"])[:1]
+    (found,) = read_entrants([f"mine={folder}/c.npz+{folder}/a.npz", "mppt2", "passive"])[:1]
     assert found.titles == ("mine-s1", "mine-s2")
     (folder / "run").mkdir()
     save_policy(folder / "run" / "best.npz", policy(0.25))
     save_policy(folder / "run" / "last.npz", policy(0.26))
-    (found,) = contestants(["passive", "mppt2", f"mine={folder}/run"])[2:]
+    (found,) = read_entrants(["passive", "mppt2", f"mine={folder}/run"])[2:]
     assert [Path(member.stored.source).name for member in found.members if member.stored] == ["best.npz"]
     assert found.titles == ("mine-0",)  # its training seed is not known
 
 
 def test_who_takes_part_by_default():
-    names = [each.name for each in contestants()]
+    names = [each.name for each in read_entrants()]
     assert names[:5] == ["passive", "mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous"]
 
 
@@ -127,14 +127,14 @@ def test_who_takes_part_by_default():
         ("x={0}/a.npz+{0}/a.npz", r"a.npz: is the same policy as .*a.npz"),
         ("x={0}/a.npz+", r"'NAME=FILE\+FILE...': found an empty place"),
         ("mppt1={0}/a.npz", r"'mppt1=...': is the name of a controller"),
-        ("mppt1,mppt1", r"policy 'mppt1' stands there twice"),
+        ("mppt1,mppt1", r"policy 'mppt1': duplicate"),
         ("x={0}/a.npz,y={0}/a.npz", r"a.npz: is the same policy as .*a.npz; a training seed counts once"),
     ],
 )
 def test_who_cannot_take_part_is_refused(text: str, message: str, folder: Path):
     (folder / "empty").mkdir()
     with pytest.raises(ConfigError, match=message):
-        contestants(["passive", *text.format(folder).split(",")])
+        read_entrants(["passive", *text.format(folder).split(",")])
 
 
 def test_a_comparison_needs_the_length_of_an_episode(config: ComparisonConfig):
@@ -143,7 +143,7 @@ def test_a_comparison_needs_the_length_of_an_episode(config: ComparisonConfig):
 
 
 def test_what_cannot_be_is_refused_before_any_work(
-    config: ComparisonConfig, entrants: list[Contestant], monkeypatch: pytest.MonkeyPatch
+    config: ComparisonConfig, entrants: list[Entrant], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.delattr(module, "run_all")
     nowhere = config.critical_speed.model_copy(update={"study": "nowhere"})
@@ -220,24 +220,22 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def entrants(
-    policy: Callable[..., StoredPolicy], tmp_path_factory: pytest.TempPathFactory
-) -> list[Contestant]:
+def entrants(policy: Callable[..., StoredPolicy], tmp_path_factory: pytest.TempPathFactory) -> list[Entrant]:
     """The passive vehicle, MPPT2 and a blind policy that always commands 0.3."""
     path = tmp_path_factory.mktemp("policies") / "blind.npz"
     save_policy(path, policy(0.3, **trained(4)))
-    return contestants(["passive", "mppt2", f"blind={path}"])
+    return read_entrants(["passive", "mppt2", f"blind={path}"])
 
 
 @pytest.fixture(scope="module")
-def result(config: ComparisonConfig, entrants: list[Contestant], kept: Path) -> CompareResult:
+def result(config: ComparisonConfig, entrants: list[Entrant], kept: Path) -> CompareResult:
     return compare(config, entrants, folder=kept)
 
 
 def test_a_blind_policy_scores_as_the_constant_that_it_commands(result: CompareResult):
     """Its clock is another, but over the episode J on line is the same."""
     assert result.bounds[OWN].costs == pytest.approx(result.costs[OWN]["blind"], rel=1e-6)
-    assert result.field(result.contestants[2], "valve_mean") == pytest.approx(0.3)
+    assert result.field(result.entrants[2], "valve_mean") == pytest.approx(0.3)
 
 
 def test_the_result_has_what_scripts_read(result: CompareResult):
@@ -268,7 +266,7 @@ def crosses(stability: Stability) -> bool:
 
 
 def test_nothing_is_run_twice(
-    config: ComparisonConfig, entrants: list[Contestant], kept: Path, result: CompareResult
+    config: ComparisonConfig, entrants: list[Entrant], kept: Path, result: CompareResult
 ):
     again = compare(config, entrants, folder=kept)
     # Three policies and the constant in two conditions; three at two speeds, and halfway to a crossing.
@@ -287,9 +285,9 @@ def test_other_weights_under_the_same_name_are_another_policy(
     save_policy(tmp_path / "blind.npz", policy(0.1, **trained(4)))
     copy = shutil.copytree(kept, tmp_path / "runs")
     found = compare(
-        fewer(config), contestants(["passive", "mppt2", f"blind={tmp_path}/blind.npz"]), folder=copy
+        fewer(config), read_entrants(["passive", "mppt2", f"blind={tmp_path}/blind.npz"]), folder=copy
     )
-    assert found.field(found.contestants[2], "valve_mean") == pytest.approx(0.1)
+    assert found.field(found.entrants[2], "valve_mean") == pytest.approx(0.1)
     # The others and the constant are taken from the disk, at one speed and on the way to the critical one.
     assert found.reused == 3 + 2 * 2 + sum(crosses(result.stability[name]) for name in ("passive", "mppt2"))
 

@@ -8,7 +8,7 @@ import pytest
 from sayd_env.config.comparison import BootstrapConfig, ComparedTrack
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.stability import Crossing
-from sayd_env.studies.comparison.entrants import Contestant
+from sayd_env.studies.comparison.entrants import Entrant
 from sayd_env.studies.comparison.grid import OWN, Condition
 from sayd_env.studies.comparison.scores import (
     Score,
@@ -76,7 +76,7 @@ STABLE = Stability(None, "not reached", {}, (340.0, 400.0), {"acceleration": 0.4
     ],
 )
 def test_targets(learned: list[float], stability: Stability, holds: list[bool]):
-    rows = targets(Contestant("ppo", (PolicySpec("ppo-s0"),)), {OWN: made_up([learned])}, stability, 0.6)
+    rows = targets(Entrant("ppo", (PolicySpec("ppo-s0"),)), {OWN: made_up([learned])}, stability, 0.6)
     assert [row.holds for row in rows] == holds
 
 

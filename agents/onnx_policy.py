@@ -1,0 +1,160 @@
+"""Policies as ONNX models, ours or others', run by onnxruntime."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from sayd_env.agents.policy_archive import read_bytes, shown_path
+
+from sayd_env.config import ConfigError, DataError
+from sayd_env.config.explain import shown
+from sayd_env.envs.episode_batch import checked_actions
+from sayd_env.envs.interface import Interface
+
+Observation = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class OnnxPolicy:
+    """Content of an ONNX file."""
+
+    source: str
+    content: bytes
+    needs: Mapping[str, Any]
+    """Keywords of the environments in which it can act; empty for a model that does not say."""
+    signals: tuple[str, ...] = ()
+    """Names of what it observes, in order; empty for a model that does not say."""
+
+    def identity(self) -> str:
+        """SHA-256 of the file."""
+        return hashlib.sha256(self.content).hexdigest()
+
+    def bound(self, interface: Interface) -> OnnxRunner:
+        """The model, ready to act in an environment.
+
+        Raises
+        ------
+        ConfigError
+            It takes other observations, or says that it needs another environment.
+        """
+        interface.check(self.source, self.needs, self.signals)
+        return OnnxRunner(self, interface)
+
+
+def read_onnx(path: Path) -> OnnxPolicy:
+    """Read an ONNX file; what environment it needs is told by its metadata, as `agents.export` writes them.
+
+    Raises
+    ------
+    ConfigError
+        No such file, or onnxruntime is not installed.
+    DataError
+        It is no ONNX model, or its metadata cannot be used.
+    """
+    source, content = shown_path(path), read_bytes(path)
+    told = _session(content, source).get_modelmeta().custom_metadata_map
+    if "observation" not in told:
+        return OnnxPolicy(source, content, {})
+    try:
+        needs = {
+            "observation": told["observation"],
+            "valves": told["valves"],
+            "control_period": float(told["control_period"]),
+        }
+        rows = {"history": int(told["history"])} if told["observation"] == "history" else {}
+        signals = tuple(told["signals"].split())
+    except (KeyError, ValueError) as error:
+        raise DataError(f"{source}: its metadata cannot be used ({shown(str(error))})") from None
+    return OnnxPolicy(source, content, needs | rows, signals)
+
+
+def _session(content: bytes, source: str) -> Any:
+    try:
+        import onnxruntime  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError:
+        raise ConfigError(
+            f"{source}: onnxruntime is not installed; install it with pip install 'sayd-env[onnx]'"
+        ) from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its exceptions have no common base
+        raise DataError(f"{source}: is no ONNX model that runs here ({shown(str(error))})") from None
+
+
+class OnnxRunner:
+    """An ONNX model with the `predict` of all policies.
+
+    Parameters
+    ----------
+    policy : OnnxPolicy
+    interface : Interface
+        The environment's.
+
+    Raises
+    ------
+    ConfigError
+        The model takes other observations.
+    """
+
+    def __init__(self, policy: OnnxPolicy, interface: Interface) -> None:
+        self.name, self.interface, self._source = Path(policy.source).stem, interface, policy.source
+        self._session = _session(policy.content, policy.source)
+        inputs = self._session.get_inputs()
+        found = [tuple(each.shape) for each in inputs]
+        flat = (int(np.prod(interface.shape)),)
+        shapes = [shape for shape in (interface.shape, flat) if len(found) == 1 and _fits(found[0], shape)]
+        if not shapes or inputs[0].type != "tensor(float)":
+            raise ConfigError(
+                f"{self._source}: takes {', '.join(f'{each.type} {each.shape}' for each in inputs)}; the "
+                f"environment's observation '{interface.observation}' is float32 of shape (N, "
+                f"{', '.join(map(str, interface.shape))})"
+            )
+        self._input, self._shape = inputs[0].name, shapes[0]
+
+    def predict(
+        self,
+        observation: npt.ArrayLike,
+        state: Any | None = None,
+        episode_start: Any | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Observation, None]:
+        """Valve commands for the next control period, as `agents.policy_file.LearnedPolicy.predict`.
+
+        Raises
+        ------
+        ConfigError
+            An observation of another shape, or a model that gives no valve commands.
+        """
+        values = np.asarray(observation, dtype=np.float32)
+        if values.shape[-len(self.interface.shape) :] != self.interface.shape:
+            raise ConfigError(f"{self._source}: found an observation of shape {values.shape}")
+        # Row by row: the bits of a vehicle's commands must not depend on how many are side by side.
+        rows = [self._command(row) for row in values.reshape(-1, 1, *self._shape)]
+        actions = np.concatenate(rows) if rows else np.zeros((0, self.interface.actions), np.float32)
+        return (actions[0] if values.ndim == len(self.interface.shape) else actions), None
+
+    def _command(self, row: Observation) -> Observation:
+        try:
+            found = self._session.run(None, {self._input: row})[0]
+            return checked_actions(found, (1, self.interface.actions)).astype(np.float32)
+        except ConfigError as error:
+            raise ConfigError(f"{self._source}: {error}") from None
+        except Exception as error:
+            raise ConfigError(f"{self._source}: {shown(str(error))}") from None
+
+
+def _fits(found: tuple[Any, ...], shape: tuple[int, ...]) -> bool:
+    """Whether a model takes one observation at a time; names of dimensions stand for any number."""
+    expected = (1, *shape)
+    return len(found) == len(expected) and all(
+        not isinstance(a, int) or a == b for a, b in zip(found, expected, strict=True)
+    )
