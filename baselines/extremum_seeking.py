@@ -99,7 +99,7 @@ class ExtremumSeeking(BogiePolicy[CostParameters, Search]):
         if self.parameters.initial is not None:
             return np.full((len(rows), 2), max(self.parameters.initial, self.parameters.v_min))
         currents = rows[:, -len(CURRENTS) :].reshape(-1, len(BOGIES), len(DAMPERS)).mean(axis=2)
-        return np.asarray(np.clip(np.nan_to_num(currents), self.parameters.v_min, 1.0))
+        return np.asarray(np.clip(currents, self.parameters.v_min, 1.0))
 
     def _command_bogies(self, state: Search, rows: Array) -> Array:
         if self._meter.measure(state.readings, rows):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, Model
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
+from sayd_env.envs.options import number_array
 
 Array = npt.NDArray[np.float64]
 Action = npt.NDArray[np.float32]
@@ -81,7 +82,7 @@ class Policy(ABC, Generic[Parameters, State]):
         Raises
         ------
         ConfigError
-            Shapes that do not fit each other or the environment.
+            Shapes that do not fit each other or the environment, or an observation that is not finite.
         """
         rows, single = self._rows(observation)
         if state is None:
@@ -99,7 +100,7 @@ class Policy(ABC, Generic[Parameters, State]):
 
     def _rows(self, observation: npt.ArrayLike) -> tuple[Array, bool]:
         """Return the newest readings of the sensors, one row a vehicle, and whether it is a single one."""
-        values = np.asarray(observation)
+        values = number_array(f"{self.name}: observation", observation, self._shape)
         depth = len(self._shape)
         single = values.ndim == depth
         if values.shape[-depth:] != self._shape or values.ndim > depth + 1:
@@ -109,8 +110,14 @@ class Policy(ABC, Generic[Parameters, State]):
             )
         if self.interface.observation == "history":
             values = values[..., -1, :]
-        rows = values.reshape(-1, self._shape[-1])[:, self._columns].astype(np.float64)
-        return rows, single
+        newest = values.reshape(-1, self._shape[-1])
+        if not np.isfinite(newest).all():
+            vehicle, place = np.argwhere(~np.isfinite(newest))[0]
+            raise ConfigError(
+                f"{self.name}: observation: found {newest[vehicle, place]} for "
+                f"'{self.interface.signals[place].name}'; expected finite numbers"
+            )
+        return newest[:, self._columns], single
 
     def _start_again(self, state: State, rows: Array, starts: Flags) -> None:
         if starts.shape != (len(rows),):
@@ -168,8 +175,3 @@ def of_both(signal: str) -> tuple[str, ...]:
 def of_all_dampers(quantity: str) -> tuple[str, ...]:
     """Names of a quantity at the eight dampers."""
     return tuple(f"{quantity}.{bogie}.{damper}" for bogie in BOGIES for damper in DAMPERS)
-
-
-def readable(rows: Any) -> Any:
-    """Readings with 0 in place of what is no number, so that a broken sensor does not stay in a filter."""
-    return np.nan_to_num(rows, copy=False, nan=0.0, posinf=0.0, neginf=0.0)

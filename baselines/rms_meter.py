@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from sayd_env.baselines.policy import Array, Flags, of_all_dampers, of_both, readable
+from sayd_env.baselines.policy import Array, Flags, of_all_dampers, of_both
 
 from sayd_env.config import ConfigError
 from sayd_env.config.control import BogieCostConfig
@@ -145,7 +145,6 @@ class FeatureRmsMeter(RmsMeter):
         ended = self.ended(readings)
         if not ended.any():
             return False
-        readable(rows)
         readings.rms[ended, :, 0] = rows[ended, :2]
         if self._force:
             readings.rms[ended, :, 1] = rows[ended, 2:4]
@@ -210,7 +209,7 @@ class SignalRmsMeter(RmsMeter):
         for t, row in enumerate(rows):
             for vehicle in np.flatnonzero(begins == t):
                 self._rest(filters, int(vehicle), float(speeds[vehicle]))
-            readings.sample[:] = readable(row[:, 1:3].reshape(-1))
+            readings.sample[:] = row[:, 1:3].reshape(-1)
             push(self._band, filters, readings.sample, readings.filtered)
 
     def _rest(self, filters: BandState, vehicle: int, speed: float) -> None:
@@ -229,8 +228,8 @@ class SignalRmsMeter(RmsMeter):
         self._rest(readings.filters, vehicle, float(speed))
 
     def _speed(self, readings: Array) -> Array:
-        """Speeds that the filters accept, whatever a broken sensor says."""
-        return np.maximum(np.nan_to_num(readings, nan=0.0, posinf=0.0, neginf=0.0), self._slowest)
+        """Speeds that the filters accept, also where a sensor is dead."""
+        return np.maximum(readings, self._slowest)
 
 
 def _periods(interface: Interface) -> int:
@@ -273,9 +272,7 @@ def _measure(
     vehicles, some = rows.shape[0], False
     for i in range(vehicles):
         for b in range(2):
-            # What is no number would stay in the filter.
-            value = rows[i, 1 + b]
-            sample[2 * i + b] = value if math.isfinite(value) else 0.0
+            sample[2 * i + b] = rows[i, 1 + b]
     push(constants, filters, sample, filtered)
     for i in range(vehicles):
         count[i] = count[i] + 1 if count[i] < period else 1
@@ -287,7 +284,7 @@ def _measure(
             squares[i, b, 0] += filtered[2 * i + b] * filtered[2 * i + b]
             if area > 0.0:
                 force = area * (rows[i, 3 + b] - rows[i, 5 + b])
-                squares[i, b, 1] += force * force if math.isfinite(force) else 0.0
+                squares[i, b, 1] += force * force
         if count[i] < period:
             continue
         some = True

@@ -192,8 +192,7 @@ class ContinuousSkyhook(Skyhook):
 
 def _yaw_strokes(rows: Array) -> Array:
     """Half the difference of the sides' mean strokes, twice: shape (n, 2, 2) of vehicles, bogies, moments."""
-    strokes = np.nan_to_num(rows[:, len(ACCELERATIONS) :], nan=0.0, posinf=0.0, neginf=0.0)
-    sides = strokes.reshape(-1, len(BOGIES), 2, 2).mean(axis=3)
+    sides = rows[:, len(ACCELERATIONS) :].reshape(-1, len(BOGIES), 2, 2).mean(axis=3)
     yaw = 0.5 * (sides[:, :, 0] - sides[:, :, 1])
     return np.repeat(yaw[:, :, None], 2, axis=2)
 
@@ -213,12 +212,11 @@ def _sense(
     """Integrate accelerations and differentiate strokes of one control period, in place.
 
     rows hold for each bogie the accelerations of left and right, then for each the strokes of its four
-    dampers; a number that is none counts as 0.
+    dampers.
     """
     for i in range(rows.shape[0]):
         for b in range(2):
             acceleration = 0.5 * (rows[i, 2 * b] - rows[i, 2 * b + 1])
-            acceleration = acceleration if math.isfinite(acceleration) else 0.0
             x, v = displacement[i, b], velocity[i, b]
             displacement[i, b] = integrator[0, 0] * x + integrator[0, 1] * v + integrator[0, 2] * acceleration
             velocity[i, b] = integrator[1, 0] * x + integrator[1, 1] * v + integrator[1, 2] * acceleration
@@ -226,7 +224,6 @@ def _sense(
             left = rows[i, first] + rows[i, first + 1]
             right = rows[i, first + 2] + rows[i, first + 3]
             stroke = 0.25 * (left - right)
-            stroke = stroke if math.isfinite(stroke) else 0.0
             slope = (2.0 * stroke - 3.0 * strokes[i, b, 0] + strokes[i, b, 1]) * per_period
             strokes[i, b, 1] = strokes[i, b, 0]
             strokes[i, b, 0] = stroke

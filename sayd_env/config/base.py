@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -35,3 +36,10 @@ def quantity(unit: str, doc: str, *, default: Any = ..., **bounds: Any) -> Any:
     return Field(
         default, description=f"{doc} ({unit})", json_schema_extra={"unit": unit}, strict=True, **bounds
     )
+
+
+def is_multiple(value: float, of: float) -> bool:
+    """Whether a number is a whole multiple of another one, at least once it, up to rounding."""
+    ratio = value / of
+    count = round(ratio) if math.isfinite(ratio) else 0
+    return count >= 1 and abs(value - count * of) <= 1e-9 * value

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from sayd_env.config.base import Model, quantity
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.explain import Origin
+from sayd_env.config.explain import Origin, shown
 from sayd_env.config.loader import is_path, nearest, read_config, read_overridden, section, validate
 
 
@@ -171,7 +171,7 @@ def controller_of(name_or_path: str) -> str:
     if name not in CONTROLLERS:
         hint = "" if name == name_or_path else f"{name_or_path}: a file is named after its controller; "
         raise ConfigError(
-            f"{hint}unknown controller {name!r}{nearest(str(name), CONTROLLERS)}; "
+            f"{hint}unknown controller {shown(name)}{nearest(str(name), CONTROLLERS)}; "
             f"available: {', '.join(CONTROLLERS)}"
         )
     return name

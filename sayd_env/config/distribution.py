@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 from scipy.special import ndtr, ndtri
 
-from sayd_env.config.base import Model, Number
+from sayd_env.config.base import Model, Number, is_multiple
 
 Array = npt.NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class UniformDistribution(Model):
         if self.low > self.high:
             raise ValueError(f"low ({self.low:g}) must not exceed high ({self.high:g})")
         width = self.high - self.low
-        if self.step is not None and abs(round(width / self.step) * self.step - width) > 1e-9 * width:
+        if self.step is not None and width > 0.0 and not is_multiple(width, self.step):
             raise ValueError(
                 f"high - low ({width:g}) must be a whole number of steps, found step {self.step:g}"
             )
@@ -104,7 +104,7 @@ class ChoiceDistribution(Model):
 
     law: Literal["choice"]
     values: tuple[Number, ...] = Field(min_length=1, description="The numbers")
-    weights: tuple[Annotated[Number, Field(ge=0.0)], ...] | None = Field(
+    weights: tuple[Annotated[Number, Field(ge=0.0, le=1e9)], ...] | None = Field(
         None, description="How often each comes, against the others (-); alike when absent"
     )
 

@@ -9,10 +9,10 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from sayd_env.config.base import Model, quantity
+from sayd_env.config.base import Model, is_multiple, quantity
 from sayd_env.config.distribution import Distribution
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.explain import Origin, nearest
+from sayd_env.config.explain import Origin, nearest, shown
 from sayd_env.config.fault import FaultsConfig
 from sayd_env.config.loader import (
     apply_overrides,
@@ -24,7 +24,7 @@ from sayd_env.config.loader import (
     validate,
 )
 from sayd_env.config.scenario import CostConfig
-from sayd_env.config.sensors import SAMPLE, SensorsConfig, is_multiple
+from sayd_env.config.sensors import SAMPLE, SensorsConfig
 from sayd_env.config.track import IrregularityConfig, NoIrregularityConfig, read_track
 
 PERIODS = tuple(n for n in range(1, 1001) if 1000 % n == 0)
@@ -99,7 +99,7 @@ class TrackClass(Model):
     """A track whose irregularities an episode may have; section and gauge stay those of the scenario."""
 
     name: str = Field(min_length=1, description="Name of a track, or a path to its YAML file")
-    weight: float = quantity("-", "How often it comes, against the others", default=1.0, ge=0.0)
+    weight: float = quantity("-", "How often it comes, against the others", default=1.0, ge=0.0, le=1e9)
     scale: Distribution | None = Field(
         None, description="Factor on all amplitudes (-), in place of the track's own; null: its own"
     )
@@ -215,7 +215,7 @@ class EnvironmentConfig(Model):
     damper: Literal["sayd", "passive"] = Field(description="Kind of the vehicle's yaw dampers")
     sensors: SensorsConfig
     control_period: float = quantity("s", "Time for which a command holds", gt=0.0, le=1.0)
-    episode_s: float = quantity("s", "Time at which an episode is truncated", gt=0.0)
+    episode_s: float = quantity("s", "Time at which an episode is truncated", gt=0.0, le=86400.0)
     run_in: float = quantity("m", "Distance before step 0, with the initial current", ge=0.0, le=10e3)
     valves: Literal["bogie", "damper", "vehicle"] = Field(description="Which valves a command goes to")
     observation: Literal["signals", "history", "features"] = Field(description="What an observation is")
@@ -284,7 +284,7 @@ def _stacked(name: str, users: tuple[str, ...]) -> tuple[dict[str, Any], tuple[O
     base, folder = own.pop("base", "nominal"), Path(source).parent
     if base is not None and not isinstance(base, str):
         raise ConfigError(
-            f"{source}: base: found {base!r}; expected the name of an environment, a path or null"
+            f"{source}: base: found {shown(base)}; expected the name of an environment, a path or null"
         )
     users = (*users, str(Path(source).resolve()))
     base = None if base is None else beside(base, folder)
@@ -327,7 +327,7 @@ def _with_sensors(data: dict[str, Any], source: str) -> tuple[dict[str, Any], tu
         return data | {"sensors": section(content, found)}, (Origin(("sensors",), found, own=True),)
     if "sensors" in data and not isinstance(named, dict):
         raise ConfigError(
-            f"{source}: sensors: found {named!r}; expected the name of a set of sensors, a path or keys "
+            f"{source}: sensors: found {shown(named)}; expected the name of a set of sensors, a path or keys "
             "and values"
         )
     return data, ()

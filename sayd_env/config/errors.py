@@ -2,9 +2,28 @@
 
 from __future__ import annotations
 
+LONGEST_LINE, MOST_LINES = 1200, 30
+"""What fits on a screen."""
+
 
 class SaydError(Exception):
-    """Bad input. The message stands alone: the command line prints it and exits with status 2."""
+    """Bad input. The message stands alone: the command line prints it and exits with status 2.
+
+    It may quote what a user has given: control characters are escaped, a long line loses its middle.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        lines = [_printable(line) for line in message.split("\n")]
+        if len(lines) > MOST_LINES:
+            lines[MOST_LINES - 1 :] = [f"... and {len(lines) - MOST_LINES + 1} lines more"]
+        super().__init__("\n".join(lines))
+
+
+def _printable(line: str) -> str:
+    if len(line) > LONGEST_LINE:
+        half = (LONGEST_LINE - 5) // 2
+        line = f"{line[:half]} ... {line[-half:]}"
+    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in line)
 
 
 class ConfigError(SaydError):

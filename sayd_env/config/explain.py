@@ -140,7 +140,7 @@ def _sentence(model: type[BaseModel], data: Any, problem: _Problem) -> str:
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         return _wrong_tag(model, detail, key)
     value = detail["input"]
-    if kind == "value_error" and (isinstance(value, Mapping) or len(repr(value)) > LONGEST_FOUND):
+    if kind == "value_error" and (isinstance(value, Mapping) or len(shown(value)) == LONGEST_FOUND):
         return f"{key}: {_expectation(detail)}{about}" if key else _expectation(detail)
     return f"{key}: found {shown(value)}; {_expectation(detail)}{about}"
 
@@ -193,7 +193,8 @@ _EXPECTATIONS = {
 def _expectation(detail: ErrorDetails) -> str:
     kind, context = detail["type"], detail.get("ctx", {})
     if kind in _EXPECTATIONS:
-        close = nearest(str(detail["input"]), _quoted(str(context.get("expected", ""))))
+        found = detail["input"]
+        close = nearest(found, _quoted(str(context.get("expected", "")))) if isinstance(found, str) else ""
         return f"expected {_EXPECTATIONS[kind].format_map(context)}{close}"
     message = detail["msg"].removeprefix("Value error, ")
     return message[0].lower() + message[1:]

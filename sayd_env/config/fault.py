@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -113,7 +113,7 @@ def parse_faults(raw: Any, source: str) -> tuple[Fault, ...]:
 
     Parameters
     ----------
-    raw : iterable of mappings
+    raw : sequence of mappings
         For example ``{"kind": "valve_stuck", "damper": "front.left.upper", "current": 0.3, "start_s": 5.0}``
         or ``{"kind": "sensor_dead", "signal": "speed"}``.
     source : str
@@ -124,7 +124,7 @@ def parse_faults(raw: Any, source: str) -> tuple[Fault, ...]:
     ConfigError
         Not a list, or a fault that cannot be.
     """
-    if isinstance(raw, str) or not isinstance(raw, Iterable):
+    if isinstance(raw, str | bytes) or not isinstance(raw, Sequence | np.ndarray) or np.ndim(raw) == 0:
         raise ConfigError(f"{source}: faults: found {shown(raw)}; expected a list of faults")
     return validate(_Faults, {"faults": [_plain(entry) for entry in raw]}, source).faults
 
@@ -137,7 +137,7 @@ def _plain(entry: Any) -> Any:
 
 
 class _FaultClass(Model):
-    weight: float = quantity("-", "How often this one comes, against the others", default=1.0, ge=0.0)
+    weight: float = quantity("-", "How often this one comes, against the others", default=1.0, ge=0.0, le=1e9)
 
 
 class ValveStuckClass(_FaultClass):

@@ -77,6 +77,8 @@ def parse_yaml(text: str, source: str) -> Any:
         return loader.get_single_data()
     except ValueError as error:  # a date that the calendar lacks
         raise ConfigError(f"{source}: {error}") from None
+    except (LookupError, TypeError, AttributeError):  # a tag such as !!int on what is none
+        raise ConfigError(f"{source}: has a value that does not fit its tag") from None
     except RecursionError:
         raise ConfigError(f"{source}: is nested too deeply") from None
     except yaml.YAMLError as error:
@@ -97,6 +99,8 @@ def packaged_names(kind: str) -> list[str]:
 def read_text(path: Path, what: str = "file") -> str:
     """Read a user's text file; raise `ConfigError` with one clear sentence when that fails."""
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise ConfigError(f"{path}: is a device or a pipe, expected a {what}")
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such {what}") from None
@@ -106,6 +110,8 @@ def read_text(path: Path, what: str = "file") -> str:
         raise ConfigError(f"{path}: is not a text file") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError:  # a NUL or half of a surrogate pair
+        raise ConfigError(f"{path}: is no name of a file") from None
 
 
 def is_path(name_or_path: str) -> bool:
@@ -133,7 +139,7 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
     names = packaged_names(kind)
     if name_or_path not in names:
         raise ConfigError(
-            f"unknown {kind} '{name_or_path}'{nearest(name_or_path, names)}; "
+            f"unknown {kind} {shown(name_or_path)}{nearest(name_or_path, names)}; "
             f"available: {', '.join(names)}, or a path to a YAML file"
         )
     source = f"configs/{kind}/{name_or_path}.yaml"

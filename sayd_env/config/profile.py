@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from sayd_env.config.base import Model, Number, quantity
 from sayd_env.config.errors import ConfigError
+from sayd_env.config.explain import shown
 from sayd_env.config.loader import read_config, validate
 
 JOINT_TOLERANCE_MM = 0.02
@@ -181,7 +182,7 @@ def _read(name_or_path: str, kind: str) -> tuple[object, str]:
     data, source = read_config("profile", name_or_path)
     found = data.get("kind") if isinstance(data, dict) else None
     if found is not None and found != kind:
-        raise ConfigError(f"{source}: kind: found {found!r}, expected '{kind}' here")
+        raise ConfigError(f"{source}: kind: found {shown(found)}, expected '{kind}' here")
     return with_resolved_files(data, Path(source).parent), source
 
 

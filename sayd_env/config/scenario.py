@@ -14,7 +14,7 @@ from sayd_env.config.base import Model, quantity
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import DamperConfig, with_resolved_table
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.explain import Origin
+from sayd_env.config.explain import Origin, shown
 from sayd_env.config.loader import (
     apply_overrides,
     assigned,
@@ -125,7 +125,8 @@ def _study(name: str, users: tuple[str, ...]) -> _Draft:
     own = dict(section(content, source))
     base, assignments = own.pop("base", "nominal"), own.pop("set", None)
     if base is not None and not isinstance(base, str):
-        raise ConfigError(f"{source}: base: found {base!r}; expected the name of a study, a path or null")
+        found = shown(base)
+        raise ConfigError(f"{source}: base: found {found}; expected the name of a study, a path or null")
     folder = Path(source).parent
     base = None if base is None else beside(base, folder)
     users = (*users, _identity(name))
@@ -177,7 +178,7 @@ def _resolved(draft: _Draft, source: str) -> _Draft:
             data[key] = _with_data_files(key, fitting, Path(found).parent)
             origins = (*origins, Origin((key,), found, own=True))
         elif key in data and not isinstance(named, dict):
-            raise ConfigError(f"{source}: {key}: found {named!r}; {_expected(key, kind, named)}")
+            raise ConfigError(f"{source}: {key}: found {shown(named)}; {_expected(key, kind, named)}")
     return _Draft(data, origins)
 
 

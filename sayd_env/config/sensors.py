@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 from pydantic import field_validator, model_validator
 
-from sayd_env.config.base import Model, quantity
+from sayd_env.config.base import Model, is_multiple, quantity
 from sayd_env.config.loader import read_overridden
 
 SAMPLE = 1.0e-3
@@ -57,12 +57,6 @@ def _signals() -> dict[str, SensorKind]:
 
 SIGNALS: Mapping[str, SensorKind] = MappingProxyType(_signals())
 """Names of the 41 signals in the order of the observation, and the kind of sensor that each comes from."""
-
-
-def is_multiple(time: float, of: float) -> bool:
-    """Whether a time (s) is a whole number of others (s), at least one, up to rounding."""
-    count = round(time / of)
-    return count >= 1 and abs(time - count * of) <= 1e-9 * time
 
 
 class SensorConfig(Model):

@@ -31,6 +31,7 @@ from sayd_env.envs.interface import ACTIONS, BOGIES, Interface, RunIn, Signal
 from sayd_env.envs.interface import DAMPERS as OF_A_BOGIE
 from sayd_env.envs.interface import POINTS as OF_A_FRAME
 from sayd_env.envs.loop import CLIMBED, NOT_FINITE, OVERLOADED, RUNNING
+from sayd_env.envs.options import number_array
 from sayd_env.envs.trace import DAMPERS
 from sayd_env.envs.vehicle import (
     LoopSettings,
@@ -485,13 +486,7 @@ def checked_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     ConfigError
         Anything else; the message names the value and what is allowed.
     """
-    try:
-        values = np.asarray(actions)
-        if np.iscomplexobj(values):  # NumPy would drop the imaginary part
-            raise TypeError
-        values = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ConfigError(f"action: found {actions!r}; expected numbers of shape {shape}") from None
+    values = number_array("action", actions, shape)
     if values.shape != shape:
         raise ConfigError(f"action: found shape {values.shape}; expected {shape}")
     inside = (values >= 0.0) & (values <= 1.0)

@@ -14,6 +14,7 @@ from sayd_env.config import ConfigError, nearest
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.control import OnlineConfig
 from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
+from sayd_env.config.explain import shown
 
 BOGIES = ("front", "rear")
 POINTS = ("leading", "trailing")
@@ -138,9 +139,9 @@ class Interface:
         mine = "features" if self.observation == "features" else "signals"
         if holders and mine not in holders:
             hint = "'signals' or 'history'" if holders == ["signals"] else "'features'"
-            raise ConfigError(f"observation '{self.observation}' has no signal '{name}'; {hint} has it")
+            raise ConfigError(f"observation '{self.observation}' has no signal {shown(name)}; {hint} has it")
         raise ConfigError(
-            f"observation '{self.observation}' has no signal '{name}'{nearest(name, names)}; "
+            f"observation '{self.observation}' has no signal {shown(name)}{nearest(name, names)}; "
             f"its quantities: {', '.join(sorted({other.partition('.')[0] for other in names}))}"
         )
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from numbers import Real
 from typing import Any, TypedDict, Unpack
+
+import numpy as np
 
 from sayd_env.config import ConfigError, nearest, validate
 from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, load_environment
@@ -13,7 +13,7 @@ from sayd_env.config.explain import shown
 from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
 from sayd_env.envs.episode_batch import environment_scenario
-from sayd_env.envs.options import checked_number
+from sayd_env.envs.options import checked_number, number
 
 INFOS = ("basic", "full")
 """Levels of `info`."""
@@ -34,7 +34,7 @@ class Keywords(TypedDict, total=False):
     episode_s: float | None
     sensors: str | SensorsConfig | None
     speed_kmh: float | None
-    settings: Iterable[str]
+    settings: Sequence[str] | None
 
 
 def configured(
@@ -55,7 +55,7 @@ def configured(
         Name of a set of sensors, or a path to a YAML file.
     speed_kmh : float, optional
         Speed of all episodes, km/h.
-    settings : iterable of str
+    settings : sequence of str
         ``key=value`` assignments for the scenario, for example ``friction=0.3``. What they set is not drawn.
 
     Raises
@@ -69,7 +69,7 @@ def configured(
         )
     refuse_unknown(keywords, Keywords.__annotations__)
     given: dict[str, Any] = {key: value for key, value in keywords.items() if value is not None}
-    assignments = _assignments(given.pop("settings", ()))
+    assignments = _assignments(given.pop("settings", None))
     weights = _weights(given.pop("reward", None))
     config = load_environment(environment)
     if "sensors" in given:
@@ -101,7 +101,7 @@ def refuse_unknown(keywords: Mapping[str, Any], known: Iterable[str]) -> None:
     for key in keywords:
         if key not in allowed:
             raise ConfigError(
-                f"unknown keyword '{key}'{nearest(key, allowed)}; allowed: {', '.join(allowed)}"
+                f"unknown keyword {shown(key)}{nearest(key, allowed)}; allowed: {', '.join(allowed)}"
             )
 
 
@@ -121,12 +121,13 @@ def checked_choice(name: str, value: Any, allowed: Iterable[str | None]) -> Any:
 
 
 def _assignments(settings: Any) -> tuple[str, ...]:
-    listed = () if isinstance(settings, str) or not isinstance(settings, Iterable) else tuple(settings)
-    if isinstance(settings, str) or not all(isinstance(item, str) for item in listed):
+    listed = () if settings is None else settings
+    texts = isinstance(listed, Sequence) and all(isinstance(item, str) for item in listed)
+    if isinstance(listed, str) or not texts:
         raise ConfigError(
             f"settings: found {shown(settings)}; expected a list of key=value, such as ['friction=0.3']"
         )
-    return listed
+    return tuple(listed)
 
 
 def _sensors(sensors: Any) -> SensorsConfig:
@@ -159,13 +160,13 @@ def _weights(reward: Any) -> tuple[float, float] | None:
         return None
     if isinstance(reward, str) and reward in REWARDS:
         return REWARDS[reward]
-    pair = reward
+    pair = reward.tolist() if isinstance(reward, np.ndarray) else reward
     if isinstance(reward, Mapping) and set(reward) == {"k_y", "k_F"}:
         pair = (reward["k_y"], reward["k_F"])
     if isinstance(pair, Sequence) and not isinstance(pair, str) and len(pair) == 2:
-        numbers = [float(each) for each in pair if not isinstance(each, bool) and isinstance(each, Real)]
-        if len(numbers) == 2 and all(math.isfinite(n) and n >= 0.0 for n in numbers) and sum(numbers) > 0.0:
-            return numbers[0], numbers[1]
+        k_y, k_f = number(pair[0]), number(pair[1])
+        if k_y is not None and k_f is not None and min(k_y, k_f) >= 0.0 and max(k_y, k_f) > 0.0:
+            return k_y, k_f
     close = nearest(reward, REWARDS) if isinstance(reward, str) else ""
     raise ConfigError(
         f"reward: found {shown(reward)}{close}; expected 'mppt1', 'mppt2', (k_y, k_F) or "

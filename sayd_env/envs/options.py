@@ -8,15 +8,20 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any
 
+import numpy as np
+
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.environment import LIMITS
 from sayd_env.config.explain import shown
 from sayd_env.config.fault import Fault, parse_faults
+from sayd_env.config.units import Array
 
 PROFILES = {"new": 0.0, "worn": 1.0}
 """Names for the ends of wear."""
 NUMBERS = ("speed_kmh", "wear", "friction", "payload", "initial_current")
 """Quantities of an episode that have a distribution of their own, and an option of the same name."""
+LARGEST = 2**63 - 1
+"""No whole number of a user's is larger."""
 OPTIONS = (*NUMBERS, "profile", "track", "track_scale", "faults")
 
 
@@ -53,7 +58,8 @@ def checked_options(options: Mapping[str, Any] | None) -> EpisodeOptions:
     for key in given:
         if key not in OPTIONS:
             known = ", ".join(sorted(OPTIONS))
-            raise ConfigError(f"options: unknown key '{key}'{nearest(str(key), OPTIONS)}; allowed: {known}")
+            close = nearest(key, OPTIONS) if isinstance(key, str) else ""
+            raise ConfigError(f"options: unknown key {shown(key)}{close}; allowed: {known}")
     numbers = {name: checked_number(name, given[name], "options: ") for name in NUMBERS if name in given}
     if "profile" in given:
         if "wear" in numbers:
@@ -69,17 +75,48 @@ def checked_options(options: Mapping[str, Any] | None) -> EpisodeOptions:
     )
 
 
-def whole_number(name: str, value: Any, least: int = 0) -> int:
-    """A whole number that is not below the least one.
+def whole_number(name: str, value: Any, least: int = 0, most: int = LARGEST) -> int:
+    """A whole number between the least and the most that are allowed.
 
     Raises
     ------
     ConfigError
         Anything else.
     """
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
-        raise ConfigError(f"{name}: found {shown(value)}; expected a whole number of {least} or more")
-    return int(value)
+    found = int(value) if not isinstance(value, bool) and isinstance(value, Integral) else None
+    if found is not None and least <= found <= most:
+        return found
+    open_above = most == LARGEST and (found is None or found < least)
+    limits = f"of {least} or more" if open_above else f"from {least} to {most}"
+    raise ConfigError(f"{name}: found {shown(value)}; expected a whole number {limits}")
+
+
+def number(value: Any) -> float | None:
+    """A finite number as a float; None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return None
+    try:
+        found = float(value)
+    except OverflowError:  # a whole number or a fraction beyond all floats
+        return None
+    return found if math.isfinite(found) else None
+
+
+def number_array(name: str, values: Any, shape: tuple[int, ...]) -> Array:
+    """Values as numbers of float64, of whatever shape; `shape` is what a message asks for.
+
+    Raises
+    ------
+    ConfigError
+        Anything but real numbers.
+    """
+    try:
+        found = np.asarray(values)
+        if np.iscomplexobj(found):  # NumPy would drop the imaginary part
+            raise TypeError
+        return np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise ConfigError(f"{name}: found {shown(values)}; expected numbers of shape {shape}") from None
 
 
 def checked_number(name: str, value: Any, place: str = "") -> float:
@@ -98,11 +135,9 @@ def checked_number(name: str, value: Any, place: str = "") -> float:
     ConfigError
         Anything else.
     """
-    allowed = LIMITS[name]
-    if not isinstance(value, bool) and isinstance(value, Real):
-        number = float(value)
-        if math.isfinite(number) and allowed.low <= number <= allowed.high:
-            return number
+    allowed, found = LIMITS[name], number(value)
+    if found is not None and allowed.low <= found <= allowed.high:
+        return found
     raise ConfigError(f"{place}{name}: found {shown(value)}; expected a number from {allowed}")
 
 

@@ -13,6 +13,7 @@ from sayd_env.envs.environment import Environment, action_box, observation_box
 from sayd_env.envs.episode_batch import checked_actions
 from sayd_env.envs.info import ending_info, episode_info, step_info
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
+from sayd_env.envs.options import whole_number
 
 
 class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
@@ -124,7 +125,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         ``ideal``, ``realistic`` or a path to a YAML file.
     speed_kmh : float, optional
         Speed of all episodes, km/h.
-    settings : iterable of str
+    settings : sequence of str
         ``key=value`` assignments for the scenario, such as ``friction=0.3``. What they set is not drawn.
     info : str
         ``basic`` or ``full``.
@@ -172,6 +173,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         ConfigError
             An unknown option, or a value that is not allowed.
         """
+        seed = None if seed is None else whole_number("seed", seed)
         super().reset(seed=seed)
         self._begin([0], [seed], options)
         if self.render_mode == "human":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
 import gymnasium as gym
@@ -20,14 +20,14 @@ from sayd_env.envs.environment import Environment, EnvironmentState, action_box,
 from sayd_env.envs.episode_batch import Flags, Observation, checked_actions
 from sayd_env.envs.info import cost_terms, ending_info, episode_info, step_info
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
-from sayd_env.envs.options import whole_number
+from sayd_env.envs.options import LARGEST, whole_number
 
 Array = npt.NDArray[np.float64]
 
 OWN_KEYWORDS = ("num_envs", "num_threads", "autoreset_mode", "max_episode_steps")
 KEYWORDS = (*OF_ONE, *OWN_KEYWORDS)
 """Keywords of `SaydVectorEnv`."""
-LARGEST_SEED = 2**63 - 1
+MOST_ENVS = 65536
 
 
 class SaydVectorEnv(
@@ -89,7 +89,7 @@ class SaydVectorEnv(
         **keywords: Unpack[Keywords],
     ) -> None:
         self._mode = _autoreset(autoreset_mode)
-        self.num_envs = whole_number("num_envs", num_envs, 1)
+        self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
         threads = None if num_threads is None else whole_number("num_threads", num_threads, 1)
         self._make(self.num_envs, environment, keywords, info, render_mode, threads, OWN_KEYWORDS)
         if max_episode_steps is not None and max_episode_steps != -1:
@@ -124,9 +124,9 @@ class SaydVectorEnv(
             Another number of seeds, an unknown option, or a value that is not allowed.
         """
         seeds = self._given_seeds(seed)
-        if isinstance(seed, int):
-            self._np_random, self._np_random_seed = seeding.np_random(seed)
-        fixed = dict(options or {})
+        if isinstance(seed, int | np.integer):
+            self._np_random, self._np_random_seed = seeding.np_random(int(seed))
+        fixed = _mapping(options)
         which = self._masked(fixed.pop("reset_mask", None))
         self._begin(which, [seeds[i] for i in which], fixed)
         self._begun = True
@@ -140,20 +140,23 @@ class SaydVectorEnv(
     def _given_seeds(self, seed: Any) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
+        if isinstance(seed, list | tuple | range) or (isinstance(seed, np.ndarray) and seed.ndim == 1):
             if len(seed) != self.num_envs:
                 raise ConfigError(
                     f"seed: found {len(seed)} seeds; expected {self.num_envs}, one for each vehicle"
                 )
-            return [None if each is None else _checked_seed(each) for each in seed]
-        first = _checked_seed(seed)
-        return [_checked_seed(first + i) for i in range(self.num_envs)]
+            return [None if each is None else whole_number("seed", each) for each in seed]
+        first = whole_number("seed", seed, most=LARGEST - self.num_envs)
+        return [first + i for i in range(self.num_envs)]
 
     def _masked(self, mask: Any) -> list[int]:
         """VehicleBatch that a reset concerns."""
         if mask is None:
             return list(range(self.num_envs))
-        flags = np.asarray(mask)
+        try:
+            flags = np.asarray(mask)
+        except ValueError:  # a list of lists of several lengths
+            flags = np.empty(0)
         if flags.shape != (self.num_envs,) or flags.dtype != np.bool_ or not flags.any():
             raise ConfigError(
                 f"options: reset_mask: found {shown(mask)}; expected a boolean for each of the "
@@ -272,15 +275,14 @@ class SaydVectorEnv(
         self._begun = True
 
 
-def _checked_seed(seed: Any) -> int:
-    number = whole_number("seed", seed)
-    if number > LARGEST_SEED:
-        raise ConfigError(f"seed: found {number}; expected at most {LARGEST_SEED}")
-    return number
+def _mapping(options: Any) -> dict[str, Any]:
+    if not isinstance(options, Mapping | None):
+        raise ConfigError(f"options: found {shown(options)}; expected keys and values")
+    return dict(options or {})
 
 
 def _autoreset(mode: Any) -> AutoresetMode:
-    for each in AutoresetMode:
+    for each in AutoresetMode if isinstance(mode, str | AutoresetMode) else ():
         if mode in (each, each.value, each.name):
             return each
     names = ", ".join(f"'{each.value}'" for each in AutoresetMode)

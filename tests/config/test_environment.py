@@ -173,6 +173,16 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
             "randomisation.wear.high=1.5",
             "randomisation.wear: the distribution reaches from 0 to 1.5; allowed are 0 to 1:",
         ),
+        (
+            "randomisation.wear.high=1e308",
+            "high - low (1e+308) must be a whole number of steps, found step 0.05",
+        ),
+        ("randomisation.wear.step=1e-320", "must be a whole number of steps, found step 9.99989e-321"),
+        ("episode_s=1e308", "episode_s: found 1e+308; expected a number less than or equal to 86400"),
+        (
+            "randomisation.tracks=[{name: china, weight: 1e308}]",
+            "expected a number less than or equal to 1e+09",
+        ),
         ("randomisation.friction.low=0", "the distribution reaches from 0 to 0.5; allowed are 0.05 to 1"),
         ("randomisation.speed_kmh=null", "randomisation.speed_kmh: found None"),
         ("randomisation.tracks.0.name=chna", "unknown track 'chna', did you mean 'china'?"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -169,10 +170,13 @@ def test_an_anchor_may_be_merged_and_overridden():
 
 def test_files_that_cannot_be_read(tmp_path: Path):
     (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
+    os.mkfifo(tmp_path / "pipe.yaml")
     for path, expected in (
         (tmp_path / "nowhere.yaml", "no such file"),
         (tmp_path, "is a directory, expected a file"),
         (tmp_path / "binary.yaml", "is not a text file"),
+        (tmp_path / "pipe.yaml", "is a device or a pipe, expected a file"),
+        (Path("/dev/zero"), "is a device or a pipe, expected a file"),
         (tmp_path / "binary.yaml" / "below.yaml", "cannot be read (Not a directory)"),
     ):
         with pytest.raises(ConfigError) as caught:

@@ -1,0 +1,167 @@
+"""What an environment cannot use is refused by name at its border, whatever type it has."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sayd_env import baselines
+from sayd_env.config import ConfigError
+from sayd_env.envs.single import SaydEnv
+from sayd_env.envs.vector import SaydVectorEnv
+
+HUGE = 10**400
+"""Too large for a float."""
+HUGER = 10**5000
+"""Python does not even write it."""
+UNWRITTEN = "a int too long to write"
+
+
+class Silent:
+    """An object that cannot say what it is."""
+
+    def __repr__(self) -> str:
+        raise ValueError
+
+
+def kind(value: Any) -> str:
+    """Name of a case: pytest cannot write the values themselves."""
+    return type(value).__name__
+
+
+def message_of(call: Any, *arguments: Any, **keywords: Any) -> str:
+    with pytest.raises(ConfigError) as caught:
+        call(*arguments, **keywords)
+    assert len(str(caught.value)) <= 1200
+    assert str(caught.value).isprintable()
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("keyword", "value", "found"),
+    [
+        *(
+            ("settings", value, "expected a list of key=value")
+            for value in (-1, 1e308, HUGE, object(), 1j, len)
+        ),
+        ("settings", Fraction(1, 3), "settings: found Fraction(1, 3); expected"),
+        ("settings", "friction=0.3", "settings: found 'friction=0.3'; expected"),
+        ("settings", {"friction": 0.3}, "settings: found {'friction': 0.3}; expected"),
+        ("settings", ["friction=0.3", 5], "settings: found ['friction=0.3', 5]; expected"),
+        ("settings", ["wear=0x" + "f" * 20000], f"wear: found {UNWRITTEN}"),
+        ("settings", ['wear=!!int ""'], "has a value that does not fit its tag"),
+        ("settings", ['track.irregularity={type: file, path: "a\\0b"}'], r"a\x00b: is no name of a file"),
+        ("environment", HUGER, f"environment: found {UNWRITTEN}; expected the name"),
+        ("environment", "a\0b", r"unknown env 'a\x00b'; available: faults, nominal"),
+        ("environment", "\x1b[2J", r"unknown env '\x1b[2J'; available: faults, nominal"),
+        ("environment", "a\0b.yaml", r"a\x00b.yaml: is no name of a file"),
+        ("environment", "\ud800.yaml", r"\ud800.yaml: is no name of a file"),
+        ("environment", "a" * 100_000, "aaa...; available: faults, nominal"),
+        ("environment", "a/" * 5000 + "b.yaml", "b.yaml: cannot be read"),
+        ("sensors", HUGER, f"sensors: found {UNWRITTEN}; expected the name"),
+        ("sensors", "\x1b[2J", r"unknown sensors '\x1b[2J'; available: ideal"),
+        ("observation", HUGER, f"observation: found {UNWRITTEN}; expected"),
+        ("reward", HUGER, f"reward: found {UNWRITTEN}; expected"),
+        ("reward", {"k_y": 1, "k_F": HUGE}, "reward: found {'k_y': 1, 'k_F': 1000"),
+        ("reward", np.array(5), "reward: found array(5); expected"),
+        ("info", HUGER, f"info: found {UNWRITTEN}; expected"),
+        ("info", Silent(), "info: found"),
+        ("episode_s", 1.7e308, "episode_s: found 1.7e+308; expected a number less than or equal to 86400"),
+        ("speed_kmh", HUGER, f"speed_kmh: found {UNWRITTEN}; expected a number from 30"),
+        ("speed_kmh", Fraction(HUGE), "speed_kmh: found Fraction(1000"),
+        ("speed_kmh", np.array([300.0]), "speed_kmh: found array([300.]); expected"),
+        ("s\x1bped", 1, r"unknown keyword 's\x1bped'"),
+    ],
+    ids=kind,
+)
+def test_keywords(keyword: str, value: Any, found: str) -> None:
+    assert found in message_of(lambda: SaydEnv(**{keyword: value}).reset(seed=1))
+
+
+@pytest.mark.parametrize(
+    ("keyword", "value", "found"),
+    [
+        ("num_envs", HUGE, "num_envs: found 1000"),
+        ("num_envs", 65537, "num_envs: found 65537; expected a whole number from 1 to 65536"),
+        ("num_envs", HUGER, f"num_envs: found {UNWRITTEN}; expected"),
+        ("num_threads", HUGER, f"num_threads: found {UNWRITTEN}; expected"),
+        ("max_episode_steps", HUGE, "max_episode_steps: found 1000"),
+        ("max_episode_steps", HUGER, f"max_episode_steps: found {UNWRITTEN}; expected"),
+        ("autoreset_mode", HUGER, f"autoreset_mode: found {UNWRITTEN}; expected one of"),
+        ("autoreset_mode", np.zeros(3), "autoreset_mode: found array([0., 0., 0.]); expected one of"),
+    ],
+    ids=kind,
+)
+def test_keywords_of_a_batch(keyword: str, value: Any, found: str) -> None:
+    assert found in message_of(SaydVectorEnv, **{keyword: value})
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        *(
+            ({name: value}, f"options: {name}: found ")
+            for name in ("speed_kmh", "wear", "friction", "payload", "initial_current", "track_scale")
+            for value in (HUGE, HUGER, Fraction(HUGE), np.array(0.5), 1j, b"1")
+        ),
+        ({"profile": HUGER}, f"options: profile: found {UNWRITTEN}; expected"),
+        ({"track": HUGER}, f"options: track: found {UNWRITTEN}; expected"),
+        ({"track": "\ud800.yaml"}, r"\ud800.yaml: is no name of a file"),
+        ({"track": "\x1b[2J"}, r"unknown track '\x1b[2J'; available: china"),
+        ({"track": "a/" * 5000 + "b.yaml"}, "b.yaml: cannot be read"),
+        ({"faults": np.array(5)}, "options: faults: found array(5); expected a list of faults"),
+        ({"faults": b"stuck"}, "options: faults: found b'stuck'; expected a list of faults"),
+        ({HUGER: 1}, f"options: unknown key {UNWRITTEN}; allowed"),
+        (5, "options: found 5; expected keys and values"),
+    ],
+    ids=kind,
+)
+def test_options(options: Any, found: str) -> None:
+    assert found in message_of(SaydEnv().reset, seed=1, options=options)
+    assert found in message_of(SaydVectorEnv().reset, seed=1, options=options)
+
+
+@pytest.mark.parametrize(
+    "seed", [HUGE, HUGER, 2**63, -1, 1.5, b"a", "a", np.array(3), np.array([[3]]), {3}, True], ids=kind
+)
+def test_seeds(seed: Any) -> None:
+    assert "seed: found" in message_of(SaydEnv().reset, seed=seed)
+    assert "seed: found" in message_of(SaydVectorEnv().reset, seed=seed)
+    assert "seed: found" in message_of(SaydVectorEnv().reset, seed=[seed])
+
+
+@pytest.mark.parametrize(
+    "mask", [HUGER, [1, 0], [True], [[True], [True, False]], np.array(True), "ab", b"ab"], ids=kind
+)
+def test_masks(mask: Any) -> None:
+    vector = SaydVectorEnv(num_envs=2)
+    found = message_of(vector.reset, seed=1, options={"reset_mask": mask})
+    assert found.startswith("options: reset_mask: found ")
+    assert found.endswith("expected a boolean for each of the 2 vehicles, one of them true")
+
+
+@pytest.mark.parametrize(
+    "actions",
+    [[[HUGE, 0.5]], [[-HUGER, 0.5]], [[Fraction(HUGE), 0.5]], [["a", "b"]], [[1j, 0.5]], None, [[0.5], [1]]],
+    ids=kind,
+)
+def test_actions(actions: Any, quick: str) -> None:
+    vector = SaydVectorEnv(quick)
+    vector.reset(seed=1)
+    assert message_of(vector.step, actions).startswith("action: found ")
+
+
+@pytest.mark.parametrize("name", ["constant:0.3", "mppt2", "skyhook-onoff"], ids=kind)
+def test_observations_of_controllers(name: str) -> None:
+    env = SaydEnv()
+    policy = baselines.make(name, env)
+    for value in (np.nan, np.inf):
+        observation = np.zeros(41, np.float32)
+        observation[40] = value
+        expected = f"observation: found {value} for 'speed'; expected finite numbers"
+        assert message_of(policy.predict, observation).endswith(expected)
+    for other in (["a"] * 41, [1j] * 41, [HUGE] * 41, 5.0, None):
+        assert "observation" in message_of(policy.predict, other)
