@@ -1,7 +1,13 @@
 """The paper's controllers and simpler ones, as policies with the `predict` of Stable-Baselines3.
 
-    policy = baselines.make("mppt1", env)
-    action, state = policy.predict(observation, state, episode_start)
+>>> import gymnasium
+>>> from sayd_env import baselines
+>>> env = gymnasium.make("SAYD/Nominal-v0")
+>>> policy = baselines.make("mppt1", env)
+>>> observation, info = env.reset(seed=0)
+>>> action, state = policy.predict(observation)
+>>> action.shape
+(2,)
 
 They see sensor signals alone, and one policy serves one vehicle or many side by side. `make` makes other
 policies, too, learned ones and those of one's own code, as far as their loader is registered.

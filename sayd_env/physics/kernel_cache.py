@@ -14,10 +14,8 @@ from typing import Any
 import numba
 from numba.core import caching, config
 
+from sayd_env.config.software import FLOORS
 from sayd_env.config.user_cache import cache_folder, report_once
-
-FLOORS = ("agents", "baselines", "config", "envs", "measured", "physics", "runs", "stability")
-"""Packages in which kernels are, or constants that kernels take over."""
 
 _PHYSICS = "sayd_env.physics"
 _DECORATOR = re.compile(rb"^from sayd_env\.physics\.kernel import ", re.MULTILINE)

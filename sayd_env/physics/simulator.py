@@ -16,60 +16,12 @@ from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.geometry import ContactTable, cached_contact_table
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
-from sayd_env.physics.plant import (
-    APPROACH,
-    CREEP_LAW,
-    FORCE_X,
-    FORCE_Y,
-    FORCE_Z,
-    FRICTION,
-    LANES,
-    LOAD_FACTOR,
-    M_BOTTOM,
-    M_HEIGHT,
-    M_OFFSET,
-    M_PLANE,
-    M_PLANE_RATE,
-    M_RISE,
-    M_ROLL,
-    M_ROLL_RATE,
-    M_SLIP_X,
-    M_SPIN_RATE,
-    M_YAW,
-    M_YAW_RATE,
-    MOMENT_TRACK,
-    MOMENT_YAW,
-    MOTIONS,
-    NUMBERS,
-    PATCH_ROWS,
-    PER_RADIUS,
-    PER_RAIL_STEP,
-    PER_SPEED,
-    PER_TABLE_STEP,
-    RADIUS,
-    RAIL_COUNT,
-    RAIL_START,
-    ROWS_IN,
-    ROWS_OUT,
-    SHEAR_MODULUS,
-    SPEED,
-    STEP,
-    SUBSTEPS,
-    TABLE_LAST,
-    TABLE_LOAD,
-    TABLE_START,
-    WHEEL_ROWS,
-    WHEEL_SPEED,
-    WHEELSETS,
-    WIDEST,
-    Plant,
-    State,
-    Work,
-)
+from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
 from sayd_env.physics.profiles import rail_profile, wheel_profile
 from sayd_env.physics.rows import Rows, sparse_rows
 from sayd_env.physics.step import advance
@@ -285,27 +237,30 @@ class VehicleModel:
         )
 
     def _numbers(self, speed: float, track: TrackRealisation, table: ContactTable, substeps: int) -> Array:
-        number = np.zeros(NUMBERS)
-        number[STEP], number[SUBSTEPS], number[SPEED] = self.step(speed)[0], substeps, speed
-        number[RAIL_START], number[PER_RAIL_STEP] = track.x0, 1.0 / track.step
-        number[RAIL_COUNT] = len(track.coefficients)
-        number[WIDEST] = table.dy[-1]
-        number[CREEP_LAW] = creep.LAWS.index(self.scenario.contact.creep_law)
+        number = np.zeros(at.NUMBERS)
+        number[at.STEP], number[at.SUBSTEPS], number[at.SPEED] = self.step(speed)[0], substeps, speed
+        number[at.RAIL_START], number[at.PER_RAIL_STEP] = track.x0, 1.0 / track.step
+        number[at.RAIL_COUNT] = len(track.coefficients)
+        number[at.WIDEST] = table.dy[-1]
+        number[at.CREEP_LAW] = creep.LAWS.index(self.scenario.contact.creep_law)
         return number
 
     def _wheels(self, speed: float, table: ContactTable) -> Array:
         """Constants of the wheels, (WHEEL_ROWS * LANES,)."""
         radius, count = self.scenario.vehicle.wheel_radius, len(self.multibody.wheelset_x)
         approach, hunt_crossley = self._static_contact(table)
-        wheel = np.zeros((WHEEL_ROWS, 2, WHEELSETS))
-        wheel[TABLE_START], wheel[PER_TABLE_STEP] = table.dy[0], 1.0 / table.step
-        wheel[TABLE_LAST] = len(table.delta_r) - 2
-        wheel[TABLE_LOAD] = table.load ** (2.0 / 3.0)
-        wheel[RADIUS], wheel[PER_RADIUS] = radius, 1.0 / radius
-        wheel[WHEEL_SPEED], wheel[PER_SPEED] = speed, 1.0 / speed
-        wheel[FRICTION], wheel[SHEAR_MODULUS] = self.scenario.friction, self.scenario.contact.shear_modulus
-        wheel[APPROACH] = -1.0  # wheels that the vehicle does not have stay in the air
-        wheel[APPROACH, :, :count], wheel[LOAD_FACTOR, :, :count] = approach, hunt_crossley
+        wheel = np.zeros((at.WHEEL_ROWS, 2, WHEELSETS))
+        wheel[at.TABLE_START], wheel[at.PER_TABLE_STEP] = table.dy[0], 1.0 / table.step
+        wheel[at.TABLE_LAST] = len(table.delta_r) - 2
+        wheel[at.TABLE_LOAD] = table.load ** (2.0 / 3.0)
+        wheel[at.RADIUS], wheel[at.PER_RADIUS] = radius, 1.0 / radius
+        wheel[at.WHEEL_SPEED], wheel[at.PER_SPEED] = speed, 1.0 / speed
+        wheel[at.FRICTION], wheel[at.SHEAR_MODULUS] = (
+            self.scenario.friction,
+            self.scenario.contact.shear_modulus,
+        )
+        wheel[at.APPROACH] = -1.0  # wheels that the vehicle does not have stay in the air
+        wheel[at.APPROACH, :, :count], wheel[at.LOAD_FACTOR, :, :count] = approach, hunt_crossley
         return wheel.ravel()
 
     def _static_load(self) -> Array:
@@ -318,19 +273,19 @@ class VehicleModel:
     def _motion_rows(self) -> Rows:
         """Rows of `Work.y` over the motion in `Work.x`: displacements, predicted and present velocities."""
         b, n, radius = self.multibody, self.multibody.n, self.scenario.vehicle.wheel_radius
-        motions = np.zeros((MOTIONS, WHEELSETS, 3 * n))
+        motions = np.zeros((at.MOTIONS, WHEELSETS, 3 * n))
         for j, (wheelset, section) in enumerate(zip(b.wheelset_dofs, b.section_dofs, strict=True)):
             x, y, z, roll, pitch, yaw = wheelset
             section_y, section_z, section_roll = section
             for first, offset, height, turn, plane in (
-                (0, M_OFFSET, M_HEIGHT, M_ROLL, M_PLANE),
-                (n, M_BOTTOM, M_RISE, M_ROLL_RATE, M_PLANE_RATE),
+                (0, at.M_OFFSET, at.M_HEIGHT, at.M_ROLL, at.M_PLANE),
+                (n, at.M_BOTTOM, at.M_RISE, at.M_ROLL_RATE, at.M_PLANE_RATE),
             ):
                 motions[offset, j, first + np.array([y, roll, section_y])] = 1.0, radius, -1.0
                 motions[height, j, first + np.array([z, section_z])] = 1.0, -1.0
                 motions[turn, j, first + roll] = motions[plane, j, first + section_roll] = 1.0
-            motions[M_YAW, j, yaw] = motions[M_YAW_RATE, j, n + yaw] = 1.0
-            motions[M_SLIP_X, j, n + x] = motions[M_SPIN_RATE, j, n + pitch] = 1.0
+            motions[at.M_YAW, j, yaw] = motions[at.M_YAW_RATE, j, n + yaw] = 1.0
+            motions[at.M_SLIP_X, j, n + x] = motions[at.M_SPIN_RATE, j, n + pitch] = 1.0
         elongations = [e.connection for e in (*self.dampers, *b.stops)]
         rows = [motions.reshape(-1, 3 * n), np.pad(np.reshape(elongations, (-1, n)), ((0, 0), (0, 2 * n)))]
         if self._semi_active:
@@ -345,12 +300,12 @@ class VehicleModel:
     def _force_matrix(self, damping: Array) -> Array:
         """Generalised forces over `Work.x`, from the damping matrix without its diagonal."""
         b, n = self.multibody, self.multibody.n
-        contact = np.zeros((n, ROWS_OUT, 2, WHEELSETS))
+        contact = np.zeros((n, at.ROWS_OUT, 2, WHEELSETS))
         for j, (wheelset, section) in enumerate(zip(b.wheelset_dofs, b.section_dofs, strict=True)):
-            for dof, row in zip(wheelset, range(FORCE_X, MOMENT_YAW + 1), strict=True):
+            for dof, row in zip(wheelset, range(at.FORCE_X, at.MOMENT_YAW + 1), strict=True):
                 contact[dof, row, :, j] = 1.0
             for dof, row, sign in zip(
-                section, (FORCE_Y, FORCE_Z, MOMENT_TRACK), (-1.0, -1.0, 1.0), strict=True
+                section, (at.FORCE_Y, at.FORCE_Z, at.MOMENT_TRACK), (-1.0, -1.0, 1.0), strict=True
             ):
                 contact[dof, row, :, j] = sign
         parts = [-b.stiffness, -damping, np.zeros((n, n)), contact.reshape(n, -1)]
@@ -407,10 +362,10 @@ class VehicleModel:
         b = self.multibody
         n, m, s, w = b.n, len(self.dampers), len(b.stops), len(b.wheelset_x)
         semi_active = self._semi_active
-        x = 3 * n + ROWS_OUT * LANES + m + s + (2 * LANES if semi_active else 0)
-        y = MOTIONS * WHEELSETS + m + s + (sayd.INPUTS * LANES if semi_active else 0)
+        x = 3 * n + at.ROWS_OUT * LANES + m + s + (2 * LANES if semi_active else 0)
+        y = at.MOTIONS * WHEELSETS + m + s + (sayd.INPUTS * LANES if semi_active else 0)
         law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
-        sizes = (n, x, y, 8 * WHEELSETS, ROWS_IN * LANES, PATCH_ROWS * LANES, *law, w + points)
+        sizes = (n, x, y, 8 * WHEELSETS, at.ROWS_IN * LANES, at.PATCH_ROWS * LANES, *law, w + points)
         return Work(*(np.zeros(size) for size in sizes))
 
 

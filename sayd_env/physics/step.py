@@ -11,7 +11,8 @@ sections) is treated implicitly, which costs a division. Maxwell dampers use the
 exactly on their piecewise-linear curves; semi-active dampers take steps of their own between the same
 instants (`sayd_env.physics.sayd`). All of it is second order in h.
 
-How W vehicles stand side by side is said in `sayd_env.physics.plant`. Loops run over what is alike: all
+How W vehicles stand side by side is said in `sayd_env.physics.plant`, whose names for rows are used as in
+``wheel[at.RADIUS * n + i]``. Loops run over what is alike: all
 wheels of all vehicles, all dampers. They have no branches, and their bounds come from arrays' lengths, so
 that the compiler makes vector instructions of them (of a loop whose length it knows it makes a long
 straight line instead). Sums over a vehicle's unknowns are sparse products (`sayd_env.physics.rows`). A
@@ -23,95 +24,11 @@ from __future__ import annotations
 
 import math
 
+from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import (
-    APPROACH,
-    CREEP_LAW,
-    CREEP_SPIN,
-    CREEP_T,
-    CREEP_X,
-    FORCE_X,
-    FORCE_Y,
-    FORCE_Z,
-    FRICTION,
-    LANES,
-    LEAD,
-    LIFT,
-    LIFT_RATE,
-    LOAD_FACTOR,
-    M_BOTTOM,
-    M_HEIGHT,
-    M_OFFSET,
-    M_PLANE,
-    M_PLANE_RATE,
-    M_RISE,
-    M_ROLL,
-    M_ROLL_RATE,
-    M_SLIP_X,
-    M_SPIN_RATE,
-    M_YAW,
-    M_YAW_RATE,
-    MOMENT_PITCH,
-    MOMENT_ROLL,
-    MOMENT_TRACK,
-    MOMENT_YAW,
-    MOTIONS,
-    NORMAL,
-    OFFSET,
-    PENETRATION,
-    PER_RADIUS,
-    PER_RAIL_STEP,
-    PER_SPEED,
-    PER_TABLE_STEP,
-    PLANE,
-    PLANE_RATE,
-    POWER_DAMPING,
-    POWER_SLIP,
-    RADIUS,
-    RAIL_ARM,
-    RAIL_BASE,
-    RAIL_COUNT,
-    RAIL_START,
-    RAISED,
-    REACH,
-    ROLL_RATE,
-    ROLLING,
-    ROWS_IN,
-    ROWS_OUT,
-    SECANT,
-    SHEAR_MODULUS,
-    SHIFT,
-    SHIFT_RATE,
-    SIDE,
-    SLIP_X,
-    SLIP_Y,
-    SLIP_Z,
-    SPEED,
-    SPIN_RATE,
-    STEP,
-    STORED,
-    SUBSTEPS,
-    SWAY,
-    TABLE_BASE,
-    TABLE_LAST,
-    TABLE_LOAD,
-    TABLE_START,
-    TANGENT,
-    TILT,
-    TILT_RATE,
-    UP,
-    WHEEL_SPEED,
-    WHEELSETS,
-    WIDEST,
-    YAW,
-    YAW_RATE,
-    Array,
-    Plant,
-    State,
-    Work,
-)
+from sayd_env.physics.plant import LANES, WHEELSETS, Array, Plant, State, Work
 from sayd_env.physics.rows import SINGLE, Lanes, add_product, multiply
 from sayd_env.physics.track.spline import CHANNELS, spline_weights, weighted_rows
 
@@ -164,9 +81,12 @@ def read_track(
         for k in range(w):
             x = clock[w + k] + wheelset_x[j * w + k]
             i, w0, w1, w2, w3, d0, d1, d2, d3 = spline_weights(
-                int(number[RAIL_COUNT * w + k]), number[RAIL_START * w + k], number[PER_RAIL_STEP * w + k], x
+                int(number[at.RAIL_COUNT * w + k]),
+                number[at.RAIL_START * w + k],
+                number[at.PER_RAIL_STEP * w + k],
+                x,
             )
-            first = int(number[RAIL_BASE * w + k]) + CHANNELS * i
+            first = int(number[at.RAIL_BASE * w + k]) + CHANNELS * i
             place = j * w + k
             weighted_rows(irregularity, first, (w0, w1, w2, w3), rail, place, block)
             weighted_rows(irregularity, first, (d0, d1, d2, d3), rail, SLOPE * block + place, block)
@@ -179,48 +99,48 @@ def wheel_kinematics(lanes: Lanes, wheel: Array, y: Array, rail: Array, lane: Ar
     block = n // 2
     for e in range(rail.shape[0] // (2 * SLOPE)):
         right = e + block
-        speed = wheel[WHEEL_SPEED * n + e]
+        speed = wheel[at.WHEEL_SPEED * n + e]
         alignment, vertical = rail[ALIGNMENT * block + e], rail[VERTICAL * block + e]
         half_gauge = 0.5 * rail[GAUGE * block + e]
-        plane = rail[CROSS_LEVEL * block + e] + y[M_PLANE * block + e]
-        plane_rate = speed * rail[(SLOPE + CROSS_LEVEL) * block + e] + y[M_PLANE_RATE * block + e]
-        bottom = y[M_BOTTOM * block + e]
-        offset = y[M_OFFSET * block + e] - alignment
+        plane = rail[CROSS_LEVEL * block + e] + y[at.M_PLANE * block + e]
+        plane_rate = speed * rail[(SLOPE + CROSS_LEVEL) * block + e] + y[at.M_PLANE_RATE * block + e]
+        bottom = y[at.M_BOTTOM * block + e]
+        offset = y[at.M_OFFSET * block + e] - alignment
         offset_rate = bottom - speed * rail[(SLOPE + ALIGNMENT) * block + e]
-        rise = y[M_RISE * block + e] - speed * rail[(SLOPE + VERTICAL) * block + e]
+        rise = y[at.M_RISE * block + e] - speed * rail[(SLOPE + VERTICAL) * block + e]
         half_gauge_rate = 0.5 * speed * rail[(SLOPE + GAUGE) * block + e]
-        roll, roll_rate = y[M_ROLL * block + e], y[M_ROLL_RATE * block + e]
-        sway = wheel[RADIUS * n + e] * roll
-        height = y[M_HEIGHT * block + e] - vertical - plane * offset + 0.5 * sway * roll
+        roll, roll_rate = y[at.M_ROLL * block + e], y[at.M_ROLL_RATE * block + e]
+        sway = wheel[at.RADIUS * n + e] * roll
+        height = y[at.M_HEIGHT * block + e] - vertical - plane * offset + 0.5 * sway * roll
         lift_rate = rise - plane_rate * offset - plane * offset_rate + sway * roll_rate
         tilt, tilt_rate = roll - plane, roll_rate - plane_rate
-        slip_y = bottom - speed * y[M_YAW * block + e]
-        yaw = y[M_YAW * block + e] - rail[(SLOPE + ALIGNMENT) * block + e]
+        slip_y = bottom - speed * y[at.M_YAW * block + e]
+        yaw = y[at.M_YAW * block + e] - rail[(SLOPE + ALIGNMENT) * block + e]
         slip_x, yaw_rate, spin_rate = (
-            y[M_SLIP_X * block + e],
-            y[M_YAW_RATE * block + e],
-            y[M_SPIN_RATE * block + e],
+            y[at.M_SLIP_X * block + e],
+            y[at.M_YAW_RATE * block + e],
+            y[at.M_SPIN_RATE * block + e],
         )
-        lane[SIDE * n + e], lane[SIDE * n + right] = 1.0, -1.0
-        lane[SHIFT * n + e], lane[SHIFT * n + right] = offset - half_gauge, -offset - half_gauge
-        lane[OFFSET * n + e], lane[OFFSET * n + right] = offset, offset
-        lane[LIFT * n + e] = height - wheel[APPROACH * n + e]
-        lane[LIFT * n + right] = height - wheel[APPROACH * n + right]
-        lane[TILT * n + e], lane[TILT * n + right] = tilt, -tilt
-        lane[SWAY * n + e], lane[SWAY * n + right] = sway, sway
-        lane[YAW * n + e], lane[YAW * n + right] = yaw, yaw
-        lane[SLIP_X * n + e], lane[SLIP_X * n + right] = slip_x, slip_x
-        lane[YAW_RATE * n + e], lane[YAW_RATE * n + right] = yaw_rate, yaw_rate
-        lane[SPIN_RATE * n + e], lane[SPIN_RATE * n + right] = spin_rate, spin_rate
-        lane[SLIP_Y * n + e], lane[SLIP_Y * n + right] = slip_y, slip_y
-        lane[SHIFT_RATE * n + e] = offset_rate - half_gauge_rate
-        lane[SHIFT_RATE * n + right] = -offset_rate - half_gauge_rate
-        lane[LIFT_RATE * n + e], lane[LIFT_RATE * n + right] = lift_rate, lift_rate
-        lane[TILT_RATE * n + e], lane[TILT_RATE * n + right] = tilt_rate, -tilt_rate
-        lane[SLIP_Z * n + e], lane[SLIP_Z * n + right] = rise, rise
-        lane[ROLL_RATE * n + e], lane[ROLL_RATE * n + right] = roll_rate, roll_rate
-        lane[PLANE_RATE * n + e], lane[PLANE_RATE * n + right] = plane_rate, plane_rate
-        lane[PLANE * n + e], lane[PLANE * n + right] = plane, plane
+        lane[at.SIDE * n + e], lane[at.SIDE * n + right] = 1.0, -1.0
+        lane[at.SHIFT * n + e], lane[at.SHIFT * n + right] = offset - half_gauge, -offset - half_gauge
+        lane[at.OFFSET * n + e], lane[at.OFFSET * n + right] = offset, offset
+        lane[at.LIFT * n + e] = height - wheel[at.APPROACH * n + e]
+        lane[at.LIFT * n + right] = height - wheel[at.APPROACH * n + right]
+        lane[at.TILT * n + e], lane[at.TILT * n + right] = tilt, -tilt
+        lane[at.SWAY * n + e], lane[at.SWAY * n + right] = sway, sway
+        lane[at.YAW * n + e], lane[at.YAW * n + right] = yaw, yaw
+        lane[at.SLIP_X * n + e], lane[at.SLIP_X * n + right] = slip_x, slip_x
+        lane[at.YAW_RATE * n + e], lane[at.YAW_RATE * n + right] = yaw_rate, yaw_rate
+        lane[at.SPIN_RATE * n + e], lane[at.SPIN_RATE * n + right] = spin_rate, spin_rate
+        lane[at.SLIP_Y * n + e], lane[at.SLIP_Y * n + right] = slip_y, slip_y
+        lane[at.SHIFT_RATE * n + e] = offset_rate - half_gauge_rate
+        lane[at.SHIFT_RATE * n + right] = -offset_rate - half_gauge_rate
+        lane[at.LIFT_RATE * n + e], lane[at.LIFT_RATE * n + right] = lift_rate, lift_rate
+        lane[at.TILT_RATE * n + e], lane[at.TILT_RATE * n + right] = tilt_rate, -tilt_rate
+        lane[at.SLIP_Z * n + e], lane[at.SLIP_Z * n + right] = rise, rise
+        lane[at.ROLL_RATE * n + e], lane[at.ROLL_RATE * n + right] = roll_rate, roll_rate
+        lane[at.PLANE_RATE * n + e], lane[at.PLANE_RATE * n + right] = plane_rate, plane_rate
+        lane[at.PLANE * n + e], lane[at.PLANE * n + right] = plane, plane
 
 
 @kernel(inline=True, distinct=True, allocates=False)
@@ -247,20 +167,20 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
     level at a climbed flange, and the force along the track of rails at an angle to it.
     """
     n = LANES * len(lanes)
-    for i in range(x.shape[0] // ROWS_IN):
-        side = x[SIDE * n + i]
-        radius, per_radius = wheel[RADIUS * n + i], wheel[PER_RADIUS * n + i]
-        speed, per_speed = wheel[WHEEL_SPEED * n + i], wheel[PER_SPEED * n + i]
-        per_step, last = wheel[PER_TABLE_STEP * n + i], wheel[TABLE_LAST * n + i]
+    for i in range(x.shape[0] // at.ROWS_IN):
+        side = x[at.SIDE * n + i]
+        radius, per_radius = wheel[at.RADIUS * n + i], wheel[at.PER_RADIUS * n + i]
+        speed, per_speed = wheel[at.WHEEL_SPEED * n + i], wheel[at.PER_SPEED * n + i]
+        per_step, last = wheel[at.PER_TABLE_STEP * n + i], wheel[at.TABLE_LAST * n + i]
         # Contact geometry at this shift, linear between the nodes of a fine table.
-        place = (x[SHIFT * n + i] - wheel[TABLE_START * n + i]) * per_step
+        place = (x[at.SHIFT * n + i] - wheel[at.TABLE_START * n + i]) * per_step
         place = place if place > 0.0 else 0.0
         place = place if place < last + 1.0 else last + 1.0
         below = place if place < last else last
         node = int(below)
         right = place - node
         left = 1.0 - right
-        p = int(wheel[TABLE_BASE * n + i]) + node * geometry.WIDTH
+        p = int(wheel[at.TABLE_BASE * n + i]) + node * geometry.WIDTH
         q = p + geometry.WIDTH
         delta_r = left * table[p + geometry.DELTA_R] + right * table[q + geometry.DELTA_R]
         gap_0 = left * table[p + geometry.G0] + right * table[q + geometry.G0]
@@ -280,42 +200,42 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         law[creep.C23 * n + i] = left * table[p + geometry.C23] + right * table[q + geometry.C23]
 
         # The table is made at the kinematic roll; another roll moves the contact and so the slope.
-        tilt, yaw, yaw_rate = x[TILT * n + i], x[YAW * n + i], x[YAW_RATE * n + i]
+        tilt, yaw, yaw_rate = x[at.TILT * n + i], x[at.YAW * n + i], x[at.YAW_RATE * n + i]
         tangent += (tilt_0 - tilt) * arm_slope
 
         # Vertical force of the elastic contact. A yawed wheel touches ahead of or behind its axle, by `lead`.
         lever = arm - radius * tangent
         lead = -side * yaw * lever
         raised = tangent * lever
-        gap = x[LIFT * n + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * raised
+        gap = x[at.LIFT * n + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * raised
         pressed = -gap if gap < 0.0 else 0.0
         power = pressed / soft
         root = math.sqrt(power)
         elastic = power * root
 
         # Another load than the static one moves the contact likewise: its potential changes with the shift.
-        tangent -= 0.6 * soft_slope * (power - wheel[TABLE_LOAD * n + i])
+        tangent -= 0.6 * soft_slope * (power - wheel[at.TABLE_LOAD * n + i])
         secant = math.sqrt(1.0 + tangent * tangent)
         cosine = 1.0 / secant
         sine = tangent * cosine
         gap_rate = (
-            x[LIFT_RATE * n + i]
-            + x[TILT_RATE * n + i] * arm
+            x[at.LIFT_RATE * n + i]
+            + x[at.TILT_RATE * n + i] * arm
             + yaw * yaw_rate * raised
-            - tangent * x[SHIFT_RATE * n + i]
+            - tangent * x[at.SHIFT_RATE * n + i]
         )
-        factor = 1.0 - wheel[LOAD_FACTOR * n + i] * gap_rate * cosine
+        factor = 1.0 - wheel[at.LOAD_FACTOR * n + i] * gap_rate * cosine
         up = elastic * (factor if factor > 0.0 else 0.0)
         normal = up * secant
 
         # Slip of the wheel over the rail, and creepages.
-        reach = side * arm + x[SWAY * n + i]
-        rail_arm = side * arm + x[OFFSET * n + i]
+        reach = side * arm + x[at.SWAY * n + i]
+        rail_arm = side * arm + x[at.OFFSET * n + i]
         rolling = radius + delta_r
-        faster = x[SPIN_RATE * n + i] * rolling + speed * delta_r * per_radius
-        slip_x = x[SLIP_X * n + i] - yaw_rate * reach - faster
-        slip_y = x[SLIP_Y * n + i] + lead * yaw_rate
-        slip_z = x[SLIP_Z * n + i] + x[ROLL_RATE * n + i] * reach - x[PLANE_RATE * n + i] * rail_arm
+        faster = x[at.SPIN_RATE * n + i] * rolling + speed * delta_r * per_radius
+        slip_x = x[at.SLIP_X * n + i] - yaw_rate * reach - faster
+        slip_y = x[at.SLIP_Y * n + i] + lead * yaw_rate
+        slip_z = x[at.SLIP_Z * n + i] + x[at.ROLL_RATE * n + i] * reach - x[at.PLANE_RATE * n + i] * rail_arm
         # The tread moves across the rail, and touching ahead of its axle by r yaw tan(gamma) also downwards:
         # with both the slip of yaw is V yaw / cos(gamma), and along the normal none is left.
         slip_t = slip_y * cosine + side * sine * slip_z - yaw * (speed * tangent * sine + faster * secant)
@@ -323,55 +243,55 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         law[creep.XI_X * n + i] = slip_x * per_speed
         law[creep.XI_Y * n + i] = slip_t * per_speed
         law[creep.SPIN * n + i] = spin
-        law[creep.BOUND * n + i] = wheel[FRICTION * n + i] * normal
+        law[creep.BOUND * n + i] = wheel[at.FRICTION * n + i] * normal
         law[creep.SEMI_A * n + i] = a_s * root
         law[creep.SEMI_B * n + i] = b_s * root
-        patch[TANGENT * n + i] = tangent
-        patch[SECANT * n + i] = secant
-        patch[LEAD * n + i] = lead
-        patch[RAISED * n + i] = raised
-        patch[ROLLING * n + i] = rolling
-        patch[REACH * n + i] = reach
-        patch[RAIL_ARM * n + i] = rail_arm
-        patch[UP * n + i] = up
-        patch[CREEP_X * n + i] = slip_x
-        patch[CREEP_T * n + i] = slip_t
-        patch[CREEP_SPIN * n + i] = spin * speed
-        out[NORMAL * n + i] = normal
-        out[PENETRATION * n + i] = pressed * cosine
-        out[POWER_DAMPING * n + i] = (elastic - up) * gap_rate
-        out[STORED * n + i] = 0.4 * elastic * pressed
+        patch[at.TANGENT * n + i] = tangent
+        patch[at.SECANT * n + i] = secant
+        patch[at.LEAD * n + i] = lead
+        patch[at.RAISED * n + i] = raised
+        patch[at.ROLLING * n + i] = rolling
+        patch[at.REACH * n + i] = reach
+        patch[at.RAIL_ARM * n + i] = rail_arm
+        patch[at.UP * n + i] = up
+        patch[at.CREEP_X * n + i] = slip_x
+        patch[at.CREEP_T * n + i] = slip_t
+        patch[at.CREEP_SPIN * n + i] = spin * speed
+        out[at.NORMAL * n + i] = normal
+        out[at.PENETRATION * n + i] = pressed * cosine
+        out[at.POWER_DAMPING * n + i] = (elastic - up) * gap_rate
+        out[at.STORED * n + i] = 0.4 * elastic * pressed
 
 
 @kernel(inline=True, distinct=True, allocates=False)
 def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, law: Array, out: Array) -> None:
     """What the wheels' forces do to the wheelsets (about their centres) and to the track sections."""
     n = LANES * len(lanes)
-    for i in range(x.shape[0] // ROWS_IN):
-        side, yaw = x[SIDE * n + i], x[YAW * n + i]
+    for i in range(x.shape[0] // at.ROWS_IN):
+        side, yaw = x[at.SIDE * n + i], x[at.YAW * n + i]
         force_x, force_t, moment = law[creep.FX * n + i], law[creep.FY * n + i], law[creep.MZ * n + i]
-        tangent, secant, up = patch[TANGENT * n + i], patch[SECANT * n + i], patch[UP * n + i]
-        reach, lead = patch[REACH * n + i], patch[LEAD * n + i]
+        tangent, secant, up = patch[at.TANGENT * n + i], patch[at.SECANT * n + i], patch[at.UP * n + i]
+        reach, lead = patch[at.REACH * n + i], patch[at.LEAD * n + i]
         cosine = 1.0 / secant
         creep_y = force_t * cosine
-        force_y = creep_y - up * (side * tangent + x[PLANE * n + i])
+        force_y = creep_y - up * (side * tangent + x[at.PLANE * n + i])
         force_z = up + side * tangent * creep_y
         upright = moment * cosine
-        out[FORCE_X * n + i] = force_x
-        out[FORCE_Y * n + i] = force_y
-        out[FORCE_Z * n + i] = force_z
-        out[MOMENT_ROLL * n + i] = wheel[RADIUS * n + i] * force_y + reach * force_z
-        out[MOMENT_PITCH * n + i] = (
-            -patch[ROLLING * n + i] * (force_x + yaw * secant * force_t) - side * tangent * upright
+        out[at.FORCE_X * n + i] = force_x
+        out[at.FORCE_Y * n + i] = force_y
+        out[at.FORCE_Z * n + i] = force_z
+        out[at.MOMENT_ROLL * n + i] = wheel[at.RADIUS * n + i] * force_y + reach * force_z
+        out[at.MOMENT_PITCH * n + i] = (
+            -patch[at.ROLLING * n + i] * (force_x + yaw * secant * force_t) - side * tangent * upright
         )
-        out[MOMENT_YAW * n + i] = (
-            -reach * force_x + lead * creep_y + up * yaw * patch[RAISED * n + i] + upright
+        out[at.MOMENT_YAW * n + i] = (
+            -reach * force_x + lead * creep_y + up * yaw * patch[at.RAISED * n + i] + upright
         )
-        out[MOMENT_TRACK * n + i] = -patch[RAIL_ARM * n + i] * force_z
-        out[POWER_SLIP * n + i] = -(
-            force_x * patch[CREEP_X * n + i]
-            + force_t * patch[CREEP_T * n + i]
-            + moment * patch[CREEP_SPIN * n + i]
+        out[at.MOMENT_TRACK * n + i] = -patch[at.RAIL_ARM * n + i] * force_z
+        out[at.POWER_SLIP * n + i] = -(
+            force_x * patch[at.CREEP_X * n + i]
+            + force_t * patch[at.CREEP_T * n + i]
+            + moment * patch[at.CREEP_SPIN * n + i]
         )
 
 
@@ -398,12 +318,12 @@ def step_stops(stretch: Array, shift: Array, force: Array, out: Array) -> None:
 
 
 @kernel(allocates=False)
-def _curve(x: Array, y: Array, at: float) -> float:
-    """Piecewise-linear interpolation for at >= 0, the last segment going on."""
+def _curve(x: Array, y: Array, place: float) -> float:
+    """Piecewise-linear interpolation for place >= 0, the last segment going on."""
     p = 0
-    while p < x.shape[0] - 2 and at > x[p + 1]:
+    while p < x.shape[0] - 2 and place > x[p + 1]:
         p += 1
-    return float(y[p] + (at - x[p]) * (y[p + 1] - y[p]) / (x[p + 1] - x[p]))
+    return float(y[p] + (place - x[p]) * (y[p + 1] - y[p]) / (x[p + 1] - x[p]))
 
 
 @kernel(inline=True, distinct=True, allocates=False)
@@ -489,11 +409,11 @@ def wheels(lanes: Lanes, plant: Plant, work: Work) -> None:
     """Contact: from kinematics in `Work.y` and irregularities in `Work.rail` to the wheels' forces."""
     n = LANES * len(lanes)
     first = 3 * work.f.shape[0]
-    out = work.x[first : first + ROWS_OUT * n]
+    out = work.x[first : first + at.ROWS_OUT * n]
     wheel_kinematics(lanes, plant.wheel, work.y, work.rail, work.lane_in)
     _touch(lanes, plant.wheel, work.lane_in, plant.table, work.creep_in, work.patch, out)
     scratch = work.creep_scratch[: creep.SCRATCH_ROWS * n + creep.WIDTH]
-    which, shear_modulus = int(plant.number[CREEP_LAW * len(lanes)]), plant.wheel[SHEAR_MODULUS * n]
+    which, shear_modulus = int(plant.number[at.CREEP_LAW * len(lanes)]), plant.wheel[at.SHEAR_MODULUS * n]
     _creep(which, work.creep_in, work.creep_out, scratch, plant.creep, shear_modulus)
     _resultants(lanes, plant.wheel, work.lane_in, work.patch, work.creep_out, out)
 
@@ -522,10 +442,10 @@ def sections(lanes: Lanes, plant: Plant, work: Work) -> tuple[int, int, int, int
     """Where Maxwell, semi-active dampers and stops begin in `Work.x`, Maxwell dampers and stops in y."""
     w = len(lanes)
     m = plant.damper_stiffness.shape[0]
-    x_dampers = 3 * work.f.shape[0] + ROWS_OUT * LANES * w
+    x_dampers = 3 * work.f.shape[0] + at.ROWS_OUT * LANES * w
     x_sayds = x_dampers + m
     x_stops = x_sayds + (2 * LANES * w if plant.sayd_constant.shape[0] > 0 else 0)
-    y_dampers = MOTIONS * WHEELSETS * w
+    y_dampers = at.MOTIONS * WHEELSETS * w
     return x_dampers, x_sayds, x_stops, y_dampers, y_dampers + m
 
 
@@ -534,7 +454,7 @@ def dampers(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
     """Advance the Maxwell dampers."""
     x_dampers, x_sayds, _, y_dampers, y_stops = sections(lanes, plant, work)
     step_dampers(
-        plant.number[STEP * len(lanes)],
+        plant.number[at.STEP * len(lanes)],
         work.y[y_dampers:y_stops],
         plant.damper_velocity,
         plant.damper_knot,
@@ -562,7 +482,7 @@ def sayds(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
     w = len(lanes)
     _, x_sayds, x_stops, _, y_stops = sections(lanes, plant, work)
     inputs = work.y[y_stops + plant.stop_shift.shape[1] :]
-    h, substeps = plant.number[STEP * w], int(plant.number[SUBSTEPS * w])
+    h, substeps = plant.number[at.STEP * w], int(plant.number[at.SUBSTEPS * w])
     _follow_lost_ends(LANES * w, state.sayd, inputs)
     sayd.move_valves(lanes, plant.sayd_constant, state.sayd_line, inputs, state.sayd)
     sayd.integrate(lanes, h, substeps, plant.sayd_constant, plant.sayd_table, inputs, state.sayd)
@@ -573,7 +493,7 @@ def sayds(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
 def predict(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
     """Begin a step: move displacements and clock, and predict the velocities."""
     w, n = len(lanes), state.q.shape[0]
-    h = plant.number[STEP * w]
+    h = plant.number[at.STEP * w]
     _predict(
         h,
         state.q,
@@ -588,7 +508,7 @@ def predict(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
     )
     for k in range(w):
         state.clock[k] += h
-        state.clock[w + k] += h * plant.number[SPEED * w + k]
+        state.clock[w + k] += h * plant.number[at.SPEED * w + k]
 
 
 @kernel(inline=True, allocates=False)
@@ -603,7 +523,7 @@ def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int) -> N
             sayds(lanes, plant, state, work)
         stops(lanes, plant, work)
         forces(lanes, plant, work)
-        _correct(plant.number[STEP * len(lanes)], work.f, plant.mobility, state.v, state.a)
+        _correct(plant.number[at.STEP * len(lanes)], work.f, plant.mobility, state.v, state.a)
 
 
 @kernel(allocates=False)
@@ -686,7 +606,7 @@ def record(lanes: Lanes, k: int, plant: Plant, state: State, work: Work, row: Ar
     """
     w = len(lanes)
     n = LANES * w
-    first = 3 * work.f.shape[0] + FORCE_Y * n
+    first = 3 * work.f.shape[0] + at.FORCE_Y * n
     count = plant.wheelset_x.shape[0] // w
     for j in range(count):
         left, right = j * w + k, (WHEELSETS + j) * w + k
@@ -712,8 +632,8 @@ def record_wheels(lanes: Lanes, k: int, work: Work, row: Array) -> None:
     for j in range(WHEELSETS):
         for side in range(2):
             place = first + (side * WHEELSETS + j) * w + k
-            row[2 * j + side] = -work.x[FORCE_Y * n + place]
-            row[LANES + 2 * j + side] = work.x[FORCE_Z * n + place]
+            row[2 * j + side] = -work.x[at.FORCE_Y * n + place]
+            row[LANES + 2 * j + side] = work.x[at.FORCE_Z * n + place]
 
 
 @kernel(inline=True, allocates=False)
@@ -725,8 +645,8 @@ def largest_shift(lanes: Lanes, k: int, plant: Plant, work: Work) -> float:
     w = len(lanes)
     largest = 0.0
     for i in range(LANES):
-        largest = max(largest, work.lane_in[(SHIFT * LANES + i) * w + k])
-    return float(largest / plant.number[WIDEST * w + k])
+        largest = max(largest, work.lane_in[(at.SHIFT * LANES + i) * w + k])
+    return float(largest / plant.number[at.WIDEST * w + k])
 
 
 @kernel(allocates=False, announce="the simulator (first start, about 10 s)")

@@ -14,7 +14,7 @@ from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.monitor import Monitor  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor  # noqa: E402
 
-import baselines  # noqa: E402
+from sayd_env import baselines  # noqa: E402
 from sayd_env.config import ConfigError  # noqa: E402
 from sayd_env.config.environment import load_environment  # noqa: E402
 from sayd_env.envs.draw import draw_episode  # noqa: E402
