@@ -57,13 +57,18 @@ class Origin:
     size: int
     """Of the file, bytes."""
 
+    @property
+    def short_commit(self) -> str:
+        """Enough of the commit to find it."""
+        return (self.commit or "-")[:12]
+
     def cells(self) -> tuple[str, ...]:
         """Return what a table shows, by `COLUMNS`."""
         return (
             self.name,
             self.algorithm,
             str(self.seed),
-            (self.commit or "-")[:12],
+            self.short_commit,
             self.environment or "-",
             "-" if self.steps is None else f"{self.steps:,}",
             "-" if self.seconds is None else f"{self.seconds / 60:.0f} min",

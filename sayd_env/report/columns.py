@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
 """Header and rows; units stand in the header names (``speed_kmh``)."""
+
+
+_ANY_WIDTH = 10_000  # characters
+_LONG = 10_000  # from here on a whole number is easier to read with its thousands apart
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,13 @@ class Column:
     """Printed with ``--wide`` only."""
     infinite: str = "inf"
     """How an infinite value is printed."""
-    bad: Any = None
-    """A value that is printed in red."""
+    bad: Callable[[Any], bool] | None = None
+    """Which values are printed in red."""
+
+    @property
+    def heading(self) -> str:
+        """Heading with the unit."""
+        return f"{self.header} ({self.unit})" if self.unit else self.header
 
     def of(self, row: Any) -> Any:
         """Value of a row, a mapping or an object."""
@@ -49,7 +58,7 @@ class Column:
 
     def words(self, value: Any) -> str:
         """How a value is printed."""
-        if value is None or _is_number(value) and math.isnan(value):
+        if value is None or (_is_number(value) and math.isnan(value)):
             return "-"
         if isinstance(value, bool | np.bool_):
             return "yes" if value else "no"
@@ -57,8 +66,9 @@ class Column:
             return "".join(c if c.isprintable() else "\ufffd" for c in str(value))
         if math.isinf(value):
             return self.infinite
-        scaled = self.scale * value
-        return f"{scaled:,}" if isinstance(scaled, int) else self._number(float(scaled))
+        if isinstance(value, int | np.integer) and self.scale == 1.0 and self.digits is None:
+            return f"{value:,}" if abs(value) >= _LONG else str(value)
+        return self._number(self.scale * float(value))
 
     def _number(self, value: float) -> str:
         return f"{value:g}" if self.digits is None else f"{value:.{self.digits}f}"
@@ -68,7 +78,7 @@ class Column:
         number = _is_number(value)
         bold = self.best and number and value == lowest
         infinite = number and math.isinf(value)
-        red = infinite or (number and value > self.limit) or (self.bad is not None and value == self.bad)
+        red = infinite or (number and value > self.limit) or (self.bad is not None and self.bad(value))
         return " ".join(word for word, on in (("bold", bold or infinite), ("red", red)) if on)
 
 
@@ -107,16 +117,16 @@ def print_table(
 
     Notes
     -----
-    Texts are wrapped where the console is narrow. Numbers are not: a table that needs more room gets it.
+    Texts are wrapped where the console is narrow, unless `wide`. Numbers are not: a table that needs more
+    room gets it.
     """
     from rich import box  # noqa: PLC0415 - only who prints pays for it
+    from rich.measure import Measurement  # noqa: PLC0415
     from rich.table import Table as PrintedTable  # noqa: PLC0415
     from rich.text import Text  # noqa: PLC0415
 
     shown = [column for column in columns if column.header and (wide or not column.wide)]
     table = PrintedTable(
-        title=Text(title),
-        title_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
         padding=(0, 1, 0, 0),
@@ -137,6 +147,10 @@ def print_table(
     if hidden:
         table.caption = Text(f"{hidden} more column{'s' if hidden > 1 else ''} with --wide")
         table.caption_justify = "left"
+    console.print(Text(title, "bold"))
+    if wide:
+        anything = console.options.update(max_width=_ANY_WIDTH)
+        table.width = Measurement.get(console, anything, table).maximum
     console.print(table, crop=False)
     console.print()
 
@@ -145,10 +159,9 @@ def _add_column(table: PrintedTable, column: Column, values: Sequence[Any]) -> N
     from rich.text import Text  # noqa: PLC0415 - only who prints pays for it
 
     numbers = all(value is None or _is_number(value) for value in values)
-    heading = f"{column.header} ({column.unit})" if column.unit else column.header
-    whole = [*heading.split(), *(column.words(value) for value in values if numbers)]
+    whole = [*column.heading.split(), *(column.words(value) for value in values if numbers)]
     table.add_column(
-        Text(heading),
+        Text(column.heading),
         justify="right" if numbers else "left",
         min_width=max(map(len, whole)),
         overflow="fold",

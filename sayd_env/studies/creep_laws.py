@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH
 from sayd_env.physics.contact.creep import LAWS
+from sayd_env.report.columns import Column, Table, csv_table, print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from sayd_env.studies.critical_speed import CriticalSpeedResult
 
-KMH = 3.6
 SPEEDS = tuple(v / KMH for v in range(260, 441, 20))
 """Speeds of a comparison (m/s): wide enough for the critical speeds of all laws on new and on worn wheels."""
 _CRITERIA = ("acceleration", "track_shift_force")
@@ -36,27 +37,36 @@ class CreepLawComparison:
             for law, result in self.results.items()
         }
 
-    def table(self) -> tuple[Sequence[str], list[list[Any]]]:
+    def table(self) -> Table:
         """Critical speed (km/h) by law and criterion; empty where the grid does not hold it."""
-        rows: list[list[Any]] = []
+        return csv_table(_COLUMNS, self._rows())
+
+    def _rows(self) -> list[dict[str, Any]]:
+        rows = []
         for law, result in self.results.items():
             found = result.crossing()
             for name in _CRITERIA:
                 speed, status = found[name].speed, found[name].crossing.name.lower()
-                rows.append([law, name, None if speed is None else speed * KMH, status])
-        return ("creep_law", "criterion", "critical_speed_kmh", "status"), rows
+                kmh = None if speed is None else speed * KMH
+                rows.append(dict(zip(_NAMES, (law, name, kmh, status), strict=True)))
+        return rows
 
-    def summary(self, console: Console, title: str) -> None:
+    def summary(self, console: Console, title: str, wide: bool = False) -> None:
         """Print the critical speeds by law."""
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+        rows = [
+            row | {"verdict": self.results[row["creep_law"]].verdict(row["criterion"])}
+            for row in self._rows()
+        ]
+        print_table(console, title, (*_COLUMNS, Column("verdict", "critical speed")), rows, wide=wide)
 
-        table = Table(title=title)
-        table.add_column("creep law")
-        for name in _CRITERIA:
-            table.add_column(f"by {name.replace('_', ' ')}", justify="right")
-        for law, result in self.results.items():
-            table.add_row(law, *(result.verdict(name) for name in _CRITERIA))
-        console.print(table)
+
+_COLUMNS = (
+    Column("creep_law", "creep law"),
+    Column("criterion", "by"),
+    Column("critical_speed_kmh"),
+    Column("status"),
+)
+_NAMES = tuple(column.name for column in _COLUMNS)
 
 
 def check_laws(laws: Sequence[str], option: str) -> None:

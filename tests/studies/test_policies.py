@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +110,7 @@ def test_the_list(ready: Path, capsys: pytest.CaptureFixture[str]) -> None:
     policies().summary(console)
     text = console.export_text()
     assert "eq. (27) to (31)" in text
-    assert "25 min" in text
+    assert re.search(r"training \(min\)\s.*\bppo-s0\b[^\n]*\b25\b", text, re.DOTALL)
     for file in ready.iterdir():
         file.unlink()
     policies().summary(console)
