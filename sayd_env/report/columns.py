@@ -12,13 +12,13 @@ import numpy as np
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table as PrintedTable
 
 Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
 """Header and rows; units stand in the header names (``speed_kmh``)."""
 
 
-_ANY_WIDTH = 10_000  # characters
+_GAP = 2  # characters between columns
+_UNBROKEN = 20  # characters of a word that is not broken, such as the name of a policy
 _LONG = 10_000  # from here on a whole number is easier to read with its thousands apart
 
 
@@ -121,19 +121,22 @@ def print_table(
     room gets it.
     """
     from rich import box  # noqa: PLC0415 - only who prints pays for it
-    from rich.measure import Measurement  # noqa: PLC0415
     from rich.table import Table as PrintedTable  # noqa: PLC0415
     from rich.text import Text  # noqa: PLC0415
 
     shown = [column for column in columns if column.header and (wide or not column.wide)]
+    gaps = _GAP * (len(shown) - 1)
+    widths = _widths(shown, rows, math.inf if wide else console.width - gaps)
     table = PrintedTable(
         box=box.SIMPLE_HEAD,
         pad_edge=False,
-        padding=(0, 1, 0, 0),
+        padding=(0, _GAP - 1, 0, 0),
         show_edge=False,
+        width=sum(widths) + gaps,
     )
-    for column in shown:
-        _add_column(table, column, [column.of(row) for row in rows])
+    for column, width in zip(shown, widths, strict=True):
+        justify: Any = "right" if _is_numeric(column, rows) else "left"
+        table.add_column(Text(column.heading), justify=justify, width=width, overflow="fold")
     for group in _sections(rows, section):
         lowest = [_lowest(column, group) for column in shown]
         for row in group:
@@ -142,30 +145,29 @@ def print_table(
                 Text(column.words(value), column.style(value, least))
                 for column, value, least in zip(shown, values, lowest, strict=True)
             ]
-            table.add_row(*cells, end_section=section is not None and row is group[-1])
+            table.add_row(*cells, end_section=row is group[-1])
+    console.print(Text(title, "bold"))
+    console.print(table, crop=False)
     hidden = sum(bool(column.header) for column in columns) - len(shown)
     if hidden:
-        table.caption = Text(f"{hidden} more column{'s' if hidden > 1 else ''} with --wide")
-        table.caption_justify = "left"
-    console.print(Text(title, "bold"))
-    if wide:
-        anything = console.options.update(max_width=_ANY_WIDTH)
-        table.width = Measurement.get(console, anything, table).maximum
-    console.print(table, crop=False)
+        console.print(f"{hidden} more column{'s' if hidden > 1 else ''} with --wide", style="italic")
     console.print()
 
 
-def _add_column(table: PrintedTable, column: Column, values: Sequence[Any]) -> None:
-    from rich.text import Text  # noqa: PLC0415 - only who prints pays for it
+def _is_numeric(column: Column, rows: Sequence[Any]) -> bool:
+    return all(value is None or _is_number(value) for value in map(column.of, rows))
 
-    numbers = all(value is None or _is_number(value) for value in values)
-    whole = [*column.heading.split(), *(column.words(value) for value in values if numbers)]
-    table.add_column(
-        Text(column.heading),
-        justify="right" if numbers else "left",
-        min_width=max(map(len, whole)),
-        overflow="fold",
-    )
+
+def _widths(columns: Sequence[Column], rows: Sequence[Any], room: float) -> list[int]:
+    """Widths of the columns: what they need, or as little as leaves words whole where there is no room."""
+    lines = [[column.heading, *(column.words(column.of(row)) for row in rows)] for column in columns]
+    widths = [max(map(len, texts)) for texts in lines]
+    words = [[word for text in texts for word in text.split()] for texts in lines]
+    least = [max((min(len(word), _UNBROKEN) for word in each), default=1) for each in words]
+    while sum(widths) > room and any(width > low for width, low in zip(widths, least, strict=True)):
+        widest = max(range(len(widths)), key=lambda i: (widths[i] > least[i], widths[i]))
+        widths[widest] -= 1
+    return widths
 
 
 def _sections(rows: Sequence[Any], section: str | None) -> list[list[Any]]:

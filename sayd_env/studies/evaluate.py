@@ -56,17 +56,17 @@ _WHO = (
 )
 _COST_COLUMNS = (
     Column("J", "J", digits=4, best=True),
-    Column("J_acceleration", "accele-ration", digits=4, best=True, wide=True),
+    Column("J_acceleration", "acceleration", digits=4, best=True, wide=True),
     Column("J_force", "force", digits=4, best=True, wide=True),
     Column("J_offline", "J off-line", digits=4, best=True),
     Column("acceleration_ratio", "acc. / limit", digits=2, best=True, limit=1.0, infinite=DERAILED),
     Column("track_shift_ratio", "shift / limit", digits=2, best=True, limit=1.0, infinite=DERAILED),
-    Column("comfort", "N_MV", digits=2, best=True),
+    Column("comfort", "N_MV", digits=2, best=True, wide=True),
 )
 _DAMPER_COLUMNS = (
     Column("force_rms_n", "force RMS", "kN", 1e-3, 2, best=True),
     Column("force_peak_n", "peak", "kN", 1e-3, 1, best=True),
-    Column("force_power_above_10_hz_n2", "above 10 Hz", "kN²", 1e-6, 3, best=True),
+    Column("force_power_above_10_hz_n2", "above 10 Hz", "kN²", 1e-6, 3, best=True, wide=True),
     Column("valve_mean", "mean V", digits=2),
     Column("valve_travel_per_km", "travel", "1/km", digits=1),
     Column("switching_per_s", "switching", "1/s", digits=1),

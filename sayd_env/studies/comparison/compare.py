@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,9 @@ from sayd_env.config.environment import load_environment
 from sayd_env.config.frozen import frozen
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Progress, Table, silent
+from sayd_env.report.columns import Table
+from sayd_env.report.figures import Plot
+from sayd_env.report.files import Progress, silent
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison.entrants import PAPER, Contestant, provenance
 from sayd_env.studies.comparison.grid import (
@@ -45,7 +47,6 @@ from sayd_env.studies.comparison.statistics import Bootstrap
 from sayd_env.studies.map import MapGrid, MapResult, stability_map
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
 
 Array = npt.NDArray[np.float64]
@@ -208,17 +209,17 @@ class CompareResult:
 
         return tables(self)
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """One page."""
         from sayd_env.studies.comparison.figures import draw  # noqa: PLC0415 - it knows this class
 
         return {"compare": lambda figure: draw(self, figure)}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the scores, then the targets."""
         from sayd_env.studies.comparison.page import show  # noqa: PLC0415 - it knows this class
 
-        show(self, console)
+        show(self, console, wide)
 
 
 def compare(
