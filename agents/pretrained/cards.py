@@ -15,6 +15,7 @@ from sayd_env.agents.pretrained import FOLDER, groups
 from sayd_env.agents.pretrained.curves import PICTURE, draw
 
 from sayd_env.config import DataError
+from sayd_env.config.palette import without_backend
 
 README = "README.md"
 COLUMNS = ("name", "algorithm", "seed", "commit", "environment", "steps", "training", "J", "SHA-256")
@@ -152,7 +153,8 @@ def picture() -> bytes:
     DataError
         A curve that is damaged.
     """
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and only this program needs it
+    with without_backend():
+        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and only this program needs it
 
     figure, stream = Figure(layout="constrained"), io.BytesIO()
     draw(figure)

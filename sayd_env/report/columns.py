@@ -35,7 +35,7 @@ class Column:
     scale: float = 1.0
     """Printed value over stored value."""
     digits: int | None = None
-    """Of a printed number behind the point; None for its shortest form."""
+    """Of a printed number behind the point; None for four that count."""
     limit: float = math.inf
     """Values above it are printed in red."""
     best: bool = False
@@ -71,7 +71,9 @@ class Column:
         return self._number(self.scale * float(value))
 
     def _number(self, value: float) -> str:
-        return f"{value:g}" if self.digits is None else f"{value:.{self.digits}f}"
+        if self.digits is not None:
+            return f"{value:.{self.digits}f}"
+        return f"{value:,.0f}" if abs(value) >= _LONG else f"{value:.4g}"
 
     def style(self, value: Any, lowest: float) -> str:
         """How a value stands out where `lowest` is the lowest one of its section."""

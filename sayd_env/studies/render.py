@@ -15,13 +15,16 @@ from gymnasium.error import DependencyNotInstalled
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.fleet import Fleet, checked_actions
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, RUNNING
 from sayd_env.envs.recorder import Recorder
 from sayd_env.envs.rollout import first_state, listens
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Plot, Progress, Table, silent
+from sayd_env.report.columns import Table
+from sayd_env.report.figures import Plot
+from sayd_env.report.files import Progress, silent
 from sayd_env.report.video import Picture, checked_film, write_film
 from sayd_env.runs.policies import PolicySpec, for_policy
 
@@ -30,7 +33,6 @@ if TYPE_CHECKING:
 
     from sayd_env.envs.rendering import Scene
 
-KMH = 3.6
 HOLD = 1.0
 """How long the last picture of a run that ended early stays, s."""
 COLUMNS = (
@@ -115,7 +117,7 @@ class RenderResult:
         """None: the film is the plot."""
         return {}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print what has been drawn."""
         console.print(
             f"{self.film.policy.title} at {self.speed * KMH:g} km/h, wear {self.wear:g}, friction "

@@ -96,8 +96,8 @@ def show(result: CompareResult, console: Console, wide: bool = False) -> None:
     if result.quick:
         console.print("--quick: a few of the conditions, one seed of each; a look, no result")
     title = (
-        f"{len(result.arena.conditions)} conditions x {len(result.config.seeds)} seeds: J on line, and IQM of "
-        "its ratio to MPPT2's (95 %)"
+        f"{len(result.arena.conditions)} conditions x {len(result.config.seeds)} seeds: J on line, "
+        "and IQM of its ratio to MPPT2's (95 %)"
     )
     print_table(console, title, (*_COSTS, *_BESIDE), _lines(result), wide=wide, section="bound")
     for line in _notes(result):
