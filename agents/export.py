@@ -8,10 +8,10 @@ from typing import Any, cast
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
+
 from sayd_env.agents.bogie_encoding import BogieEncoding
 from sayd_env.agents.encoding import FLOOR, Encoding, VehicleEncoding
 from sayd_env.agents.policy_file import LearnedPolicy, PolicyDescription, StoredPolicy, interface_like
-
 from sayd_env.config import StudyError
 from sayd_env.config.storage import write_file
 

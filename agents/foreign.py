@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from sayd_env.agents.config import WIDEST, InputConfig, NetworkConfig, OutputConfig
 from sayd_env.agents.policy_archive import file_digest, read_bytes
 from sayd_env.agents.policy_file import Layers, LearnedPolicy, StoredPolicy, describe
-
 from sayd_env.config import ConfigError, DataError, validate
 from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig

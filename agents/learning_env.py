@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
+
 from sayd_env.agents.bogie_encoding import make_encoding
 from sayd_env.agents.config import TrainConfig
 from sayd_env.agents.encoding import Encoding, Observation
 from sayd_env.agents.sb3_vec import SaydVecEnv, Step
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 
 Array = npt.NDArray[np.float64]
 Numbers = Callable[[], Array]

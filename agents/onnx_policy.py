@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sayd_env.agents.policy_archive import read_bytes, shown_path
 
+from sayd_env.agents.policy_archive import read_bytes, shown_path
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.explain import shown
 from sayd_env.envs.episode_batch import checked_actions

@@ -19,12 +19,12 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 from pydantic import AfterValidator, Field, field_validator
+
 from sayd_env.agents.bogie_encoding import make_encoding
 from sayd_env.agents.config import WIDEST, InputConfig, NetworkConfig, OutputConfig, View
 from sayd_env.agents.encoding import Encoding, Observation, VehicleEncoding
 from sayd_env.agents.policy_archive import PolicyArchive, pack, shown_path
 from sayd_env.agents.products import layer
-
 from sayd_env.config import Model, quantity, validate
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.control import CONTROLLERS, load_online

@@ -31,14 +31,14 @@ from typing import Any
 import numpy as np
 import torch
 import yaml
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
+
 from sayd_env.agents.config import TrainConfig, load_train
 from sayd_env.agents.learner import Progress, load_model, make_model, policy_layers, save_model
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env, seed_environments
 from sayd_env.agents.policy_file import StoredPolicy, describe, read_policy, save_policy
 from sayd_env.agents.table import Table
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
-
 from sayd_env.config import ConfigError, DataError, parse_yaml, read_text
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.storage import remove_leftovers, write_file

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from sayd_env.baselines.policy import Array
 
+from sayd_env.baselines.policy import Array
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.sayd import fed_pressure, steady_force, to_tank

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+
 from sayd_env.baselines.extremum_seeking import ExtremumSeeking
 from sayd_env.baselines.policy import Array
-
 from sayd_env.config.control import MpptConfig
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from sayd_env.baselines.extremum_seeking import ExtremumSeeking
 from sayd_env.baselines.policy import Array
-
 from sayd_env.config.control import PerturbObserveConfig
 
 

@@ -12,8 +12,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from sayd_env.baselines.policy import Array, Flags, of_all_dampers, of_both
 
+from sayd_env.baselines.policy import Array, Flags, of_all_dampers, of_both
 from sayd_env.config import ConfigError
 from sayd_env.config.control import BogieCostConfig
 from sayd_env.config.damper import SaydDamperConfig

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from sayd_env.baselines.inverse_damper import InverseDamper
-from sayd_env.baselines.policy import Array, BogiePolicy, of_all_dampers
 from scipy.signal import cont2discrete
 
+from sayd_env.baselines.inverse_damper import InverseDamper
+from sayd_env.baselines.policy import Array, BogiePolicy, of_all_dampers
 from sayd_env.config import ConfigError
 from sayd_env.config.control import SkyhookConfig
 from sayd_env.config.damper import SaydDamperConfig

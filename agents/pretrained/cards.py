@@ -12,8 +12,8 @@ from typing import Any
 from sayd_env.agents.policy_file import read_policy
 from sayd_env.agents.pretrained import FOLDER, groups
 from sayd_env.agents.pretrained.curves import PICTURE, draw
-
 from sayd_env.config import DataError
+from sayd_env.config.palette import without_backend
 from sayd_env.config.storage import write_file
 
 README = "README.md"
@@ -57,13 +57,18 @@ class Origin:
     size: int
     """Of the file, bytes."""
 
+    @property
+    def short_commit(self) -> str:
+        """Enough of the commit to find it."""
+        return (self.commit or "-")[:12]
+
     def cells(self) -> tuple[str, ...]:
         """Return what a table shows, by `COLUMNS`."""
         return (
             self.name,
             self.algorithm,
             str(self.seed),
-            (self.commit or "-")[:12],
+            self.short_commit,
             self.environment or "-",
             "-" if self.steps is None else f"{self.steps:,}",
             "-" if self.seconds is None else f"{self.seconds / 60:.0f} min",
@@ -147,7 +152,8 @@ def picture() -> bytes:
     DataError
         A curve that is damaged.
     """
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and only this program needs it
+    with without_backend():
+        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and only this program needs it
 
     figure, stream = Figure(layout="constrained"), io.BytesIO()
     draw(figure)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from sayd_env.agents.pretrained import FOLDER, groups
 from sayd_env.agents.table import Table
-
 from sayd_env.config import DataError
+from sayd_env.config.palette import cycled, policy_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,9 +58,11 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
     for axis, (algorithm, files) in zip(axes, found.items(), strict=False):
         for file in files:
             steps, costs = curve(file.with_suffix(".csv"))
-            axis.plot([step / 1e6 for step in steps], costs, "o-", markersize=3, label=file.stem)
-        for name, style in zip(references, ("-", "--", ":"), strict=False):
-            axis.axhline(references[name], color="k", linestyle=style, linewidth=1.0, label=name)
+            millions = [step / 1e6 for step in steps]
+            # The trainings of an algorithm are alike in all pictures but this one, where nothing else is.
+            axis.plot(millions, costs, markersize=3, label=file.stem, **cycled(files.index(file)).drawn)
+        for name, cost in references.items():
+            axis.axhline(cost, linewidth=1.0, label=name, **policy_style(name).plain)
         axis.set(title=algorithm.upper(), xlabel="steps of bogies (millions)")
         axis.grid(alpha=0.3)
         axis.legend(fontsize="small", ncols=2)

@@ -51,7 +51,7 @@ class Style:
 
 _POLICIES = MappingProxyType(
     {
-        "passive": Style(BLACK, "o", ":"),
+        "passive": Style(BLACK, "o", "-"),
         "constant": Style(GREY, "s", "-"),
         "constant-tuned": Style(GREY, "D", "--"),
         "mppt1": Style(SKY, "^", "--"),
@@ -80,11 +80,10 @@ def policy_style(name: str) -> Style:
         return _POLICIES[name]
     kind, colon, value = name.partition(":")
     if colon and kind in _POLICIES:  # a variant: the same colour
-        return Style(_POLICIES[kind].colour, *_pick(value))
+        return Style(_POLICIES[kind].colour, *_nth(zlib.crc32(value.encode())))
     training = _TRAINING.fullmatch(name)
     if training is not None and training["algorithm"] in _POLICIES:
-        seed = int(training["seed"])
-        return Style(_POLICIES[training["algorithm"]].colour, MARKERS[seed % len(MARKERS)], LINES[seed % 4])
+        return Style(_POLICIES[training["algorithm"]].colour, *_nth(int(training["seed"])))
     return _OTHERS[zlib.crc32(name.encode()) % len(_OTHERS)]
 
 
@@ -95,12 +94,11 @@ def wheelset_style(place: int) -> Style:
 
 def cycled(place: int) -> Style:
     """Style of one of several things that have no name in all pictures."""
-    return Style(CYCLE[place % len(CYCLE)], MARKERS[place % len(MARKERS)], LINES[place // len(CYCLE) % 4])
+    return Style(CYCLE[place % len(CYCLE)], *_nth(place))
 
 
-def _pick(text: str) -> tuple[str, str]:
-    number = zlib.crc32(text.encode())
-    return MARKERS[number % len(MARKERS)], LINES[number // len(MARKERS) % len(LINES)]
+def _nth(place: int) -> tuple[str, str]:
+    return MARKERS[place % len(MARKERS)], LINES[place % len(LINES)]
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -12,10 +12,14 @@ import numpy as np
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table as PrintedTable
 
 Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
 """Header and rows; units stand in the header names (``speed_kmh``)."""
+
+
+_GAP = 2  # characters between columns
+_UNBROKEN = 20  # characters of a word that is not broken, such as the name of a policy
+_LONG = 10_000  # from here on a whole number is easier to read with its thousands apart
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class Column:
     scale: float = 1.0
     """Printed value over stored value."""
     digits: int | None = None
-    """Of a printed number behind the point; None for its shortest form."""
+    """Of a printed number behind the point; None for four that count."""
     limit: float = math.inf
     """Values above it are printed in red."""
     best: bool = False
@@ -40,8 +44,13 @@ class Column:
     """Printed with ``--wide`` only."""
     infinite: str = "inf"
     """How an infinite value is printed."""
-    bad: Any = None
-    """A value that is printed in red."""
+    bad: Callable[[Any], bool] | None = None
+    """Which values are printed in red."""
+
+    @property
+    def heading(self) -> str:
+        """Heading with the unit."""
+        return f"{self.header} ({self.unit})" if self.unit else self.header
 
     def of(self, row: Any) -> Any:
         """Value of a row, a mapping or an object."""
@@ -57,18 +66,21 @@ class Column:
             return "".join(c if c.isprintable() else "\ufffd" for c in str(value))
         if math.isinf(value):
             return self.infinite
-        scaled = self.scale * value
-        return f"{scaled:,}" if isinstance(scaled, int) else self._number(float(scaled))
+        if isinstance(value, int | np.integer) and self.scale == 1.0 and self.digits is None:
+            return f"{value:,}" if abs(value) >= _LONG else str(value)
+        return self._number(self.scale * float(value))
 
     def _number(self, value: float) -> str:
-        return f"{value:g}" if self.digits is None else f"{value:.{self.digits}f}"
+        if self.digits is not None:
+            return f"{value:.{self.digits}f}"
+        return f"{value:,.0f}" if abs(value) >= _LONG else f"{value:.4g}"
 
     def style(self, value: Any, lowest: float) -> str:
         """How a value stands out where `lowest` is the lowest one of its section."""
         number = _is_number(value)
         bold = self.best and number and value == lowest
         infinite = number and math.isinf(value)
-        red = infinite or (number and value > self.limit) or (self.bad is not None and value == self.bad)
+        red = infinite or (number and value > self.limit) or (self.bad is not None and self.bad(value))
         return " ".join(word for word, on in (("bold", bold or infinite), ("red", red)) if on)
 
 
@@ -107,23 +119,26 @@ def print_table(
 
     Notes
     -----
-    Texts are wrapped where the console is narrow. Numbers are not: a table that needs more room gets it.
+    Texts are wrapped where the console is narrow, unless `wide`. Numbers are not: a table that needs more
+    room gets it.
     """
     from rich import box  # noqa: PLC0415 - only who prints pays for it
     from rich.table import Table as PrintedTable  # noqa: PLC0415
     from rich.text import Text  # noqa: PLC0415
 
     shown = [column for column in columns if column.header and (wide or not column.wide)]
+    gaps = _GAP * (len(shown) - 1)
+    widths = _widths(shown, rows, math.inf if wide else console.width - gaps)
     table = PrintedTable(
-        title=Text(title),
-        title_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
-        padding=(0, 1, 0, 0),
+        padding=(0, _GAP - 1, 0, 0),
         show_edge=False,
+        width=sum(widths) + gaps,
     )
-    for column in shown:
-        _add_column(table, column, [column.of(row) for row in rows])
+    for column, width in zip(shown, widths, strict=True):
+        justify: Any = "right" if _is_numeric(column, rows) else "left"
+        table.add_column(Text(column.heading), justify=justify, width=width, overflow="fold")
     for group in _sections(rows, section):
         lowest = [_lowest(column, group) for column in shown]
         for row in group:
@@ -132,27 +147,29 @@ def print_table(
                 Text(column.words(value), column.style(value, least))
                 for column, value, least in zip(shown, values, lowest, strict=True)
             ]
-            table.add_row(*cells, end_section=section is not None and row is group[-1])
+            table.add_row(*cells, end_section=row is group[-1])
+    console.print(Text(title, "bold"))
+    console.print(table, crop=False)
     hidden = sum(bool(column.header) for column in columns) - len(shown)
     if hidden:
-        table.caption = Text(f"{hidden} more column{'s' if hidden > 1 else ''} with --wide")
-        table.caption_justify = "left"
-    console.print(table, crop=False)
+        console.print(f"{hidden} more column{'s' if hidden > 1 else ''} with --wide", style="italic")
     console.print()
 
 
-def _add_column(table: PrintedTable, column: Column, values: Sequence[Any]) -> None:
-    from rich.text import Text  # noqa: PLC0415 - only who prints pays for it
+def _is_numeric(column: Column, rows: Sequence[Any]) -> bool:
+    return all(value is None or _is_number(value) for value in map(column.of, rows))
 
-    numbers = all(value is None or _is_number(value) for value in values)
-    heading = f"{column.header} ({column.unit})" if column.unit else column.header
-    whole = [*heading.split(), *(column.words(value) for value in values if numbers)]
-    table.add_column(
-        Text(heading),
-        justify="right" if numbers else "left",
-        min_width=max(map(len, whole)),
-        overflow="fold",
-    )
+
+def _widths(columns: Sequence[Column], rows: Sequence[Any], room: float) -> list[int]:
+    """Widths of the columns: what they need, or as little as leaves words whole where there is no room."""
+    lines = [[column.heading, *(column.words(column.of(row)) for row in rows)] for column in columns]
+    widths = [max(map(len, texts)) for texts in lines]
+    words = [[word for text in texts for word in text.split()] for texts in lines]
+    least = [max((min(len(word), _UNBROKEN) for word in each), default=1) for each in words]
+    while sum(widths) > room and any(width > low for width, low in zip(widths, least, strict=True)):
+        widest = max(range(len(widths)), key=lambda i: (widths[i] > least[i], widths[i]))
+        widths[widest] -= 1
+    return widths
 
 
 def _sections(rows: Sequence[Any], section: str | None) -> list[list[Any]]:

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import numpy as np
+
 from sayd_env.config.palette import LIMIT, Style, without_backend
 from sayd_env.config.units import Array
 
@@ -26,6 +28,8 @@ Plot: TypeAlias = "Callable[[Figure], None]"
 SIZE = (8.0, 5.0)
 """Inches."""
 DPI = 150
+COLOUR_MAP = "viridis"
+"""Of numbers: safe for colour-blind readers, and in grey."""
 UNKNOWN = "\ufffd"
 """Drawn for what the typeface does not have."""
 
@@ -114,16 +118,12 @@ def legend_below(figure: Figure, axes: Axes, *, columns: int = 4) -> None:
     handles, labels = axes.get_legend_handles_labels()
     by_label = dict(zip(labels, handles, strict=True))
     if by_label:
-        columns = min(columns, len(by_label))
-        figure.legend(
-            by_label.values(), by_label, loc="outside lower center", ncols=columns, fontsize="small"
-        )
+        place: Any = {"loc": "outside lower center", "ncols": min(columns, len(by_label))}
+        figure.legend(by_label.values(), by_label, fontsize="small", **place)
 
 
 def with_band(axes: Axes, x: Array, values: Array, style: Style, name: str) -> None:
-    """Draw the medians of several series, shape (x, series), in the band between the lowest and the highest."""
-    import numpy as np  # noqa: PLC0415
-
+    """Draw the medians of several series, shape (x, series), in the band from the lowest to the highest."""
     axes.plot(x, np.median(values, axis=1), label=label(name), markersize=4, **style.drawn)
     axes.fill_between(
         x, values.min(axis=1), values.max(axis=1), color=style.colour, alpha=0.12, linewidth=0.0
@@ -137,7 +137,6 @@ def heat_maps(
     x: tuple[str, Sequence[str]],
     y: tuple[str, Sequence[str]],
     values: str,
-    colours: str,
     span: tuple[float, float],
 ) -> None:
     """Draw tables side by side as coloured cells that hold their values.
@@ -152,8 +151,6 @@ def heat_maps(
         Name of an axis and labels of its cells.
     values : str
         What the numbers are.
-    colours : str
-        Name of a colour map.
     span : tuple of float
         Lowest and highest number of the colours.
     """
@@ -161,7 +158,8 @@ def heat_maps(
     image = None
     for panel, (title, rows) in zip(axes, maps.items(), strict=True):
         numbers = [[number for number, _ in row] for row in rows]
-        image = panel.imshow(numbers, origin="lower", aspect="auto", cmap=colours, vmin=span[0], vmax=span[1])
+        colours: Any = {"cmap": COLOUR_MAP, "vmin": span[0], "vmax": span[1]}
+        image = panel.imshow(numbers, origin="lower", aspect="auto", **colours)
         panel.grid(visible=False)
         box = {"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 1.0}
         for i, row in enumerate(rows):

@@ -12,6 +12,8 @@ from html import escape
 from string import Template
 from typing import Any, Protocol
 
+from sayd_env.report.columns import Column
+
 
 class Block(Protocol):
     """A part of a section."""
@@ -51,6 +53,13 @@ class Grid:
     rows: Sequence[Sequence[Any]]
     marked: frozenset[int] = field(default=frozenset())
     """Numbers of the rows that stand out."""
+
+    @classmethod
+    def of(cls, columns: Sequence[Column], rows: Sequence[Any], marked: frozenset[int] = frozenset()) -> Grid:
+        """Make the table of all columns that have a heading."""
+        shown = [column for column in columns if column.header]
+        cells = [[column.words(column.of(row)) for column in shown] for row in rows]
+        return cls([column.heading for column in shown], cells, marked)
 
     def html(self) -> str:
         """Return the table; numbers in their shortest form, nothing for None.

@@ -82,8 +82,8 @@ class RunCache:
         if not self._folder.is_dir():
             self._folder.mkdir(parents=True, exist_ok=True)
         stream = io.BytesIO()
-        content = {name: value for name, value in vars(record).items() if value is not None}
-        np.savez_compressed(stream, **content, **{_KEY: key})
+        content: dict[str, Any] = {name: v for name, v in vars(record).items() if v is not None}
+        np.savez_compressed(stream, **content | {_KEY: key})
         write_file(self._folder / f"{key}.npz", stream.getvalue())
 
     def forget_former(self) -> None:

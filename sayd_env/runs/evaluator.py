@@ -79,7 +79,11 @@ class PolicyEvaluator:
         executor: Executor | None = None,
         workers: int | None = None,
     ) -> None:
-        self._environment = {"environment": environment, "episode_s": episode_s, "reward": reward}
+        self._environment: dict[str, Any] = {
+            "environment": environment,
+            "episode_s": episode_s,
+            "reward": reward,
+        }
         self._cases, self._current = [dict(case) for case in cases], initial_current
         self._executor, self._workers = executor, workers
         self._pieces: dict[str, list[_Piece]] = {}
@@ -117,11 +121,17 @@ class PolicyEvaluator:
                 config, scenario = configured(**self._environment, damper="passive")
             config = policy.environment(config)
             alone = self._executor is None
+            count = 1 if alone else min(self._workers or 1, len(self._cases))
+            parts = np.array_split(np.arange(len(self._cases)), count)
             self._pieces[key] = [
-                _Piece(config, scenario, part.tolist(), self._current, self._workers if alone else 1)
-                for part in np.array_split(
-                    self._cases, 1 if alone else min(self._workers or 1, len(self._cases))
+                _Piece(
+                    config,
+                    scenario,
+                    [self._cases[int(i)] for i in part],
+                    self._current,
+                    self._workers if alone else 1,
                 )
+                for part in parts
             ]
         return self._pieces[key]
 
@@ -175,7 +185,7 @@ def _costs(work: tuple[_Piece, PolicySpec]) -> tuple[Array, int]:
         terms[n] = batch.vehicles.terms
     ended, period = batch.vehicles.status != RUNNING, batch.config.control_period
     for i in np.flatnonzero(batch.vehicles.status == NOT_FINITE):
-        raise StudyError(f"{policy.title}: the run of seed {piece.cases[i]['seed']} diverged")
+        raise StudyError(f"{policy.title}: the run of seed {piece.cases[int(i)]['seed']} diverged")
     costs = [
         episode_cost(
             terms[: batch.elapsed[i], i], period, piece.config, piece.scenario.cost, terminated=ended[i]

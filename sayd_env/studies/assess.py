@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.config.palette import SKY, VERMILION
+from sayd_env.config.units import KMH, Array
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot, legend_below, limit_line, panels
 from sayd_env.stability import (
     Assessment,
     Channel,
@@ -33,11 +36,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-Array = NDArray[np.float64]
-
 _PLOTS_PER_FIGURE = 4
 # Fourteen points in a period of 14 Hz, the highest edge of the pass band: enough for a smooth line.
 _PLOT_RATE = 200.0
+
+
+class _Unit(NamedTuple):
+    """Unit of what is shown of a quantity."""
+
+    name: str
+    scale: float
+    """From SI to it."""
+    key: str
+    """In a column's name."""
+
+
+_UNITS = {
+    Quantity.ACCELERATION: _Unit("m/s²", 1.0, "m_s2"),
+    Quantity.TRACK_SHIFT_FORCE: _Unit("kN", 1e-3, "kn"),
+}
 
 
 @dataclass(frozen=True)
@@ -55,14 +72,37 @@ class ChannelResult:
     """Limit of the sliding RMS (m/s2 or N)."""
 
     @property
-    def ratio(self) -> float:
-        """Maximum over limit."""
-        return self.rms_max / self.limit
-
-    @property
     def stable(self) -> bool:
         """Whether the maximum does not exceed the limit."""
         return self.rms_max <= self.limit
+
+    def row(self) -> dict[str, Any]:
+        """Values by `COLUMNS`."""
+        unit = _UNITS[self.channel.quantity]
+        return {
+            "name": self.channel.name,
+            "quantity": self.channel.quantity.value,
+            "unit": unit.name,
+            "dominant_frequency_hz": self.dominant_frequency,
+            "rms_max": self.rms_max * unit.scale,
+            "limit": self.limit * unit.scale,
+            "ratio": self.rms_max / self.limit,
+            "position_m": self.position,
+            "stable": self.stable,
+        }
+
+
+COLUMNS = (
+    Column("name", "channel"),
+    Column("quantity", "quantity", wide=True),
+    Column("unit", "unit"),
+    Column("dominant_frequency_hz", "f_0", "Hz", digits=2),
+    Column("rms_max", "max. RMS", digits=2),
+    Column("limit", "limit", digits=2),
+    Column("ratio", "ratio", digits=2, limit=1.0),
+    Column("position_m", "at", "m", digits=0),
+    Column("stable", "stable", bad=lambda stable: not stable),
+)
 
 
 @dataclass(frozen=True)
@@ -113,7 +153,7 @@ class RecordingResult:
         """Return the keys of ``--json``."""
         distance = self.distance
         start, end = assessed_span(distance, self.settings)
-        speed = np.broadcast_to(self.recording.speed, distance.shape)[distance >= start] * 3.6
+        speed = np.broadcast_to(self.recording.speed, distance.shape)[distance >= start] * KMH
         return {
             "file": self.file,
             "stable": self.stable,
@@ -124,23 +164,23 @@ class RecordingResult:
                 "acceleration_rms": self.limits.acceleration,
                 "track_shift_rms_kn": self.limits.track_shift_force / 1e3,
             },
-            "channels": [_channel_dict(channel) for channel in self.channels],
+            "channels": [channel.row() for channel in self.channels],
         }
 
-    def tables(self) -> dict[str, tuple[Sequence[str], Iterable[Sequence[Any]]]]:
+    def tables(self) -> dict[str, Table]:
         """Return the verdicts, and the sliding RMS over the distance."""
-        rows = [_channel_dict(channel) for channel in self.channels]
-        scale = [_unit(channel)[1] for channel in self.recording.channels]
-        columns = [f"{c.name}_{_unit(c)[2]}" for c in self.recording.channels]
+        units = [_UNITS[channel.quantity] for channel in self.recording.channels]
+        named = zip(self.recording.channels, units, strict=True)
+        values = self.assessment.rms * [unit.scale for unit in units]
         return {
-            "channels": (list(rows[0]), [list(row.values()) for row in rows]),
+            "channels": csv_table(COLUMNS, [channel.row() for channel in self.channels]),
             "sliding_rms": (
-                ["position_m", *columns],
-                np.column_stack([self.assessment.position, self.assessment.rms * scale]).tolist(),
+                ["position_m", *(f"{channel.name}_{unit.key}" for channel, unit in named)],
+                np.column_stack([self.assessment.position, values]).tolist(),
             ),
         }
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """Return filtered signals with their sliding RMS and limits (figure 8a of Wang et al. 2022)."""
         count = len(self.recording.channels)
         groups = [range(i, min(i + _PLOTS_PER_FIGURE, count)) for i in range(0, count, _PLOTS_PER_FIGURE)]
@@ -148,32 +188,15 @@ class RecordingResult:
             return {"signals": partial(self._draw, groups[0])}
         return {f"signals_{k}": partial(self._draw, group) for k, group in enumerate(groups, start=1)}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print one line for each channel and the verdict."""
-        from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
-        from rich.table import Table  # noqa: PLC0415
-
-        table = Table("channel", "f_0 (Hz)", "max. RMS", "limit", "ratio", "at (m)", "verdict")
-        for column in table.columns[1:6]:
-            column.justify = "right"
-        for row in self.channels:
-            unit, scale, _ = _unit(row.channel)
-            table.add_row(
-                escape(row.channel.name),
-                "-" if math.isnan(row.dominant_frequency) else f"{row.dominant_frequency:.2f}",
-                f"{row.rms_max * scale:.2f} {unit}",
-                f"{row.limit * scale:.2f} {unit}",
-                f"{row.ratio:.2f}",
-                f"{row.position:.0f}",
-                "stable" if row.stable else "[bold red]unstable[/]",
-            )
-        console.print(table)
+        rows = [channel.row() for channel in self.channels]
+        print_table(console, "largest sliding RMS by EN 14363", COLUMNS, rows, wide=wide)
         distance = self.as_dict()["assessed_distance_m"]
         verdict = "stable" if self.stable else "unstable"
-        console.print(f"{escape(self.file)}: {verdict} by EN 14363 over {distance:.0f} m")
+        console.print(f"{self.file}: {verdict} by EN 14363 over {distance:.0f} m", markup=False)
 
     def _draw(self, group: range, figure: Figure) -> None:
-        figure.set_size_inches(8.0, 0.8 + 1.9 * len(group))
         recording, distance = self.recording, self.distance
         start, _ = assessed_span(distance, self.settings)
         stride = max(1, int(recording.sample_rate / _PLOT_RATE))
@@ -185,27 +208,27 @@ class RecordingResult:
             self.assessment.dominant_frequency[chosen],
             self.settings,
         )[part]
-        axes = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
+        axes = panels(figure, len(chosen), size=(8.0, 1.9), sharex=True)
         for axis, k, signal in zip(axes, chosen, filtered.T, strict=True):
             self._draw_channel(axis, k, distance[part], signal)
         axes[-1].set_xlabel("distance (m)")
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        legend_below(figure, axes[0])
 
     def _draw_channel(self, axis: Axes, k: int, distance: Array, signal: Array) -> None:
         channel = self.recording.channels[k]
-        unit, scale, _ = _unit(channel)
-        axis.plot(distance, signal * scale, color="tab:blue", linewidth=0.5, label="band-passed signal")
+        unit = _UNITS[channel.quantity]
+        axis.plot(distance, signal * unit.scale, color=SKY, linewidth=0.5, label="band-passed signal")
         axis.plot(
             self.assessment.position,
-            self.assessment.rms[:, k] * scale,
-            color="tab:red",
+            self.assessment.rms[:, k] * unit.scale,
+            color=VERMILION,
             marker="x",
             markersize=3,
             linewidth=0.8,
             label="sliding RMS",
         )
-        axis.axhline(self.limit(channel) * scale, color="black", linestyle="--", label="limit")
-        axis.set_ylabel(unit)
+        limit_line(axis, self.limit(channel) * unit.scale, "limit")
+        axis.set_ylabel(unit.name)
         axis.set_title(
             f"{channel.name}, f0 = {self.assessment.dominant_frequency[k]:.2f} Hz", fontsize="small"
         )
@@ -266,25 +289,3 @@ def assess_file(
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
     return RecordingResult(str(path), settings, recording, assessment, limit_values)
-
-
-def _unit(channel: Channel) -> tuple[str, float, str]:
-    """Unit to show, factor from SI to it, and its form in a column's name."""
-    if channel.quantity is Quantity.ACCELERATION:
-        return "m/s²", 1.0, "m_s2"
-    return "kN", 1e-3, "kn"
-
-
-def _channel_dict(row: ChannelResult) -> dict[str, Any]:
-    _, scale, unit = _unit(row.channel)
-    return {
-        "name": row.channel.name,
-        "quantity": row.channel.quantity.value,
-        "unit": unit,
-        "dominant_frequency_hz": row.dominant_frequency,
-        "rms_max": row.rms_max * scale,
-        "limit": row.limit * scale,
-        "ratio": row.ratio,
-        "position_m": row.position,
-        "stable": row.stable,
-    }

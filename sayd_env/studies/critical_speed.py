@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,10 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError
+from sayd_env.config.palette import SKY, VERMILION, wheelset_style
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.contact.creep import LAWS
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot, legend_below, limit_line, panels, with_band
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.passive import PassiveRun, Sweep, runs_table, simulated, sweep
 from sayd_env.stability import (
@@ -38,7 +41,6 @@ if TYPE_CHECKING:
 HALF_WORN = 0.5
 LAW_SPEEDS = tuple(v / KMH for v in range(260, 441, 20))
 """Speeds of a comparison of creep laws (m/s): wide enough for all of them on new and on worn wheels."""
-CRITERIA = ("acceleration", "track_shift_force")
 
 
 @dataclass(frozen=True)
@@ -135,41 +137,38 @@ class CriticalSpeedResult:
             **({} if self.laws is None else {"by_creep_law": self.laws.as_dict()}),
         }
 
-    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+    def tables(self) -> dict[str, Table]:
         """Every run, one line for each wheelset, and the critical speeds by creep law."""
         laws = {} if self.laws is None else {"creep_laws": self.laws.table()}
         return {"runs": runs_table(self.sweep, self.wheelsets), **laws}
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """Counterparts of figure 10 (trends over speed) and figure 8 (a) (time history)."""
         return {"critical_speed": self._draw_trends, "time_history": self._draw_history}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the trends over speed and the critical speed."""
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
-
         about = f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}"
-        table = Table(title=f"{about}: medians of {len(self.sweep.seeds)} seeds")
-        for name in ("km/h", "f_0 (Hz)", "acceleration (m/s2)", "ratio", "track shift (kN)", "ratio"):
-            table.add_column(name, justify="right")
-        chosen = np.arange(len(self.sweep.seeds))
-        for i, v in enumerate(self.sweep.speeds):
-            f, a, y = (self.medians[k][i] for k in ("frequency", "acceleration", "track_shift"))
-            ratios = [self._peak(values, chosen)[i] / limit for _, values, limit in self._criteria()]
-            styled = [f"[bold red]{r:.2f}[/]" if r > 1.0 else f"{r:.2f}" for r in ratios]
-            table.add_row(
-                f"{v * KMH:.0f}",
-                f"{f.min():.2f} to {f.max():.2f}",
-                f"{a.max():.2f}",
-                styled[0],
-                f"{y.max() / 1e3:.1f}",
-                styled[1],
-            )
-        console.print(table)
+        title = f"{about}: medians of {len(self.sweep.seeds)} seeds"
+        print_table(console, title, TRENDS, self._trends(), wide=wide)
         for name in self.crossing():
-            console.print(f"critical speed by {name.replace('_', ' ')}: {self.verdict(name)}")
+            console.print(f"critical speed by {name.replace('_', ' ')}: [bold]{self.verdict(name)}[/]")
         if self.laws is not None:
-            self.laws.summary(console, "critical speed by creep law, all else equal")
+            self.laws.summary(console, "critical speed by creep law, all else equal", wide)
+
+    def _trends(self) -> list[dict[str, Any]]:
+        """Values by `TRENDS`: the largest of the wheelsets at each speed."""
+        chosen = np.arange(len(self.sweep.seeds))
+        ratios = [self._peak(values, chosen) / limit for _, values, limit in self._criteria()]
+        frequency = self.medians["frequency"]
+        columns = (
+            self.sweep.speeds * KMH,
+            *(frequency.min(axis=1), frequency.max(axis=1)),
+            *(self.medians["acceleration"].max(axis=1), ratios[0]),
+            *(self.medians["track_shift"].max(axis=1), ratios[1]),
+        )
+        names = [column.name for column in TRENDS]
+        return [dict(zip(names, row, strict=True)) for row in np.column_stack(columns).tolist()]
 
     def verdict(self, name: str) -> str:
         """Say in words what the critical speed by a criterion is."""
@@ -183,7 +182,7 @@ class CriticalSpeedResult:
         low, high = (beyond.get(v, f"{v:.0f}") for v in self._over_seeds(name))
         spread = f" (80 % of the seeds: {low} to {high})"
         grid = ", sensitive to the speed grid" if self.sensitivity[name].sensitive else ""
-        return f"[bold]{c.speed * KMH:.0f} km/h[/]{spread}{grid}"
+        return f"{c.speed * KMH:.0f} km/h{spread}{grid}"
 
     def _over_seeds(self, name: str) -> tuple[float, float]:
         """10 % and 90 % quantile over single seeds (km/h); infinite where they lie beyond the grid."""
@@ -209,17 +208,29 @@ class CriticalSpeedResult:
 
     def _draw_history(self, figure: Figure) -> None:
         h = self.history
-        axis = figure.subplots()
-        axis.plot(h.time, h.filtered, linewidth=0.6, label="band-passed")
-        axis.plot(h.position / h.speed, h.rms, "rx-", markersize=3, label="sliding RMS")
-        for sign in (-1, 1):
-            axis.axhline(sign * self.limits.acceleration, color="k", linestyle="--", linewidth=0.8)
-        axis.set(
+        (axes,) = panels(figure, 1, size=(8.0, 4.5))
+        axes.plot(h.time, h.filtered, color=SKY, linewidth=0.6, label="band-passed")
+        axes.plot(h.position / h.speed, h.rms, "x-", color=VERMILION, markersize=3, label="sliding RMS")
+        limit_line(axes, self.limits.acceleration, "limit")
+        limit_line(axes, -self.limits.acceleration)
+        axes.set(
             xlabel="time (s)",
             ylabel="lateral acceleration (m/s²)",
             title=f"{h.wheelset} at {h.speed * KMH:.0f} km/h",
         )
-        axis.legend(loc="upper right")
+        legend_below(figure, axes)
+
+
+TRENDS = (
+    Column("speed_kmh", "km/h", digits=0),
+    Column("frequency_from_hz", "f_0 from", "Hz", digits=2),
+    Column("frequency_to_hz", "to", "Hz", digits=2),
+    Column("acceleration_rms", "acceleration", "m/s²", digits=2),
+    Column("acceleration_ratio", "/ limit", digits=2, limit=1.0),
+    Column("track_shift_rms_n", "track shift", "kN", 1e-3, 1),
+    Column("track_shift_ratio", "/ limit", digits=2, limit=1.0),
+)
+"""Of the printed table."""
 
 
 def draw_trends(
@@ -248,32 +259,26 @@ def draw_trends(
     track_shift : bool
         Whether the track shift force has a panel; without it, as in figure 11.
     """
-    panels = [
+    shown = [
         (sweep.frequency, 1.0, "dominant frequency (Hz)", None),
         (sweep.track_shift, 1e-3, "track shift force, RMS (kN)", bounds.track_shift_force * 1e-3),
         (sweep.acceleration, 1.0, "acceleration, RMS (m/s²)", bounds.acceleration),
     ]
     if not track_shift:
-        del panels[1]
-    figure.set_size_inches(8.0, 3.0 * len(panels))
-    axes = figure.subplots(len(panels), 1, sharex=True)
+        del shown[1]
+    axes = panels(figure, len(shown), size=(8.0, 3.0), sharex=True)
     axes[0].set_title(f"{title}: medians and range of the seeds")
-    for axis, (values, scale, label, limit) in zip(axes, panels, strict=True):
+    for axis, (values, scale, quantity, limit) in zip(axes, shown, strict=True):
         for k, name in enumerate(wheelsets):
-            series = values[..., k] * scale
-            (line,) = axis.plot(
-                sweep.speeds * KMH, np.median(series, axis=1), "o-", label=f"WS{k + 1} {name}"
-            )
-            axis.fill_between(
-                sweep.speeds * KMH, series.min(axis=1), series.max(axis=1), color=line.get_color(), alpha=0.12
+            with_band(
+                axis, sweep.speeds * KMH, values[..., k] * scale, wheelset_style(k), f"WS{k + 1} {name}"
             )
         if limit is not None:
-            axis.axhline(limit, color="k", linestyle="--", label="limit")
+            limit_line(axis, limit, "limit")
             axis.set_ylim(bottom=0.0)  # so that the margin to the limit is seen
-        axis.set_ylabel(label)
-        axis.grid(alpha=0.3)
+        axis.set_ylabel(quantity)
     axes[-1].set_xlabel("speed (km/h)")
-    axes[-1].legend(fontsize="small")
+    legend_below(figure, axes[-1], columns=5)
 
 
 @dataclass(frozen=True)
@@ -291,27 +296,34 @@ class CreepLawComparison:
             for law, result in self.results.items()
         }
 
-    def table(self) -> tuple[Sequence[str], list[list[Any]]]:
+    def table(self) -> Table:
         """Critical speed (km/h) by law and criterion; empty where the grid does not hold it."""
-        rows: list[list[Any]] = []
-        for law, result in self.results.items():
-            found = result.crossing()
-            for name in CRITERIA:
-                speed, status = found[name].speed, found[name].crossing.name.lower()
-                rows.append([law, name, None if speed is None else speed * KMH, status])
-        return ("creep_law", "criterion", "critical_speed_kmh", "status"), rows
+        return csv_table(_LAW_COLUMNS, self._rows())
 
-    def summary(self, console: Console, title: str) -> None:
+    def _rows(self) -> list[dict[str, Any]]:
+        rows = []
+        for law, result in self.results.items():
+            for name, found in result.crossing().items():
+                kmh = None if found.speed is None else found.speed * KMH
+                values = (law, name, kmh, found.crossing.name.lower())
+                rows.append({c.name: v for c, v in zip(_LAW_COLUMNS, values, strict=True)})
+        return rows
+
+    def summary(self, console: Console, title: str, wide: bool = False) -> None:
         """Print the critical speeds by law."""
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
+        rows = [
+            row | {"verdict": self.results[row["creep_law"]].verdict(row["criterion"])}
+            for row in self._rows()
+        ]
+        print_table(console, title, (*_LAW_COLUMNS, Column("verdict", "critical speed")), rows, wide=wide)
 
-        table = Table(title=title)
-        table.add_column("creep law")
-        for name in CRITERIA:
-            table.add_column(f"by {name.replace('_', ' ')}", justify="right")
-        for law, result in self.results.items():
-            table.add_row(law, *(result.verdict(name) for name in CRITERIA))
-        console.print(table)
+
+_LAW_COLUMNS = (
+    Column("creep_law", "creep law"),
+    Column("criterion", "by"),
+    Column("critical_speed_kmh"),
+    Column("status"),
+)
 
 
 def default_speeds(wear: float) -> tuple[float, ...]:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig, load_environment
+from sayd_env.config.palette import policy_style
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import Array
 from sayd_env.envs.keywords import REWARDS
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PolicySpec
@@ -23,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
+DERAILED = "derailed"
 COSTS = (
     *("J", "J_acceleration", "J_force", "J_run"),
     *("J_offline", "J_offline_acceleration", "J_offline_force"),
@@ -42,35 +47,51 @@ class Condition(NamedTuple):
     speed_kmh: float
 
 
-class _Column(NamedTuple):
-    """A column of the printed table."""
-
-    name: str
-    header: str
-    scale: float = 1.0
-    digits: int = 2
-    best: bool = True
-    """The lowest value stands out."""
-    limit: float = math.inf
-
-
+_WHO = (
+    Column("policy", "policy"),
+    Column("wear", "wear", wide=True),
+    Column("friction", "friction", wide=True),
+    Column("speed_kmh", "km/h"),
+)
 _COST_COLUMNS = (
-    _Column("J", "J", digits=4),
-    _Column("J_acceleration", "acceleration", digits=4),
-    _Column("J_force", "force", digits=4),
-    _Column("J_offline", "J off-line", digits=4),
-    _Column("acceleration_ratio", "acc. / limit", limit=1.0),
-    _Column("track_shift_ratio", "shift / limit", limit=1.0),
-    _Column("comfort", "N_MV"),
+    Column("J", "J", digits=4, best=True),
+    Column("J_acceleration", "acceleration", digits=4, best=True, wide=True),
+    Column("J_force", "force", digits=4, best=True, wide=True),
+    Column("J_offline", "J off-line", digits=4, best=True),
+    Column("acceleration_ratio", "acc. / limit", digits=2, best=True, limit=1.0, infinite=DERAILED),
+    Column("track_shift_ratio", "shift / limit", digits=2, best=True, limit=1.0, infinite=DERAILED),
+    Column("comfort", "N_MV", digits=2, best=True, wide=True),
 )
 _DAMPER_COLUMNS = (
-    _Column("force_rms_n", "force RMS (kN)", 1e-3),
-    _Column("force_peak_n", "peak (kN)", 1e-3, 1),
-    _Column("force_power_above_10_hz_n2", "above 10 Hz (kN²)", 1e-6, 3),
-    _Column("valve_mean", "mean V", best=False),
-    _Column("valve_travel_per_km", "travel (1/km)", digits=1, best=False),
-    _Column("switching_per_s", "switching (1/s)", digits=1, best=False),
+    Column("force_rms_n", "force RMS", "kN", 1e-3, 2, best=True),
+    Column("force_peak_n", "peak", "kN", 1e-3, 1, best=True),
+    Column("force_power_above_10_hz_n2", "above 10 Hz", "kN²", 1e-6, 3, best=True, wide=True),
+    Column("valve_mean", "mean V", digits=2),
+    Column("valve_travel_per_km", "travel", "1/km", digits=1),
+    Column("switching_per_s", "switching", "1/s", digits=1),
 )
+_POLICY_COLUMNS = (
+    Column("policy", "policy"),
+    Column("J", "J", digits=4, best=True),
+    Column("J_offline", "J off-line", digits=4, best=True),
+    Column("largest_ratio", "largest ratio", digits=2, best=True, limit=1.0, infinite=DERAILED),
+    Column("force_rms_n", "force", "kN", 1e-3, 2, best=True),
+    Column("comfort", "N_MV", digits=2, best=True),
+    Column("derailed", "derailed", limit=0.0),
+    Column("runs", "runs"),
+)
+_MEDIANS = tuple(Column(name) for name in ("policy", *Condition._fields, *AVERAGED, "derailed"))
+_PANELS = (
+    (_COST_COLUMNS[0], "J, on-line filter"),
+    (_COST_COLUMNS[4], "acceleration, RMS over limit"),
+    (_COST_COLUMNS[1], "acceleration's part of J, unweighted"),
+    (_COST_COLUMNS[5], "track shift force, RMS over limit"),
+    (_COST_COLUMNS[2], "force's part of J, unweighted"),
+    (_DAMPER_COLUMNS[0], "yaw damper force, RMS (kN)"),
+    (_COST_COLUMNS[3], "J, off-line filter"),
+    (_COST_COLUMNS[6], "comfort index N_MV"),
+)
+"""Of the pictures: what is drawn, and how its axis is called."""
 
 
 @dataclass(frozen=True)
@@ -109,18 +130,22 @@ class EvaluateResult:
             "summary": {policy: self._summary(policy) for policy in self.policies},
         }
 
-    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+    def tables(self) -> dict[str, Table]:
         """All runs, and the medians over the seeds that the printed table shows."""
-        runs = [list(asdict(row).values()) for row in self.rows]
-        medians = [
-            [policy, *condition, *self.medians(policy, condition).values(), self._derailed(policy, condition)]
+        runs = [Column(field.name) for field in fields(Row)]
+        return {"runs": csv_table(runs, self.rows), "medians": csv_table(_MEDIANS, self._medians())}
+
+    def _medians(self) -> list[dict[str, Any]]:
+        """Medians of each condition and policy, by `_MEDIANS`."""
+        return [
+            {"policy": policy, "condition": condition, **condition._asdict()}
+            | self.medians(policy, condition)
+            | {"derailed": self._derailed(policy, condition)}
             for condition in self.conditions
             for policy in self.policies
         ]
-        header = ("policy", *Condition._fields, *AVERAGED, "derailed")
-        return {"runs": ([f.name for f in fields(Row)], runs), "medians": (header, medians)}
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """Cost, ratios, force and comfort over speed by policy, one picture for each wear and friction."""
         pairs = list(dict.fromkeys((c.wear, c.friction) for c in self.conditions))
         if len(pairs) == 1:
@@ -132,61 +157,37 @@ class EvaluateResult:
             for wear, friction in pairs
         }
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the medians over the seeds of each condition and policy, then each policy as a whole."""
-        seeds = len({row.seed for row in self.rows})
-        about = f"{self.scenario.vehicle.name}, medians of {seeds} seeds"
-        console.print(self._table(f"{about}: cost (its terms unweighted), limits, comfort", _COST_COLUMNS))
-        console.print(self._table(f"{about}: dampers and valves", _DAMPER_COLUMNS))
-        console.print(self._policies_table())
-        self._name_derailments(console)
-
-    def _table(self, title: str, columns: Sequence[_Column]) -> Any:
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
-
-        table = Table(title=title)
-        varied = [
-            name for name in ("wear", "friction") if len({getattr(c, name) for c in self.conditions}) > 1
+        about = f"{self.scenario.vehicle.name}, medians of {len({row.seed for row in self.rows})} seeds"
+        medians = self._medians()
+        varied = {name for name in ("wear", "friction") if len({row[name] for row in medians}) > 1}
+        who = [column if column.name not in varied else replace(column, wide=False) for column in _WHO]
+        for title, columns in (
+            ("cost (its terms unweighted), limits, comfort", _COST_COLUMNS),
+            ("dampers and valves", _DAMPER_COLUMNS),
+        ):
+            found = [*who, *columns]
+            print_table(console, f"{about}: {title}", found, medians, wide=wide, section="condition")
+        policies = [
+            {"policy": policy, "runs": len(self.runs(policy)), **self._summary(policy)}
+            for policy in self.policies
         ]
-        for name in ("policy", "km/h", *varied, *(column.header for column in columns)):
-            table.add_column(name, justify="left" if name == "policy" else "right", no_wrap=name == "policy")
-        for condition in self.conditions:
-            medians = {policy: self.medians(policy, condition) for policy in self.policies}
-            for policy in self.policies:
-                where = [f"{condition.speed_kmh:g}", *(f"{getattr(condition, name):g}" for name in varied)]
-                cells = [_cell(column, policy, medians) for column in columns]
-                table.add_row(policy, *where, *cells, end_section=policy == self.policies[-1])
-        return table
-
-    def _policies_table(self) -> Any:
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
-
-        table = Table(title=f"all {len(self.conditions)} conditions: means over the runs")
-        for name in ("policy", "J", "J off-line", "largest ratio", "force (kN)", "N_MV", "derailed"):
-            table.add_column(name, justify="left" if name == "policy" else "right")
-        summaries = {policy: self._summary(policy) for policy in self.policies}
-        columns = (
-            _Column("J", "", digits=4),
-            _Column("J_offline", "", digits=4),
-            _Column("largest_ratio", "", limit=1.0),
-            _Column("force_rms_n", "", 1e-3),
-            _Column("comfort", ""),
-        )
-        for policy in self.policies:
-            cells = [_cell(column, policy, summaries) for column in columns]
-            count = len(self.runs(policy))
-            table.add_row(policy, *cells, f"{summaries[policy]['derailed']:.0f} of {count}")
-        return table
+        title = f"all {len(self.conditions)} conditions: means over the runs"
+        print_table(console, title, _POLICY_COLUMNS, policies, wide=wide)
+        self._name_derailments(console)
 
     def _name_derailments(self, console: Console) -> None:
         for policy in self.policies:
             for condition in self.conditions:
                 if lost := self._derailed(policy, condition):
                     console.print(
-                        f"[bold red]derailed[/]: {policy} at {condition.speed_kmh:g} km/h, wear "
+                        f"{DERAILED}: {policy} at {condition.speed_kmh:g} km/h, wear "
                         f"{condition.wear:g}, friction {condition.friction:g}: {lost} of "
                         f"{len(self.runs(policy, condition))} runs; they count with infinite ratios and with "
-                        "the environment's charge in J"
+                        "the environment's charge in J",
+                        markup=False,
+                        style="red",
                     )
 
     def _derailed(self, policy: str, condition: Condition | None = None) -> int:
@@ -201,47 +202,38 @@ class EvaluateResult:
         return means | {"largest_ratio": largest, "derailed": float(self._derailed(policy))}
 
     def _draw(self, figure: Figure, wear: float, friction: float) -> None:
-        panels = (
-            ("J", 1.0, "J, on-line filter"),
-            ("acceleration_ratio", 1.0, "acceleration, RMS over limit"),
-            ("J_acceleration", 1.0, "acceleration's part of J, unweighted"),
-            ("track_shift_ratio", 1.0, "track shift force, RMS over limit"),
-            ("J_force", 1.0, "force's part of J, unweighted"),
-            ("force_rms_n", 1e-3, "yaw damper force, RMS (kN)"),
-            ("J_offline", 1.0, "J, off-line filter"),
-            ("comfort", 1.0, "comfort index N_MV"),
-        )
-        figure.set_size_inches(10.0, 12.0)
         figure.suptitle(
             f"{self.scenario.vehicle.name}, wear {wear:g}, friction {friction:g}: medians and seeds"
         )
-        axes = figure.subplots(4, 2, sharex=True).ravel()
-        for axis, (name, scale, label) in zip(axes, panels, strict=True):
+        axes = panels(figure, len(_PANELS), 2, (5.0, 2.9), sharex=True)
+        for axis, (column, title) in zip(axes, _PANELS, strict=True):
             for policy in self.policies:
-                self._draw_policy(axis, policy, (wear, friction), name, scale)
-            if name in RATIOS:
-                axis.axhline(1.0, color="k", linestyle="--", linewidth=1.0)
-            if name in COSTS:  # a hunting vehicle costs a hundred times as much
-                axis.set_yscale("log")
+                self._draw_policy(axis, policy, (wear, friction), column)
+            axis.set_ylabel(title)
+            if column.name in COSTS:  # a hunting vehicle costs a hundred times as much
+                log_axis(axis)
             else:
                 axis.set_ylim(bottom=0.0)
-            axis.set_ylabel(label)
-            axis.grid(alpha=0.3)
+            if column.name in RATIOS:
+                limit_line(axis, 1.0)
         for axis in axes[-2:]:
             axis.set_xlabel("speed (km/h)")
-        axes[0].legend(fontsize="small")
+        legend_below(figure, axes[0])
 
-    def _draw_policy(
-        self, axis: Axes, policy: str, pair: tuple[float, float], name: str, scale: float
-    ) -> None:
+    def _draw_policy(self, axis: Axes, policy: str, pair: tuple[float, float], column: Column) -> None:
         """Draw medians over speed with the seeds behind them; infinite values leave gaps."""
-        chosen = [c for c in self.conditions if (c.wear, c.friction) == pair]
-        speeds = [c.speed_kmh for c in chosen]
-        values = np.array([scale * self.medians(policy, c)[name] for c in chosen])
-        (line,) = axis.plot(speeds, np.where(np.isfinite(values), values, np.nan), "o-", label=policy)
-        runs = [(c.speed_kmh, scale * getattr(row, name)) for c in chosen for row in self.runs(policy, c)]
-        finite = [(speed, value) for speed, value in runs if math.isfinite(value)]
-        axis.plot(*zip(*finite, strict=True), ".", color=line.get_color(), markersize=2) if finite else None
+        style, shown = policy_style(policy), [c for c in self.conditions if (c.wear, c.friction) == pair]
+        medians = [column.scale * self.medians(policy, c)[column.name] for c in shown]
+        speeds = [c.speed_kmh for c in shown]
+        axis.plot(speeds, _finite(medians), markersize=5, label=label(policy), **style.drawn)
+        runs = [(c.speed_kmh, column.of(row)) for c in shown for row in self.runs(policy, c)]
+        values = [math.nan if value is None else column.scale * value for _, value in runs]
+        axis.plot([speed for speed, _ in runs], _finite(values), ".", color=style.colour, markersize=2)
+
+
+def _finite(values: Sequence[float]) -> Array:
+    """The same with NaN, which is not drawn, in place of what is infinite."""
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def evaluate(
@@ -322,17 +314,3 @@ def _condition(row: Row) -> Condition:
 def _over(statistic: Callable[[Any], Any], rows: Sequence[Row]) -> dict[str, float]:
     values = {name: [getattr(row, name) for row in rows] for name in AVERAGED}
     return {name: math.nan if None in column else float(statistic(column)) for name, column in values.items()}
-
-
-def _cell(column: _Column, policy: str, found: dict[str, dict[str, float]]) -> str:
-    """Value of a policy; the best one in bold, one beyond its limit in red, an infinite one in words."""
-    value = found[policy][column.name]
-    if math.isnan(value):
-        return "-"
-    if math.isinf(value):
-        return "[bold red]derailed[/]"
-    text = f"{column.scale * value:.{column.digits}f}"
-    others = [each[column.name] for each in found.values() if not math.isnan(each[column.name])]
-    bold = column.best and len(found) > 1 and value == min(others)
-    style = " ".join(word for word, on in (("bold", bold), ("red", value > column.limit)) if on)
-    return f"[{style}]{text}[/]" if style else text

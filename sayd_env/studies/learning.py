@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
+from sayd_env.config.palette import policy_style
 from sayd_env.config.software import provenance
-from sayd_env.report.files import Plot, Table
+from sayd_env.report.columns import Column, Table, print_table
+from sayd_env.report.figures import Plot, label, panels
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.executors import THREADS, ExecutorChoice
 
@@ -59,20 +61,22 @@ class TrainResult:
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print how good the best policy is beside the references."""
         done = self.trained
-        lines = [("best policy", done.best), *((row["policy"], row["J"]) for row in done.references)]
-        console.print(f"{done.steps} steps in {done.seconds / 60:.1f} minutes; mean J of the scenarios:")
-        for name, cost in lines:
-            console.print(f"  {name:20s} {cost:.4f}", markup=False, highlight=False)
+        rows = [{"policy": "best policy", "J": done.best}, *done.references]
+        title = f"{done.steps} steps in {done.seconds / 60:.1f} minutes; mean J of the scenarios"
+        columns = (Column("policy", "policy"), Column("J", "J", digits=4, best=True))
+        print_table(console, title, columns, rows, wide=wide)
 
     def _draw(self, figure: Figure) -> None:
-        done, axes = self.trained, figure.subplots()
+        done = self.trained
+        (axes,) = panels(figure, 1, size=(8.0, 4.5))
         steps = [row["steps"] for row in done.evaluations]
-        axes.plot(steps, [row["J"] for row in done.evaluations], marker=".", label="policy")
-        for i, row in enumerate(done.references):
-            axes.axhline(row["J"], color=f"C{i + 1}", linestyle="--", label=row["policy"])
+        costs = [row["J"] for row in done.evaluations]
+        algorithm = done.config.learning.algorithm
+        axes.plot(steps, costs, label="policy", markersize=4, **policy_style(algorithm).drawn)
+        for row in done.references:
+            axes.axhline(row["J"], label=label(row["policy"]), **policy_style(row["policy"]).plain)
         axes.set(xlabel="steps", ylabel="mean J of the scenarios", ylim=(0.0, None))
-        axes.set_title(f"{done.config.learning.algorithm}, seed {done.config.seed}")
-        axes.grid(alpha=0.3)
+        axes.set_title(f"{algorithm}, seed {done.config.seed}")
         axes.legend()
 
 

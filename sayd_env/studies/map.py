@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from itertools import islice, pairwise, product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.throttle import overlap
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot, heat_maps
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PolicySpec, for_policy
@@ -24,7 +27,6 @@ from sayd_env.runs.rollouts import Run, conditions, policy_runs
 from sayd_env.stability import Crossing, critical_speed
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
@@ -121,6 +123,22 @@ class BestConstant:
     """J of an open valve."""
 
 
+BEST = (
+    Column("speed_kmh", "km/h", digits=0),
+    Column("wear", "wear"),
+    Column("friction", "friction"),
+    Column("current", "current"),
+    Column("J", "J", digits=4),
+    Column("current_offline", "off line"),
+    Column("J_offline", "J off-line", digits=4),
+    Column("J_closed", "J closed", digits=4),
+    Column("J_open", "J open", digits=4),
+)
+"""Of the table of best constant currents."""
+Shown: TypeAlias = tuple[float, str]
+"""A cell of a map: a number for its colour, and its text."""
+
+
 @dataclass(frozen=True)
 class MapResult:
     """Maps over wear and friction."""
@@ -163,70 +181,43 @@ class MapResult:
             "seeds": list(self.seeds),
         }
 
-    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+    def tables(self) -> dict[str, Table]:
         """Critical speeds and best currents, one line for each condition."""
         critical = [
-            [
-                *(cell.policy, cell.wear, cell.friction, cell.lowest[0], cell.lowest[1].name.lower()),
-                *(cell.by_criterion[name][0] for name in CRITERIA),
-            ]
+            {name: getattr(cell, name) for name in ("policy", "wear", "friction")}
+            | {"critical_speed_kmh": cell.lowest[0], "status": cell.lowest[1].name.lower()}
+            | {f"by_{name}_kmh": cell.by_criterion[name][0] for name in CRITERIA}
             for cell in self.cells
         ]
-        header = ("policy", "wear", "friction", "critical_speed_kmh", "status")
-        tables: dict[str, tuple[Sequence[str], list[list[Any]]]] = {
-            "critical_speed": ((*header, *(f"by_{name}_kmh" for name in CRITERIA)), critical)
-        }
-        if self.best:
-            rows = [list(asdict(entry).values()) for entry in self.best]
-            tables["best_constant"] = (list(asdict(self.best[0])), rows)
-        return tables
+        names = ("policy", "wear", "friction", "critical_speed_kmh", "status")
+        columns = [Column(name) for name in (*names, *(f"by_{name}_kmh" for name in CRITERIA))]
+        tables = {"critical_speed": csv_table(columns, critical)}
+        return tables | ({"best_constant": csv_table(BEST, self.best)} if self.best else {})
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """Heat maps of the critical speed by policy, and of the best constant current by speed."""
-        plots: dict[str, Callable[[Figure], None]] = {"map_critical_speed": self._draw_critical}
+        plots: dict[str, Plot] = {"map_critical_speed": self._draw_critical}
         if self.best:
             plots["map_best_constant"] = self._draw_best
         return plots
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the critical speeds of all policies, then the best currents."""
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
-
         count = len(self.seeds)
         seeds = f"{count} seed{'s' if count > 1 else ''}"
-        table = Table(title=f"critical speed (km/h), either limit: medians of {seeds}")
-        for name in ("wear", "friction", *self.policies):
-            table.add_column(name, justify="right")
-        for wear, mu in product(self.grid.wear, self.grid.friction):
-            cells = [self.cell(policy, wear, mu) for policy in self.policies]
-            table.add_row(f"{wear:g}", f"{mu:g}", *(self._verdict(*cell.lowest) for cell in cells))
-        console.print(table)
+        places = [("wear", "wear"), ("friction", "friction"), *((name, name) for name in self.policies)]
+        rows = [
+            {"wear": wear, "friction": mu}
+            | {name: self._verdict(*self.cell(name, wear, mu).lowest) for name in self.policies}
+            for wear, mu in product(self.grid.wear, self.grid.friction)
+        ]
+        title = f"critical speed (km/h), either limit: medians of {seeds}"
+        print_table(console, title, [Column(*place) for place in places], rows, wide=wide)
         if self.best:
-            console.print(self._best_table())
+            title = "best constant current, by J on line and off line"
+            print_table(console, title, BEST, self.best, wide=wide)
         if count < LEAST_SEEDS:
             console.print(f"medians of fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
-
-    def _best_table(self) -> Any:
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
-
-        table = Table(title="best constant current, by J on line and off line")
-        for name in (
-            "km/h",
-            "wear",
-            "friction",
-            "current",
-            "J",
-            "J closed",
-            "J open",
-            "off line",
-            "J off-line",
-        ):
-            table.add_column(name, justify="right")
-        for e in self.best:
-            costs = (f"{e.J:.4f}", f"{e.J_closed:.4f}", f"{e.J_open:.4f}")
-            where = (f"{e.speed_kmh:.0f}", f"{e.wear:g}", f"{e.friction:g}")
-            table.add_row(*where, f"{e.current:g}", *costs, f"{e.current_offline:g}", f"{e.J_offline:.4f}")
-        return table
 
     def _verdict(self, kmh: float | None, crossing: Crossing) -> str:
         if crossing is Crossing.NOT_REACHED:
@@ -236,59 +227,39 @@ class MapResult:
     def _draw_critical(self, figure: Figure) -> None:
         ends = self.grid.speeds[0] * KMH, self.grid.speeds[-1] * KMH
 
-        def value(policy: str, wear: float, mu: float) -> tuple[float, str]:
+        def cell(policy: str, wear: float, mu: float) -> tuple[float, str]:
             kmh, crossing = self.cell(policy, wear, mu).lowest
             shown = ends[crossing is Crossing.NOT_REACHED] if kmh is None else kmh
             return shown, self._verdict(kmh, crossing)
 
-        panels = {policy: lambda w, mu, p=policy: value(p, w, mu) for policy in self.policies}
-        self._draw(figure, panels, "critical speed (km/h)", "RdYlGn", ends)
+        maps = {policy: self._over_grid(partial(cell, policy)) for policy in self.policies}
+        self._draw(figure, maps, "critical speed (km/h)", ends)
 
     def _draw_best(self, figure: Figure) -> None:
         found = {(e.speed_kmh, e.wear, e.friction): e for e in self.best}
-        speeds = sorted({e.speed_kmh for e in self.best})
 
-        def value(speed: float, wear: float, mu: float) -> tuple[float, str]:
+        def cell(speed: float, wear: float, mu: float) -> tuple[float, str]:
             entry = found[speed, wear, mu]
             return entry.current, f"{entry.current:.2g}\nJ {entry.J:.3f}"
 
-        panels = {f"{v:.0f} km/h": lambda w, mu, v=v: value(v, w, mu) for v in speeds}
-        self._draw(figure, panels, "best constant current", "viridis", (0.0, 1.0))
+        speeds = sorted({e.speed_kmh for e in self.best})
+        maps = {f"{speed:.0f} km/h": self._over_grid(partial(cell, speed)) for speed in speeds}
+        self._draw(figure, maps, "best constant current", (0.0, 1.0))
+
+    def _over_grid(self, cell: Callable[[float, float], Shown]) -> list[list[Shown]]:
+        return [[cell(wear, mu) for mu in self.grid.friction] for wear in self.grid.wear]
 
     def _draw(
-        self,
-        figure: Figure,
-        panels: Mapping[str, Callable[..., tuple[float, str]]],
-        label: str,
-        colours: str,
-        span: tuple[float, float],
+        self, figure: Figure, maps: Mapping[str, list[list[Shown]]], values: str, span: tuple[float, float]
     ) -> None:
-        """Heat maps of wear over friction side by side, every cell with its value."""
-        columns = min(len(panels), 3)
-        rows = math.ceil(len(panels) / columns)
-        figure.set_size_inches(1.5 + 4.0 * columns, 0.8 + 3.6 * rows)
-        axes = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axis in axes[len(panels) :]:
-            axis.set_axis_off()
-        image = None
-        for axis, (title, value) in zip(axes, panels.items(), strict=False):
-            cells = [[value(wear, mu) for mu in self.grid.friction] for wear in self.grid.wear]
-            numbers = [[number for number, _ in line] for line in cells]
-            image = axis.imshow(
-                numbers, origin="lower", aspect="auto", cmap=colours, vmin=span[0], vmax=span[1]
-            )
-            self._label(axis, title, [[text for _, text in line] for line in cells])
-        if image is not None:
-            figure.colorbar(image, ax=list(axes[: len(panels)]), label=label)
-
-    def _label(self, axis: Axes, title: str, texts: list[list[str]]) -> None:
-        for i, line in enumerate(texts):
-            for j, text in enumerate(line):
-                box = {"facecolor": "white", "alpha": 0.6, "edgecolor": "none", "pad": 1.0}
-                axis.text(j, i, text, ha="center", va="center", fontsize=8, bbox=box)
-        axis.set_xticks(range(len(self.grid.friction)), [f"{mu:g}" for mu in self.grid.friction])
-        axis.set_yticks(range(len(self.grid.wear)), [f"{w:g}" for w in self.grid.wear])
-        axis.set(title=title, xlabel="friction", ylabel="wear")
+        heat_maps(
+            figure,
+            maps,
+            x=("friction", [f"{mu:g}" for mu in self.grid.friction]),
+            y=("wear", [f"{wear:g}" for wear in self.grid.wear]),
+            values=values,
+            span=span,
+        )
 
 
 def stability_map(

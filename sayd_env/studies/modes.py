@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config.palette import cycled
+from sayd_env.config.units import KMH
 from sayd_env.physics.linear import HUNTING_BAND, RootLocus, linear_critical_speed, root_locus
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot, label, legend_below, limit_line, panels, reference_line
 from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
@@ -19,20 +23,18 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from sayd_env.config.scenario import Scenario
-    from sayd_env.report.files import Plot, Table
-
-Array = npt.NDArray[np.float64]
 
 AMPLITUDE = 3e-3
 """Amplitude of the wheelsets' lateral motion at which EN 15302 quotes conicities (m)."""
-LOWEST, HIGHEST = 100.0 / 3.6, 500.0 / 3.6
+LOWEST, HIGHEST = 100.0 / KMH, 500.0 / KMH
 """Speeds between which the linear critical speed is looked for (m/s)."""
-SPEEDS = tuple(np.arange(100.0, 501.0, 20.0) / 3.6)
+SPEEDS = tuple(np.arange(100.0, 501.0, 20.0) / KMH)
 """Speeds of the root locus (m/s)."""
 
-_SPACING = 10.0 / 3.6  # m/s; modes of speeds this near to each other are told apart by their shapes
+_SPACING = 10.0 / KMH  # m/s; modes of speeds this near to each other are told apart by their shapes
 _SHOWN_MODES = 8
-_SHOWN_SPEEDS = 5
+_SHOWN_SPEEDS = 3
+_WIDE_SPEEDS = 6
 _SHOWN_FREQUENCY = 20.0  # Hz; above it stand the modes of wheelsets and track, which do not decide stability
 
 
@@ -55,36 +57,37 @@ class ModesResult:
         """Return the keys of ``--json``."""
         return {
             "amplitude_mm": self.amplitude * 1e3,
-            "linear_critical_speed_kmh": None if self.critical_speed is None else self.critical_speed * 3.6,
-            "critical_speed_range_kmh": [speed * 3.6 for speed in self.critical_range],
-            "modes": [dict(zip(("speed_kmh", *_KEYS), row, strict=True)) for row in self._rows()],
+            "linear_critical_speed_kmh": None if self.critical_speed is None else self.critical_speed * KMH,
+            "critical_speed_range_kmh": [speed * KMH for speed in self.critical_range],
+            "modes": self._rows(),
         }
 
     def tables(self) -> dict[str, Table]:
         """Return all modes at the speeds asked for."""
-        return {"modes": (("speed_kmh", *_KEYS), self._rows())}
+        return {"modes": csv_table([Column(key) for key in _KEYS], self._rows())}
 
     def plots(self) -> dict[str, Plot]:
         """Return root locus and damping over speed."""
         return {"root_locus": self._draw}
 
-    def summary(self, console: Console) -> None:
-        """Print the least damped modes and the linear critical speed."""
-        from rich.table import Table as RichTable  # noqa: PLC0415 - only who prints pays for it
-
-        few = np.unique(np.linspace(0, len(self.asked) - 1, _SHOWN_SPEEDS).round().astype(int))
-        speeds = self.asked[few]
-        grid = RichTable(
-            title=f"least damped modes below {_SHOWN_FREQUENCY:g} Hz: frequency (Hz), damping ratio"
+    def summary(self, console: Console, wide: bool = False) -> None:
+        """Print the least damped modes and the linear critical speed; with `wide` at more speeds."""
+        count = _WIDE_SPEEDS if wide else _SHOWN_SPEEDS
+        few = np.unique(np.linspace(0, len(self.asked) - 1, count).round().astype(int))
+        speeds = {f"{self.locus.speeds[s] * KMH:.0f}": s for s in self.asked[few]}
+        rows = [
+            {"name": self.locus.names[b]} | {kmh: self._words(s, b) for kmh, s in speeds.items()}
+            for b in self._least_damped()[:_SHOWN_MODES]
+        ]
+        print_table(
+            console,
+            f"least damped modes below {_SHOWN_FREQUENCY:g} Hz: frequency (Hz), damping ratio",
+            [Column("name", "mode"), *(Column(kmh, f"{kmh} km/h", bad=_is_unstable) for kmh in speeds)],
+            rows,
+            wide=wide,
         )
-        grid.add_column("mode")
-        for s in speeds:
-            grid.add_column(f"{self.locus.speeds[s] * 3.6:.0f} km/h", justify="right")
-        for b in self._least_damped()[:_SHOWN_MODES]:
-            grid.add_row(self.locus.names[b], *(self._cell(s, b) for s in speeds))
-        console.print(grid)
-        low, high = (speed * 3.6 for speed in self.critical_range)
-        found = "none" if self.critical_speed is None else f"{self.critical_speed * 3.6:.1f} km/h"
+        low, high = (speed * KMH for speed in self.critical_range)
+        found = "none" if self.critical_speed is None else f"{self.critical_speed * KMH:.1f} km/h"
         if self.critical_speed == self.critical_range[0]:
             found = f"below {low:.0f} km/h"
         console.print(
@@ -92,23 +95,22 @@ class ModesResult:
             f"({low:.0f} to {high:.0f} km/h searched)"
         )
 
-    def _rows(self) -> list[tuple[float, float, float, str]]:
+    def _rows(self) -> list[dict[str, Any]]:
         """Speed (km/h), frequency, damping ratio and name of every mode, in the order of the frequencies."""
         rows = []
         for s in self.asked:
             frequency, damping = self.locus.frequency_hz[s], self.locus.damping_ratio[s]
             for b in np.argsort(frequency)[: np.count_nonzero(np.isfinite(frequency))]:
-                speed = float(self.locus.speeds[s] * 3.6)
-                rows.append((speed, float(frequency[b]), float(damping[b]), self.locus.names[b]))
+                speed = float(self.locus.speeds[s] * KMH)
+                values = (speed, float(frequency[b]), float(damping[b]), self.locus.names[b])
+                rows.append(dict(zip(_KEYS, values, strict=True)))
         return rows
 
-    def _cell(self, speed: int, branch: int) -> str:
+    def _words(self, speed: int, branch: int) -> str | None:
         frequency = self.locus.frequency_hz[speed, branch]
         if not np.isfinite(frequency):
-            return "-"
-        damping = self.locus.damping_ratio[speed, branch]
-        style = "[bold red]{}[/]" if damping < 0.0 else "{}"
-        return style.format(f"{frequency:.2f}  {damping:+.3f}")
+            return None
+        return f"{frequency:.2f}  {self.locus.damping_ratio[speed, branch]:+.3f}"
 
     def _least_damped(self) -> list[int]:
         """Branches below the highest shown frequency, the least damped first."""
@@ -118,9 +120,8 @@ class ModesResult:
         return [int(b) for b in np.argsort(least, kind="stable") if np.isfinite(least[b])]
 
     def _draw(self, figure: Figure) -> None:
-        figure.set_size_inches(11.0, 5.0)
-        left, right = figure.subplots(1, 2)
-        speeds = self.locus.speeds * 3.6
+        left, right = panels(figure, 2, 2, (5.5, 4.6))
+        speeds = self.locus.speeds * KMH
         values, frequency = self.locus.eigenvalues, self.locus.frequency_hz
         shown = self._least_damped()
         for b in shown:
@@ -128,7 +129,7 @@ class ModesResult:
             dots = left.scatter(
                 values[:, b].real, frequency[:, b], c=speeds, s=8, vmin=speeds[0], vmax=speeds[-1], zorder=2
             )
-        left.axvline(0.0, color="black", linewidth=0.8)
+        reference_line(left, 0.0, vertical=True)
         left.set(
             xlabel="real part (1/s)",
             ylabel="frequency (Hz)",
@@ -137,17 +138,21 @@ class ModesResult:
             ylim=(0.0, _SHOWN_FREQUENCY),
         )
         figure.colorbar(dots, ax=left, label="speed (km/h)")
-        for b in shown[:_SHOWN_MODES]:
-            right.plot(speeds, self.locus.damping_ratio[:, b], label=self.locus.names[b])
-        right.axhline(0.0, color="black", linewidth=0.8)
+        for i, b in enumerate(shown[:_SHOWN_MODES]):
+            named = label(self.locus.names[b])
+            right.plot(speeds, self.locus.damping_ratio[:, b], label=named, **cycled(i).plain)
+        reference_line(right, 0.0)
         if self.critical_speed is not None:
-            right.axvline(self.critical_speed * 3.6, color="tab:red", linestyle="--", linewidth=0.8)
+            limit_line(right, self.critical_speed * KMH, "linear critical speed", vertical=True)
         right.set(xlabel="speed (km/h)", ylabel="damping ratio (-)", title="least damped modes")
-        right.grid(visible=True)
-        figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7)
+        legend_below(figure, right)
 
 
-_KEYS = ("frequency_hz", "damping_ratio", "name")
+def _is_unstable(words: str | None) -> bool:
+    return words is not None and "-" in words
+
+
+_KEYS = ("speed_kmh", "frequency_hz", "damping_ratio", "name")
 
 
 def modes(

@@ -8,8 +8,9 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from sayd_env import baselines
-from sayd_env.agents.pretrained.cards import COLUMNS, Origin, origins
-from sayd_env.report.files import Plot, Table
+from sayd_env.agents.pretrained.cards import Origin, origins
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot
 from sayd_env.runs.policies import PASSIVE
 
 if TYPE_CHECKING:
@@ -38,37 +39,39 @@ class PolicyList:
 
     def tables(self) -> Mapping[str, Table]:
         """Return what is known of the learned ones."""
-        header = tuple(Origin.__dataclass_fields__)
-        return {"ready": (header, [tuple(asdict(each).values()) for each in self.ready])}
+        return {"ready": csv_table([Column(name) for name in Origin.__dataclass_fields__], self.ready)}
 
     def plots(self) -> Mapping[str, Plot]:
         """Return none."""
         return {}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print all, one line each."""
-        from rich.table import Table as RichTable  # noqa: PLC0415 - only who prints pays for it
-
-        grid = RichTable(title="controllers", title_justify="left")
-        for name in ("name", "what it is"):
-            grid.add_column(name)
-        for name, what in self.controllers.items():
-            grid.add_row(name, what)
-        console.print(grid)
+        controllers = [{"name": name, "what": what} for name, what in self.controllers.items()]
+        columns = (Column("name", "name"), Column("what", "what it is"))
+        print_table(console, "controllers", columns, controllers)
         if not self.ready:
             console.print("No ready learned policies come with this installation.")
             return
-        grid = RichTable(title="ready learned policies", title_justify="left")
-        for name in COLUMNS:
-            grid.add_column(name, justify="right" if name in {"seed", "steps", "training", "J"} else "left")
-        for each in self.ready:
-            *cells, digest = each.cells()
-            grid.add_row(*cells, digest[:12])
-        console.print(grid)
+        print_table(console, "ready learned policies", READY, self.ready, wide=wide)
         console.print(
             "J: mean over the scenarios that judged it while it learned. An algorithm's name alone, such as "
             f"{self.ready[0].algorithm}, is its first training."
         )
+
+
+READY = (
+    Column("name", "name"),
+    Column("algorithm", "algorithm", wide=True),
+    Column("seed", "seed", wide=True),
+    Column("short_commit", "commit"),
+    Column("environment", "environment"),
+    Column("steps", "steps"),
+    Column("seconds", "training", "min", 1.0 / 60.0, 0),
+    Column("J", "J", digits=4),
+    Column("sha256", "SHA-256", wide=True),
+)
+"""What is printed of a learned policy."""
 
 
 def policies() -> PolicyList:

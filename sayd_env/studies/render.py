@@ -15,6 +15,7 @@ from gymnasium.error import DependencyNotInstalled
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH
 from sayd_env.envs.cost import squares, weighted
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
@@ -22,7 +23,8 @@ from sayd_env.envs.loop import RUNNING
 from sayd_env.envs.recorder import Recorder
 from sayd_env.envs.rollout import first_state, listens
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Plot, Table
+from sayd_env.report.columns import Table
+from sayd_env.report.figures import Plot
 from sayd_env.report.video import Picture, checked_film, write_film
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.policies import PolicySpec, for_policy
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
 
     from sayd_env.envs.rendering import Renderer
 
-KMH = 3.6
 HOLD = 1.0
 """How long the last picture of a run that ended early stays, s."""
 COLUMNS = (
@@ -117,7 +118,7 @@ class RenderResult:
         """None: the film is the plot."""
         return {}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print what has been drawn."""
         console.print(
             f"{self.film.policy.title} at {self.speed * KMH:g} km/h, wear {self.wear:g}, friction "

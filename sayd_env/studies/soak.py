@@ -9,24 +9,26 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, astuple, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError
+from sayd_env.config.palette import BLUE, VERMILION
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs.loop import NOT_FINITE, RUNNING
 from sayd_env.envs.vector import SaydVectorEnv
-from sayd_env.report.files import Table
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot, legend_below, limit_line, log_axis, panels
 from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Commands = npt.NDArray[np.float32]
 
@@ -51,7 +53,6 @@ SHOWN = 5
 """Seconds that the summary prints."""
 KEPT = 50
 """Seconds that the table of the worst holds."""
-KMH = 3.6
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,24 @@ class Second:
     """Kinds of the episode's faults that had happened."""
     commands: str
     """The last kind of command in this second."""
+
+
+WORST = (
+    Column("J", "J", digits=4),
+    Column("cut", "cut"),
+    Column("second", "second", wide=True),
+    Column("seed", "seed"),
+    Column("episode", "episode", wide=True),
+    Column("speed_kmh", "km/h", digits=0),
+    Column("wear", "wear", digits=2),
+    Column("friction", "friction", digits=2),
+    Column("track", "track"),
+    Column("faults", "faults"),
+    Column("commands", "commands"),
+)
+"""Of the table of the worst seconds."""
+_COUNTS = (Column("what", "what"), Column("count", "count"))
+_DEFECT_COUNTS = (Column("what", "what"), Column("count", "count", limit=0))
 
 
 @dataclass(frozen=True)
@@ -139,35 +158,26 @@ class SoakResult:
         """Worst seconds with their conditions, and how often J lies within which bounds."""
         counts, edges = self._histogram()
         bins = list(zip(edges[:-1], edges[1:], counts, strict=True))
-        worst = [astuple(second) for second in self.worst]
         return {
-            "worst_seconds": ([f.name for f in fields(Second)], worst),
+            "worst_seconds": csv_table(WORST, self.worst),
             "histogram": (("J_from", "J_to", "seconds"), bins),
         }
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """How often which J of a second comes, unless no second is whole."""
         return {"soak": self._draw} if np.any(self.costs > 0.0) else {}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print what was run and found, the worst seconds and the recommended charge."""
-        from rich.table import Table as Printed  # noqa: PLC0415 - only who prints pays for it
-
+        counts = {"episodes": self.episodes, "ran to their end": self.truncated}
+        counts |= {f"terminated: {reason}": count for reason, count in self.endings.items()}
         about = (
             f"{self.steps:,} control steps of {self.environments} vehicles, environment {self.environment}"
         )
-        found = Printed(title=about)
-        found.add_column("")
-        found.add_column("count", justify="right")
-        rows: list[tuple[str, int]] = [("episodes", self.episodes), ("ran to their end", self.truncated)]
-        rows += [(f"terminated: {reason}", count) for reason, count in self.endings.items()]
-        for name, count in rows:
-            found.add_row(name, f"{count:,}")
-        found.add_section()
-        for name, count in self.defects.items():
-            found.add_row(DEFECTS[name], f"[bold red]{count:,}[/]" if count else "0")
-        console.print(found)
-        self._print_worst(console)
+        print_table(console, about, _COUNTS, [{"what": k, "count": n} for k, n in counts.items()])
+        found = [{"what": DEFECTS[name], "count": count} for name, count in self.defects.items()]
+        print_table(console, "what must not be", _DEFECT_COUNTS, found)
+        print_table(console, "seconds of the largest J", WORST, self.worst[:SHOWN], wide=wide)
         quantiles = ", ".join(
             f"{100 * q:g} %: {v:.3g}" for q, v in zip(_QUANTILES, self._quantiles(), strict=True)
         )
@@ -177,31 +187,6 @@ class SoakResult:
             f"(configured: {self.termination_cost:g})"
         )
         console.print(f"{self.wall_s:.0f} s, {self.steps / self.wall_s:,.0f} steps/s with resets")
-
-    def _print_worst(self, console: Console) -> None:
-        from rich.table import Table as Printed  # noqa: PLC0415 - only who prints pays for it
-
-        table = Printed(title="seconds of the largest J")
-        for name in (
-            "J",
-            "second",
-            "seed",
-            "episode",
-            "km/h",
-            "wear",
-            "friction",
-            "track",
-            "commands",
-            "faults",
-        ):
-            table.add_column(name, justify="right" if name not in ("track", "commands", "faults") else "left")
-        for s in self.worst[:SHOWN]:
-            when = f"{s.second}{' (cut)' if s.cut else ''}"
-            numbers = (f"{s.speed_kmh:.0f}", f"{s.wear:g}", f"{s.friction:.2f}")
-            table.add_row(
-                f"{s.J:.4g}", when, str(s.seed), str(s.episode), *numbers, s.track, s.commands, s.faults
-            )
-        console.print(table)
 
     def _quantiles(self) -> list[float]:
         if not len(self.costs):
@@ -221,16 +206,15 @@ class SoakResult:
 
     def _draw(self, figure: Figure) -> None:
         counts, edges = self._histogram()
-        axis = figure.subplots()
-        axis.stairs(counts, edges, fill=True, color="C0", alpha=0.7, label="whole seconds")
-        axis.axvline(self.largest, color="C3", label=f"largest: {self.largest:.3g}")
-        axis.axvline(
-            self.recommended, color="k", linestyle="--", label=f"recommended charge: {self.recommended:.3g}"
-        )
-        axis.set(xscale="log", yscale="log", xlabel="J of a second", ylabel="seconds")
-        axis.set_title(f"{self.environment}: {self.steps:,} steps of random and extreme commands")
-        axis.grid(alpha=0.3)
-        figure.legend(loc="outside lower center", ncols=3)
+        (axes,) = panels(figure, 1, size=(8.0, 4.5))
+        axes.stairs(counts, edges, fill=True, color=BLUE, alpha=0.7, label="whole seconds")
+        axes.axvline(self.largest, color=VERMILION, label=f"largest: {self.largest:.3g}")
+        limit_line(axes, self.recommended, f"recommended charge: {self.recommended:.3g}", vertical=True)
+        axes.set(xlabel="J of a second", ylabel="seconds")
+        axes.set_title(f"{self.environment}: {self.steps:,} steps of random and extreme commands")
+        log_axis(axes, "x")
+        log_axis(axes, "y")
+        legend_below(figure, axes)
 
 
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)

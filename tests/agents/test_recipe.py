@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
 from sayd_env.agents.policy_file import read_policy
-
 from sayd_env.cli import main
 
 FEW = {

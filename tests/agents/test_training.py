@@ -21,6 +21,10 @@ import yaml
 SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
+from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
+from stable_baselines3.common.monitor import Monitor  # noqa: E402
+from stable_baselines3.common.vec_env import DummyVecEnv  # noqa: E402
+
 from sayd_env.agents.config import TrainConfig, load_train  # noqa: E402
 from sayd_env.agents.learner import load_model, make_model  # noqa: E402
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env  # noqa: E402
@@ -28,10 +32,6 @@ from sayd_env.agents.policy_file import load_policy, read_policy  # noqa: E402
 from sayd_env.agents.table import Table  # noqa: E402
 from sayd_env.agents.training import Trained  # noqa: E402
 from sayd_env.agents.training import train as learn  # noqa: E402
-from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
-from stable_baselines3.common.monitor import Monitor  # noqa: E402
-from stable_baselines3.common.vec_env import DummyVecEnv  # noqa: E402
-
 from sayd_env.cli import main  # noqa: E402
 from sayd_env.config import ConfigError, DataError  # noqa: E402
 from sayd_env.config.errors import Interrupted, StudyError  # noqa: E402
@@ -310,7 +310,8 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
     # Whatever it was about to write when it was killed: what counts is whole.
-    half = folder / "checkpoints" / f".000000000999.{re.sub(r'\W', '_', platform.node())}.{2**22 + 1}.tmp"
+    machine = re.sub(r"\W", "_", platform.node())
+    half = folder / "checkpoints" / f".000000000999.{machine}.{2**22 + 1}.tmp"
     half.mkdir()
     (half / "state.pt").write_bytes(b"half")
     newest = max(path for path in (folder / "checkpoints").iterdir() if path.name.startswith("0"))

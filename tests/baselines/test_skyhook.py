@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from sayd_env.baselines.inverse_damper import InverseDamper
 
 from sayd_env import baselines
+from sayd_env.baselines.inverse_damper import InverseDamper
 from sayd_env.config.damper import load_sayd
 from sayd_env.envs.interface import BOGIES, DAMPERS
 from sayd_env.physics.sayd import steady_force

@@ -149,6 +149,7 @@ def training(algorithm: str, strides: int) -> dict[str, float]:
     learning from the first. Resets count as often as over whole episodes.
     """
     import torch  # noqa: PLC0415
+
     from sayd_env.agents.config import load_train  # noqa: PLC0415
     from sayd_env.agents.learner import make_model  # noqa: PLC0415
     from sayd_env.agents.learning_env import make_learning_env  # noqa: PLC0415

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
 from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
-
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import load_scenario

@@ -10,14 +10,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
 
+from sayd_env.config.palette import SKY
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH
 from sayd_env.physics.parts import PARTS, SAYD_PARTS
 from sayd_env.physics.simulator import Simulator, VehicleModel
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot, log_axis, name_rows, panels
 from sayd_env.runs.context import Progress, silent
 from sayd_env.studies.bench.environment import (
     ID,
@@ -47,9 +52,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-    from sayd_env.report.files import Plot, Table
-
-KMH = 3.6
 VEHICLES_PER_THREAD = 4
 """Vehicles in the simulator's batch, for each thread."""
 FACTORS = {
@@ -147,27 +149,25 @@ class BenchResult:
 
     def tables(self) -> dict[str, Table]:
         """All measured quantities."""
-        header = ("quantity", "unit", "median", "minimum", "maximum", "count")
-        rows = [row for group in self._groups() for row in group]
-        return {"bench": (header, [(name, unit, *asdict(s).values()) for name, unit, s in rows])}
+        return {"bench": csv_table(COLUMNS, self._rows())}
+
+    def _rows(self) -> list[dict[str, Any]]:
+        """Values by `COLUMNS`."""
+        return [
+            {"group": number, "quantity": name, "unit": unit, **asdict(spread)}
+            for number, group in enumerate(self._groups())
+            for name, unit, spread in group
+        ]
 
     def plots(self) -> dict[str, Plot]:
         """Bars of the factors over real time, of the parts of a step and of the environments' rates."""
         return {"bench": self._draw}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print all measured quantities."""
-        from rich.table import Table as RichTable  # noqa: PLC0415 - only who prints pays for it
-
         machine = self.machine
-        grid = RichTable(title=f"{machine['processor']}, {machine['cores']} cores, {machine['date']}")
-        for name in ("quantity", "unit", "median", "min", "max"):
-            grid.add_column(name, justify="left" if name in {"quantity", "unit"} else "right")
-        for group in self._groups():
-            for name, unit, s in group:
-                grid.add_row(name, unit, _figure(s.median), _figure(s.minimum), _figure(s.maximum))
-            grid.add_section()
-        console.print(grid)
+        title = f"{machine['processor']}, {machine['cores']} cores, {machine['date']}"
+        print_table(console, title, COLUMNS, self._rows(), wide=wide, section="group")
         for note in self._notes():
             console.print(note)
 
@@ -218,19 +218,31 @@ class BenchResult:
         ]
 
     def _draw(self, figure: Figure) -> None:
-        figure.set_size_inches(10.0, 10.0)
-        factors, parts, control, training = figure.subplots(4, 1)
-        _bars(factors, {FACTORS[name]: s for name, s in self.realtime.items()}, "simulated over wall time")
-        costs = {_step_label(name): s for name, s in self.step_us.items()}
-        _bars(parts, costs, f"processor time of a step of {self.step * 1e3:g} ms (us)")
-        _bars(control, {RATES[name]: s for name, s in self.control.rates.items()}, "control steps per second")
-        if self.training is None:
-            training.set_axis_off()
-        else:
-            rates = {self.training.label(name): s for name, s in self.training.rates.items()}
-            _bars(training, rates, "control steps per second in training")
-        factors.set_xscale("log")
+        training = self.training
+        rates = {} if training is None else {training.label(name): s for name, s in training.rates.items()}
+        shown = {
+            "simulated over wall time": {FACTORS[name]: s for name, s in self.realtime.items()},
+            f"processor time of a step of {self.step * 1e3:g} ms (us)": {
+                _step_label(name): s for name, s in self.step_us.items()
+            },
+            "control steps per second": {RATES[name]: s for name, s in self.control.rates.items()},
+            "control steps per second in training": rates,
+        }
+        axes = panels(figure, sum(bool(spreads) for spreads in shown.values()), size=(10.0, 2.6))
+        for panel, (title, spreads) in zip(axes, filter(itemgetter(1), shown.items()), strict=True):
+            _bars(panel, spreads, title)
+        log_axis(axes[0], "x")
         figure.suptitle(f"{self.machine['processor']}, {self.machine['cores']} cores", fontsize="small")
+
+
+COLUMNS = (
+    Column("quantity", "quantity"),
+    Column("unit", "unit"),
+    Column("median", "median"),
+    Column("minimum", "min"),
+    Column("maximum", "max"),
+    Column("count", "count", wide=True),
+)
 
 
 def _each(spreads: dict[str, Spread]) -> dict[str, Any]:
@@ -241,19 +253,15 @@ def _step_label(part: str) -> str:
     return {"total": "step: total, passive", "total_sayd": "step: total, 8 SAYDs"}.get(part, f"step: {part}")
 
 
-def _figure(x: float) -> str:
-    return f"{x:.3g}" if x < 100.0 else f"{x:.0f}"
-
-
-def _bars(axes: Axes, spreads: dict[str, Spread], label: str) -> None:
-    names, medians = list(spreads), np.array([s.median for s in spreads.values()])
+def _bars(axes: Axes, spreads: dict[str, Spread], title: str) -> None:
+    medians = np.array([s.median for s in spreads.values()])
     low = medians - [s.minimum for s in spreads.values()]
     high = np.array([s.maximum for s in spreads.values()]) - medians
-    bars = axes.barh(names, medians, xerr=(low, high), capsize=3)
-    axes.bar_label(bars, fmt=_figure, padding=8)
-    axes.invert_yaxis()
+    bars = axes.barh(range(len(medians)), medians, xerr=(low, high), capsize=3, color=SKY)
+    axes.bar_label(bars, fmt=COLUMNS[2].words, padding=8)
+    name_rows(axes, spreads)
     axes.margins(x=0.2)
-    axes.set_xlabel(label)
+    axes.set_xlabel(title)
 
 
 def bench(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,8 @@ from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.files import Table
+from sayd_env.report.columns import Table
+from sayd_env.report.figures import Plot
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison import page
@@ -38,7 +39,6 @@ from sayd_env.studies.comparison.statistics import Bootstrap
 from sayd_env.studies.map import MapGrid, MapResult, stability_map
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
 
 
@@ -49,13 +49,13 @@ class CompareResult(Comparison):
         """Scores of all variants, the score matrix, targets and the best constant commands."""
         return page.tables(self)
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """One page."""
         return {"compare": lambda figure: draw(self, figure)}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the scores, then the targets."""
-        page.show(self, console)
+        page.show(self, console, wide)
 
 
 def compare(

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
-from sayd_env.report.files import Table
-from sayd_env.studies.comparison.entrants import Entrant
+from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.studies.comparison.grid import OWN, Variant
 from sayd_env.studies.comparison.result import MATRIX, Comparison
 from sayd_env.studies.comparison.scores import Stability
@@ -18,134 +16,123 @@ if TYPE_CHECKING:
 
 BEST_CONSTANT = "best constant each"
 """How the table calls the best constant command of each condition."""
-_AGAINST = (
-    *("policy", "filter", "force_weight", "controller", "reduction", "reduction_low", "reduction_high"),
-    *("improvement", "improvement_low", "improvement_high"),
+OFFLINE = Variant("offline", 1.0)
+
+
+def _estimate(name: str, *about: Any, wide: bool = False) -> tuple[Column, Column, Column]:
+    """Columns of an estimate and the ends of its interval, printed only where `about` has a heading."""
+    ends = [Column(f"{name}_low", "from", *about[1:]), Column(f"{name}_high", "to", *about[1:])]
+    if not about or wide:
+        ends = [Column(end.name) for end in ends]
+    return Column(name, *about, wide=wide), ends[0], ends[1]
+
+
+_COSTS = (
+    Column("policy", "policy"),
+    Column("filter"),
+    Column("force_weight"),
+    Column("training_seeds", "trainings", wide=True),
+    Column("J", "J", digits=4, best=True),
+    *_estimate("iqm_to_passive", "/ passive", "", 1.0, 2, wide=True),
+    *_estimate("iqm_to_mppt2", "/ MPPT2", "", 1.0, 2),
+    *_estimate("improvement_over_mppt2", "P below MPPT2", "", 1.0, 2, wide=True),
+    Column("best_of_paper"),
+    *_estimate("improvement_over_best"),
+    *_estimate("reduction"),
+    Column("worst_vs_passive", "worst / passive", digits=2),
+    Column("conditions_worse_than_passive"),
+    Column("relative_to_best_constant"),
+    Column("J_best_training_seed"),
+    Column("J_worst_training_seed"),
 )
-_SCORES = (
-    *("policy", "filter", "force_weight", "training_seeds", "J"),
-    *("iqm_to_passive", "iqm_to_passive_low", "iqm_to_passive_high"),
-    *("iqm_to_mppt2", "iqm_to_mppt2_low", "iqm_to_mppt2_high"),
-    *("improvement_over_mppt2", "improvement_over_mppt2_low", "improvement_over_mppt2_high"),
-    *("best_of_paper", "improvement_over_best", "improvement_over_best_low", "improvement_over_best_high"),
-    *("reduction", "reduction_low", "reduction_high"),
-    *("worst_vs_passive", "conditions_worse_than_passive", "relative_to_best_constant"),
-    *("J_best_training_seed", "J_worst_training_seed"),
+_BESIDE = (
+    Column("J_offline", "J off line", digits=4, best=True, wide=True),
+    Column("acceleration_ratio", "acc. / limit", digits=2, limit=1.0, infinite="derailed", wide=True),
+    Column("track_shift_ratio", "shift / limit", digits=2, limit=1.0, infinite="derailed", wide=True),
+    Column("largest_ratio", "largest ratio", digits=2, limit=1.0, infinite="derailed"),
+    Column("critical", "crit. km/h"),
 )
+"""Printed beside the scores of J on line."""
+_GAINS = (
+    Column("policy", "policy"),
+    Column("filter"),
+    Column("force_weight"),
+    Column("controller", "below that of"),
+    *_estimate("reduction", "by", "%", 100.0, 1),
+    *_estimate("improvement", "P below", "", 1.0, 2, wide=True),
+)
+_TARGETS = (
+    Column("policy", "policy"),
+    Column("asked", "asked"),
+    Column("measured", "measured"),
+    Column("holds", "holds", bad=lambda holds: not holds),
+)
+_STABILITY = [
+    Column(name) for name in ("policy", "critical_speed_kmh", "status", *RATIO.values(), "largest_run")
+]
 
 
 def tables(result: Comparison) -> dict[str, Table]:
     """Tables by file name: scores by policy and way of taking J, pairs, score matrix, targets, bounds."""
-    found: dict[str, Table] = {
-        "scores": (_SCORES, _scores(result)),
-        "against": (_AGAINST, _against(result)),
-        "matrix": (*(("policy", "training_seed", *_scenario_header(result), *MATRIX), _matrix(result)),),
-        "stability": (
-            ("policy", "critical_speed_kmh", "status", *RATIO.values(), "largest_run"),
-            [[title, *_stability(each)] for title, each in result.stability.items()],
-        ),
-        "best_constant": (
-            (*_scenario_header(result)[:-1], "current", "J"),
-            [
-                [*condition.as_dict().values(), current, cost.mean()]
-                for condition, current, cost in zip(
-                    result.grid.conditions,
-                    result.bounds[OWN].currents,
-                    result.bounds[OWN].costs[0],
-                    strict=True,
-                )
-            ],
+    condition = [Column(name) for name in result.grid.conditions[0].as_dict()]
+    run = [Column("policy"), Column("training_seed"), *condition, *map(Column, ("seed", *MATRIX))]
+    bound = result.bounds[OWN]
+    best = zip(result.grid.conditions, bound.currents, bound.costs[0], strict=True)
+    found = {
+        "scores": csv_table(_COSTS, _scores(result)),
+        "against": csv_table(_GAINS, _gains(result)),
+        "matrix": csv_table(run, _matrix(result)),
+        "stability": csv_table(_STABILITY, _stabilities(result)),
+        "best_constant": csv_table(
+            [*condition, Column("current"), Column("J")],
+            [each.as_dict() | {"current": current, "J": cost.mean()} for each, current, cost in best],
         ),
     }
-    if rows := result.targets:
-        found["targets"] = (
-            ("policy", "asked", "measured", "holds"),
-            [[row.policy, row.asked, row.measured, row.holds] for row in rows],
-        )
-    return found
+    return found | ({"targets": csv_table(_TARGETS, result.targets)} if result.targets else {})
 
 
-def show(result: Comparison, console: Console) -> None:
+def show(result: Comparison, console: Console, wide: bool = False) -> None:
     """Print the scores, the targets, and what a reader has to know about them."""
     if result.quick:
         console.print("--quick: a few of the conditions, one seed of each; a look, no result")
-    console.print(_scores_table(result))
+    title = (
+        f"{len(result.grid.conditions)} conditions x {len(result.config.seeds)} seeds: J on line, "
+        "and IQM of its ratio to MPPT2's (95 %)"
+    )
+    print_table(console, title, (*_COSTS, *_BESIDE), _lines(result), wide=wide, section="bound")
     for line in _notes(result):
         console.print(line, markup=False, highlight=False)
-    if any(each.learned for each in result.entrants):
-        console.print(_against_table(result))
-    if rows := result.targets:
-        from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
-        from rich.table import Table as Printed  # noqa: PLC0415
-
-        table = Printed(title="learned policies: what was asked")
-        for name in ("policy", "asked", "measured", "holds"):
-            table.add_column(name)
-        for i, row in enumerate(rows):
-            last = i + 1 == len(rows) or rows[i + 1].policy != row.policy
-            verdict = "yes" if row.holds else "[bold red]no[/]"
-            cells = [escape(text) for text in (row.policy, row.asked, row.measured)]
-            table.add_row(*cells, verdict, end_section=last)
-        console.print(table)
+    learned = {each.name for each in result.entrants if each.learned}
+    gains = [row for row in _own(_gains(result)) if row["policy"] in learned]
+    if gains:
+        title = "mean J of learned policies below the controllers' (95 %)"
+        print_table(console, title, _GAINS, gains, wide=wide, section="policy")
+    if result.targets:
+        title = "learned policies: what was asked"
+        print_table(console, title, _TARGETS, result.targets, wide=wide, section="policy")
 
 
-def _scores_table(result: Comparison) -> Any:
-    from rich.table import Table as Printed  # noqa: PLC0415 - only who prints pays for it
-
-    config = result.config
-    table = Printed(
-        title=f"{len(result.grid.conditions)} conditions x {len(config.seeds)} seeds: J on line, IQM of its "
-        "ratio to the passive vehicle's and to MPPT2's"
-    )
-    headers = (
-        *("policy", "J", "/ passive", "/ MPPT2 (95 %)", "P below MPPT2", "worst / passive", "J off line"),
-        *("acc. / limit", "shift / limit", "crit. km/h"),
-    )
-    for name in headers:
-        whole = name in ("policy", "/ MPPT2 (95 %)")
-        table.add_column(name, justify="left" if name == "policy" else "right", no_wrap=whole)
-    for each in result.entrants:
-        table.add_row(*_line(result, each))
-    offline = result.bounds[Variant("offline", 1.0)].costs.mean()
-    table.add_section()
-    table.add_row(
-        BEST_CONSTANT, f"{result.bounds[OWN].costs.mean():.4f}", *[""] * 4, f"{offline:.4f}", *[""] * 3
-    )
-    return table
+def _lines(result: Comparison) -> list[dict[str, Any]]:
+    """What is printed of each entrant, and of the best constant command of each condition."""
+    rows = []
+    for each, row in zip(result.entrants, _own(_scores(result)), strict=True):
+        acceleration, force = result.largest_ratios(each)
+        beside = {
+            "bound": False,
+            "J_offline": result.scores[OFFLINE][each.name].mean,
+            "acceleration_ratio": acceleration,
+            "track_shift_ratio": force,
+            "largest_ratio": max(acceleration, force),
+            "critical": _critical(result.stability_of(each), result.config.critical_speed.speeds_kmh),
+        }
+        rows.append(row | beside)
+    costs = {"J": result.bounds[OWN].costs.mean(), "J_offline": result.bounds[OFFLINE].costs.mean()}
+    return [*rows, dict.fromkeys(rows[0]) | {"policy": BEST_CONSTANT, "bound": True} | costs]
 
 
-def _against_table(result: Comparison) -> Any:
-    """Mean J of the learned policies beside that of each controller."""
-    from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
-    from rich.table import Table as Printed  # noqa: PLC0415
-
-    learned = [each.name for each in result.entrants if each.learned]
-    headers = map(escape, learned)
-    table = Printed("controller", *headers, title="mean J of learned policies below the controller's (95 %)")
-    for other in (each.name for each in result.entrants if not each.learned):
-        gains = [result.scores[OWN][name].reductions[other] for name in learned]
-        cells = [f"{100 * g.value:.1f} % ({100 * g.low:.1f} to {100 * g.high:.1f})" for g in gains]
-        table.add_row(escape(other), *cells)
-    return table
-
-
-def _line(result: Comparison, entrant: Entrant) -> list[str]:
-    from rich.markup import escape  # noqa: PLC0415 - only who prints pays for it
-
-    own = result.scores[OWN][entrant.name]
-    offline = result.scores[Variant("offline", 1.0)][entrant.name]
-    count = len(entrant.members)
-    return [
-        escape(entrant.name) + (f" ({count} seeds)" if count > 1 else ""),
-        f"{own.mean:.4f}",
-        f"{own.to_passive.value:.2f}",
-        f"{own.to_mppt2.value:.2f} ({own.to_mppt2.low:.2f}-{own.to_mppt2.high:.2f})",
-        f"{own.improvement['mppt2'].value:.2f}",
-        f"{own.worst_vs_passive:.2f}",
-        f"{offline.mean:.4f}",
-        *(_ratio(value) for value in result.largest_ratios(entrant)),
-        _critical(result.stability_of(entrant), result.config.critical_speed.speeds_kmh),
-    ]
+def _own(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows by the way of taking J that is printed."""
+    return [row for row in rows if (row["filter"], row["force_weight"]) == OWN]
 
 
 def _notes(result: Comparison) -> list[str]:
@@ -171,56 +158,65 @@ def _notes(result: Comparison) -> list[str]:
     return notes
 
 
-def _scores(result: Comparison) -> list[list[Any]]:
-    rows = []
-    for variant, found in result.scores.items():
-        for each in result.entrants:
-            own = found[each.name]
-            best = own.best_of_paper
-            rows.append(
-                [
-                    *(each.name, variant.filter, variant.factor, len(each.members), own.mean),
-                    *_numbers(own.to_passive),
-                    *_numbers(own.to_mppt2),
-                    *_numbers(own.improvement["mppt2"]),
-                    *(best, *_numbers(own.improvement[best])),
-                    *_numbers(own.reduction),
-                    *(own.worst_vs_passive, own.worse_than_passive, own.to_best_constant),
-                    *(own.by_training.min(), own.by_training.max()),
-                ]
-            )
-    return rows
+def _scores(result: Comparison) -> list[dict[str, Any]]:
+    """Scores by way of taking J and policy, by `_COSTS`."""
+    return [
+        {
+            **{"policy": each.name, "filter": variant.filter, "force_weight": variant.factor},
+            **{"training_seeds": len(each.members), "J": own.mean},
+            **_numbers("iqm_to_passive", own.to_passive),
+            **_numbers("iqm_to_mppt2", own.to_mppt2),
+            **_numbers("improvement_over_mppt2", own.improvement["mppt2"]),
+            "best_of_paper": own.best_of_paper,
+            **_numbers("improvement_over_best", own.improvement[own.best_of_paper]),
+            **_numbers("reduction", own.reduction),
+            "worst_vs_passive": own.worst_vs_passive,
+            "conditions_worse_than_passive": own.worse_than_passive,
+            "relative_to_best_constant": own.to_best_constant,
+            "J_best_training_seed": own.by_training.min(),
+            "J_worst_training_seed": own.by_training.max(),
+        }
+        for variant, found in result.scores.items()
+        for each in result.entrants
+        for own in [found[each.name]]
+    ]
 
 
-def _against(result: Comparison) -> list[list[Any]]:
+def _gains(result: Comparison) -> list[dict[str, Any]]:
+    """Reduction of mean J against each controller, and the chance of a lower one, by `_GAINS`."""
     controllers = [each.name for each in result.entrants if not each.learned]
-    rows = []
-    for variant, found in result.scores.items():
-        for name, own in found.items():
-            for other in controllers:
-                gain, chance = own.reductions[other], own.improvement[other]
-                rows.append([name, *variant, other, *_numbers(gain), *_numbers(chance)])
-    return rows
+    return [
+        {
+            **{"policy": name, "filter": variant.filter, "force_weight": variant.factor},
+            "controller": other,
+            **_numbers("reduction", own.reductions[other]),
+            **_numbers("improvement", own.improvement[other]),
+        }
+        for variant, found in result.scores.items()
+        for name, own in found.items()
+        for other in controllers
+    ]
 
 
-def _scenario_header(result: Comparison) -> tuple[str, ...]:
-    return (*result.grid.conditions[0].as_dict(), "seed")
-
-
-def _matrix(result: Comparison) -> list[list[Any]]:
+def _matrix(result: Comparison) -> list[dict[str, Any]]:
     rows = []
     for each in result.entrants:
         columns = result.columns(each)
         for r, title in enumerate(each.titles):
             for c, condition in enumerate(result.grid.conditions):
                 for s, seed in enumerate(result.config.seeds):
-                    cells = [columns[name][r, c, s] for name in MATRIX]
-                    rows.append([each.name, title, *condition.as_dict().values(), seed, *cells])
+                    about = {"policy": each.name, "training_seed": title, **condition.as_dict(), "seed": seed}
+                    rows.append(about | {name: columns[name][r, c, s] for name in MATRIX})
     return rows
 
 
-def _stability(found: Stability) -> list[Any]:
-    return [found.critical_speed_kmh, found.status, *found.ratios.values(), found.largest_run]
+def _stabilities(result: Comparison) -> list[dict[str, Any]]:
+    return [
+        {"policy": title, "critical_speed_kmh": found.critical_speed_kmh, "status": found.status}
+        | {RATIO[name]: ratio for name, ratio in found.ratios.items()}
+        | {"largest_run": found.largest_run}
+        for title, found in result.stability.items()
+    ]
 
 
 def _critical(found: Stability, grid: tuple[float, ...]) -> str:
@@ -229,11 +225,5 @@ def _critical(found: Stability, grid: tuple[float, ...]) -> str:
     return f"> {grid[-1]:g}" if found.status == "not reached" else f"< {grid[0]:g}"
 
 
-def _numbers(estimate: Estimate) -> tuple[float, float, float]:
-    return estimate.value, estimate.low, estimate.high
-
-
-def _ratio(value: float) -> str:
-    if math.isinf(value):
-        return "[bold red]derailed[/]"
-    return f"[red]{value:.2f}[/]" if value > 1.0 else f"{value:.2f}"
+def _numbers(name: str, estimate: Estimate) -> dict[str, float]:
+    return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}

@@ -12,16 +12,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
-from rich.table import Table as RichTable
 
 from sayd_env.config import ConfigError
 from sayd_env.config.contact import ContactConfig
+from sayd_env.config.palette import BLUE, CYCLE, GREY, VERMILION
+from sayd_env.config.units import Array
 from sayd_env.physics.contact.conicity import equivalent_conicity, harmonic_conicity, radius_difference
 from sayd_env.physics.contact.geometry import ContactTable, RigidContact, contact_table, rigid_contact
 from sayd_env.physics.multibody import assemble
 from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
 from sayd_env.physics.simulator import table_load
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot, label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,9 +31,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from sayd_env.config.scenario import Scenario
-    from sayd_env.report.files import Plot, Table
-
-Array = NDArray[np.float64]
 
 AMPLITUDES: Array = np.asarray(np.arange(10, 81) * 1e-4, dtype=np.float64)
 """Amplitudes of the conicity curve: 1 to 8 mm, around the range of EN 15302 (m)."""
@@ -40,6 +39,15 @@ _MILLI = 1e3
 _SHOWN_AMPLITUDES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 _CONTACT_LINES_EVERY = 1e-3
 _CONTACT_LINES_REACH = 8e-3
+_NAMES_APART = 2e-3  # m on the wheel between contact lines whose positions are written beside them
+
+CURVE = (
+    Column("amplitude_mm", "amplitude", "mm"),
+    Column("tan_gamma_e", "rigid: EN 15302", digits=3),
+    Column("tan_gamma_e_table", "regularised: EN 15302", digits=3),
+    Column("tan_gamma_harmonic", "regularised: harmonic", digits=3),
+)
+"""Of the conicity curve."""
 
 
 @dataclass(frozen=True)
@@ -109,43 +117,33 @@ class ConicityResult:
 
     def tables(self) -> dict[str, Table]:
         """Return the conicity curve and the rolling radii."""
-        y, rigid, soft = self.delta_r()
-        curve = (self.amplitude * _MILLI, self.tan_gamma_e, self.tan_gamma_e_table, self.harmonic)
-        radii = (y * _MILLI, rigid * _MILLI, soft * _MILLI)
+        found = self.as_dict()
+        radii = ("y_mm", "delta_r_mm", "delta_r_table_mm")
         return {
-            "conicity": (
-                ("amplitude_mm", "tan_gamma_e", "tan_gamma_e_table", "tan_gamma_harmonic"),
-                [list(row) for row in np.column_stack(curve)],
-            ),
-            "delta_r": (
-                ("y_mm", "delta_r_mm", "delta_r_table_mm"),
-                [list(row) for row in np.column_stack(radii)],
-            ),
+            "conicity": csv_table(CURVE, self._curve()),
+            "delta_r": (radii, np.column_stack([found[name] for name in radii]).tolist()),
         }
+
+    def _curve(self) -> list[dict[str, float]]:
+        """Conicities by amplitude, by `CURVE`."""
+        found = self.as_dict()
+        names = [column.name for column in CURVE]
+        values = np.column_stack([found[name] for name in names]).tolist()
+        return [dict(zip(names, row, strict=True)) for row in values]
 
     def plots(self) -> dict[str, Plot]:
         """Return the picture: profiles in contact, conicity, rolling radii (figure 1 of the paper)."""
         return {"conicity": lambda figure: plot_conicity(figure, [self])}
 
-    def summary(self, console: Console) -> None:
-        """Print the conicity at whole amplitudes."""
+    def summary(self, console: Console, wide: bool = False) -> None:
+        """Print the conicity at whole amplitudes, with `wide` at all of them."""
         title = (
             f"{self.wheel.name} (wear {self.wear:g}) on {self.rail.name}, gauge {self.gauge * _MILLI:g} mm"
         )
-        grid = RichTable(title=title)
-        for heading in (
-            "amplitude (mm)",
-            "rigid: EN 15302",
-            "regularised: EN 15302",
-            "regularised: harmonic",
-        ):
-            grid.add_column(heading, justify="right")
-        for millimetres in _SHOWN_AMPLITUDES:
-            at = np.flatnonzero(np.isclose(self.amplitude * _MILLI, millimetres))
-            for index in at:
-                values = (self.tan_gamma_e[index], self.tan_gamma_e_table[index], self.harmonic[index])
-                grid.add_row(f"{millimetres:g}", *(f"{v:.3f}" if np.isfinite(v) else "-" for v in values))
-        console.print(grid)
+        rows = [
+            row for row in self._curve() if wide or np.any(np.isclose(row["amplitude_mm"], _SHOWN_AMPLITUDES))
+        ]
+        print_table(console, title, CURVE, rows, wide=wide)
         console.print(
             "rigid: touching points of the profiles. regularised: mean over the patch under "
             f"{self.table.load / _MILLI:g} kN a wheel;\na simulation uses the regularised contact."
@@ -241,7 +239,6 @@ def plot_conicity(figure: Figure, results: Sequence[ConicityResult]) -> None:
         Curves to compare; each gets a panel of profiles.
     """
     figure.set_size_inches(10.0, 3.2 * (1 + len(results)))
-    figure.set_layout_engine("constrained")
     grid = figure.add_gridspec(1 + len(results), 2)
     for row, result in enumerate(results):
         _draw_pair(figure.add_subplot(grid[row, :]), result)
@@ -250,21 +247,23 @@ def plot_conicity(figure: Figure, results: Sequence[ConicityResult]) -> None:
 
 
 def _label(result: ConicityResult) -> str:
-    return f"{result.wheel.name}, wear {result.wear:g}"
+    return label(f"{result.wheel.name}, wear {result.wear:g}")
 
 
 def _draw_pair(axes: Axes, result: ConicityResult) -> None:
     """Left wheel above its rail in the centred position, points that touch joined by lines."""
     contact, lift = result.contact, 0.010
     offset = float(np.interp(0.0, contact.y, contact.s - contact.t))
-    axes.plot(result.wheel.y * _MILLI, (lift - result.wheel.z) * _MILLI, "C0", label=result.wheel.name)
-    axes.plot((result.rail.y + offset) * _MILLI, result.rail.z * _MILLI, "C7", label=result.rail.name)
-    reach = min(_CONTACT_LINES_REACH, contact.y[-1])
+    axes.plot(result.wheel.y * _MILLI, (lift - result.wheel.z) * _MILLI, BLUE, label=label(result.wheel.name))
+    axes.plot((result.rail.y + offset) * _MILLI, result.rail.z * _MILLI, GREY, label=label(result.rail.name))
+    reach, named = min(_CONTACT_LINES_REACH, contact.y[-1]), -np.inf
     for y in np.arange(-reach, reach + 1e-6, _CONTACT_LINES_EVERY):
         s, t = np.interp(y, contact.y, contact.s), np.interp(y, contact.y, contact.t)
         ends = lift - np.interp(s, result.wheel.y, result.wheel.z), np.interp(t, result.rail.y, result.rail.z)
-        axes.plot(np.array([s, t + offset]) * _MILLI, np.array(ends) * _MILLI, "C3", linewidth=0.7)
-        axes.annotate(f"{y * _MILLI:.0f}", (s * _MILLI, ends[0] * _MILLI + 0.5), fontsize=6, ha="center")
+        axes.plot(np.array([s, t + offset]) * _MILLI, np.array(ends) * _MILLI, VERMILION, linewidth=0.7)
+        if abs(s - named) >= _NAMES_APART:
+            axes.annotate(f"{y * _MILLI:.0f}", (s * _MILLI, ends[0] * _MILLI + 0.5), fontsize=6, ha="center")
+            named = s
     axes.set(
         title=f"{_label(result)} on {result.rail.name}: contact lines for y in mm",
         xlabel="distance from the tape circle (mm), field side positive",
@@ -274,33 +273,31 @@ def _draw_pair(axes: Axes, result: ConicityResult) -> None:
     axes.legend(loc="lower right")
 
 
+_WAYS = {"rigid": "-", "regularised (simulated)": "--", "regularised, harmonic": ":"}
+"""Lines of the contacts, and of the way of taking the conicity."""
+
+
 def _draw_curves(axes: Axes, results: Sequence[ConicityResult]) -> None:
     for number, result in enumerate(results):
-        amplitude, colour = result.amplitude * _MILLI, f"C{number}"
-        axes.plot(amplitude, result.tan_gamma_e, colour, label=f"{_label(result)}: rigid, EN 15302")
-        for values, style, how in (
-            (result.tan_gamma_e_table, ":", "EN 15302"),
-            (result.harmonic, "--", "harmonic"),
-        ):
-            label = f"{_label(result)}: regularised (simulated), {how}"
-            axes.plot(amplitude, values, colour, linestyle=style, label=label)
-    axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)")
-    axes.grid(visible=True)
-    axes.legend(fontsize=7)
+        curves = (result.tan_gamma_e, result.tan_gamma_e_table, result.harmonic)
+        _draw_ways(axes, number, result, result.amplitude, curves, 1.0)
+    axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)", title="by EN 15302")
 
 
 def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
     for number, result in enumerate(results):
         y, rigid, soft = result.delta_r()
-        near, colour = np.abs(y) <= _CONTACT_LINES_REACH, f"C{number}"
-        axes.plot(y[near] * _MILLI, rigid[near] * _MILLI, colour, label=f"{_label(result)}: rigid")
-        axes.plot(
-            y[near] * _MILLI,
-            soft[near] * _MILLI,
-            colour,
-            linestyle="--",
-            label=f"{_label(result)}: regularised (simulated)",
-        )
+        near = np.abs(y) <= _CONTACT_LINES_REACH
+        _draw_ways(axes, number, result, y[near], (rigid[near], soft[near]), _MILLI)
     axes.set(xlabel="lateral position (mm)", ylabel="difference of rolling radii (mm)")
-    axes.grid(visible=True)
+
+
+def _draw_ways(
+    axes: Axes, number: int, result: ConicityResult, x: Array, curves: Sequence[Array], scale: float
+) -> None:
+    """Draw a wheel's curves by each contact in the wheel's colour."""
+    for (way, line), values in zip(_WAYS.items(), curves, strict=False):
+        named = f"{_label(result)}: {way}"
+        axes.plot(x * _MILLI, values * scale, CYCLE[number % len(CYCLE)], linestyle=line, label=named)
+    axes.grid(alpha=0.3)
     axes.legend(fontsize=7)

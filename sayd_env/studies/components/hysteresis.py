@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
+from sayd_env.config.palette import cycled, policy_style
+from sayd_env.config.units import Array
 from sayd_env.physics.rig import Cycle, steady_cycle, steady_sayd_cycles
 from sayd_env.physics.sayd import steady_force
+from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
@@ -21,9 +25,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from sayd_env.config.scenario import Scenario
-    from sayd_env.report.files import Plot, Table
-
-Array = npt.NDArray[np.float64]
 
 AMPLITUDES = (1e-3, 2e-3, 4e-3)
 """Amplitudes of the paper's figure 3 (m)."""
@@ -75,8 +76,8 @@ class Loop:
         i = int(np.flatnonzero(force[:-1] * force[1:] <= 0.0)[0])
         return float((force[i + 1] - force[i]) / (elongation[i + 1] - elongation[i]))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the keys of one of ``loops``."""
+    def row(self) -> dict[str, Any]:
+        """Values by `COLUMNS`."""
         return {
             "amplitude_mm": self.amplitude * _MILLI,
             "frequency_hz": self.frequency,
@@ -89,6 +90,21 @@ class Loop:
             "zero_force_slope_n_per_m": self.zero_force_slope,
             "force_limit_n": self.force_limit,
         }
+
+
+COLUMNS = (
+    Column("amplitude_mm", "amplitude", "mm"),
+    Column("frequency_hz", "frequency", "Hz"),
+    Column("current", "current"),
+    Column("force_peak_n", "peak force", "kN", _KILO, 2),
+    Column("energy_j", "energy", "J", digits=2),
+    Column("dynamic_stiffness_n_per_m", "dynamic stiffness", "MN/m", 1e-6, 3),
+    Column("storage_stiffness_n_per_m", "storing", "MN/m", 1e-6, 3, wide=True),
+    Column("loss_stiffness_n_per_m", "losing", "MN/m", 1e-6, 3, wide=True),
+    Column("zero_force_slope_n_per_m", "slope at zero force", "MN/m", 1e-6, 3, wide=True),
+    Column("force_limit_n", "limit", "kN", _KILO, 2),
+)
+"""Of the loops' figures."""
 
 
 @dataclass(frozen=True)
@@ -122,11 +138,10 @@ class HysteresisResult:
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``--json``."""
         field = {} if self.field is None else {"field": self.field.as_dict()}
-        return {"damper": self.damper.name, "loops": [loop.as_dict() for loop in self.loops], **field}
+        return {"damper": self.damper.name, "loops": [loop.row() for loop in self.loops], **field}
 
     def tables(self) -> dict[str, Table]:
         """Return the figures of the loops, and the loops themselves."""
-        rows = [loop.as_dict() for loop in self.loops]
         every = 10
         samples = [
             (loop.amplitude * _MILLI, loop.frequency, loop.current, x * _MILLI, f)
@@ -135,7 +150,7 @@ class HysteresisResult:
         ]
         header = ("amplitude_mm", "frequency_hz", "current", "displacement_mm", "force_n")
         tables: dict[str, Table] = {
-            "figures": (list(rows[0]), [list(row.values()) for row in rows]),
+            "figures": csv_table(COLUMNS, [loop.row() for loop in self.loops]),
             "loops": (header, samples),
         }
         if self.field is not None:
@@ -151,62 +166,46 @@ class HysteresisResult:
         """Return the loops (figure 3 of the paper) and the force-velocity curve (figure 2)."""
         return {"loops": self._draw_loops, "curve": self._draw_curve}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the figures of the loops."""
-        from rich.table import Table as RichTable  # noqa: PLC0415 - only who prints pays for it
-
-        grid = RichTable(title=f"damper {self.damper.name}")
-        for heading in (
-            "amplitude (mm)",
-            "frequency (Hz)",
-            "current",
-            "peak force (kN)",
-            "limit (kN)",
-            "energy (J)",
-            "dynamic stiffness (MN/m)",
-        ):
-            grid.add_column(heading, justify="right")
-        for loop in self.loops:
-            grid.add_row(
-                f"{loop.amplitude * _MILLI:g}",
-                f"{loop.frequency:g}",
-                "-" if loop.current is None else f"{loop.current:g}",
-                f"{loop.force_peak * _KILO:.2f}",
-                f"{loop.force_limit * _KILO:.2f}",
-                f"{loop.energy:.2f}",
-                f"{abs(loop.stiffness) * 1e-6:.3f}",
-            )
-        console.print(grid)
+        rows = [loop.row() for loop in self.loops]
+        print_table(console, f"damper {self.damper.name}", COLUMNS, rows, wide=wide, section="amplitude_mm")
 
     def _draw_loops(self, figure: Figure) -> None:
-        panels = list(dict.fromkeys((loop.amplitude, loop.current) for loop in self.loops))
-        figure.set_size_inches(7.0, 0.6 + 2.8 * len(panels))
-        axes = figure.subplots(len(panels), 1, sharey=True, squeeze=False)[:, 0]
-        for axis, (amplitude, current) in zip(axes, panels, strict=True):
+        """Draw a panel for each amplitude and current: currents side by side, amplitudes below each other."""
+        currents = list(dict.fromkeys(loop.current for loop in self.loops))
+        amplitudes = list(dict.fromkeys(loop.amplitude for loop in self.loops))
+        frequencies = list(dict.fromkeys(loop.frequency for loop in self.loops))
+        places = list(product(amplitudes, currents))
+        across = len(currents) if len(currents) > 1 else min(3, len(amplitudes))
+        axes = panels(figure, len(places), across, (3.6, 3.0), sharey=True)
+        for panel, (amplitude, current) in zip(axes, places, strict=True):
             for loop in self.loops:
                 if (loop.amplitude, loop.current) == (amplitude, current):
                     x, force = loop.cycle
-                    axis.plot(x * _MILLI, force * _KILO, linewidth=1.0, label=f"{loop.frequency:g} Hz")
+                    style = cycled(frequencies.index(loop.frequency)).plain
+                    panel.plot(x * _MILLI, force * _KILO, label=f"{loop.frequency:g} Hz", **style)
             valve = "" if current is None else f", current {current:g}"
-            axis.set_title(f"{amplitude * _MILLI:g} mm{valve}", fontsize="small")
-            axis.set_ylabel("force (kN)")
-            axis.grid(visible=True)
-        axes[-1].set_xlabel("displacement (mm)")
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
+            panel.set_title(f"{amplitude * _MILLI:g} mm{valve}", fontsize="small")
+        for panel in axes[::across]:
+            panel.set_ylabel("force (kN)")
+        for panel in axes[-across:]:
+            panel.set_xlabel("displacement (mm)")
+        legend_below(figure, axes[0], columns=6)
 
     def _draw_curve(self, figure: Figure) -> None:
-        axes = figure.subplots()
+        (axes,) = panels(figure, 1, size=(8.0, 4.5))
         if isinstance(self.damper, PassiveDamperConfig):
             right = np.array(self.damper.curve)
             both = np.vstack([-right[:0:-1], right])
-            axes.plot(both[:, 0], both[:, 1] * _KILO, marker="o", markersize=3)
+            axes.plot(both[:, 0], both[:, 1] * _KILO, markersize=3, **policy_style("passive").drawn)
         if self.field is not None:
             v = np.r_[-self.field.velocity[:0:-1], self.field.velocity]
-            for current, force in zip(self.field.current, self.field.force, strict=True):
-                axes.plot(v, np.r_[-force[:0:-1], force] * _KILO, label=f"current {current:g}")
+            for i, (current, force) in enumerate(zip(self.field.current, self.field.force, strict=True)):
+                curve = np.r_[-force[:0:-1], force] * _KILO
+                axes.plot(v, curve, label=f"current {current:g}", **cycled(i).plain)
             axes.legend()
         axes.set(xlabel="velocity (m/s)", ylabel="force (kN)", title=f"damper {self.damper.name}")
-        axes.grid(visible=True)
 
 
 def hysteresis(

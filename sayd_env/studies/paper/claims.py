@@ -8,12 +8,14 @@ the median over the seeds passes and at least 80 % of 1,000 bootstraps over the 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from sayd_env.config.units import Array
+from sayd_env.report.columns import Column
+
 Flags = npt.NDArray[np.bool_]
 Seeds = npt.NDArray[np.int64]
 """A selection of seeds by their places, with repetitions in a bootstrap."""
@@ -39,14 +41,17 @@ class Claim:
 
     def as_dict(self) -> dict[str, object]:
         """Keys of ``sayd reproduce --json``."""
-        return {
-            "id": self.id,
-            "by": self.by,
-            "expected": self.expected,
-            "measured": self.measured,
-            "fraction": self.fraction,
-            "holds": self.holds,
-        }
+        return asdict(self)
+
+
+CLAIMS = (
+    Column("id", "row"),
+    Column("by", "judged by", wide=True),
+    Column("expected", "expected"),
+    Column("measured", "measured"),
+    Column("fraction", "share", "%", 100.0, 0),
+    Column("holds", "holds", bad=lambda holds: not holds),
+)
 
 
 def spread(values: Array, unit: str = "", digits: int = 2) -> str:

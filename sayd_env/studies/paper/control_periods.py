@@ -11,6 +11,7 @@ from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.columns import Column, Table, csv_table
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import controlled_runs, controlled_specs
 from sayd_env.studies.paper.claims import Claim
@@ -44,11 +45,10 @@ class PeriodSensitivity:
             for period in self.claims
         ]
 
-    def table(self) -> tuple[Sequence[str], list[list[Any]]]:
+    def table(self) -> Table:
         """Row, control period, what is expected and measured, share of the seeds, whether it holds."""
-        header = ("id", "control_period_s", "expected", "measured", "fraction", "holds")
-        found = [(row, period, self.claim(row, period)) for row in self.rows for period in self.claims]
-        return header, [[row, p, c.expected, c.measured, c.fraction, c.holds] for row, p, c in found]
+        names = ("id", "control_period_s", "expected", "measured", "fraction", "holds")
+        return csv_table([Column(name) for name in names], self.as_dict())
 
 
 def period_sensitivity(

@@ -10,9 +10,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from sayd_env.config.units import Array
 from sayd_env.runs.controlled import REAR, SAYD_SPEEDS, ControlledRun, ControlledRuns
 from sayd_env.stability import Limits
-from sayd_env.studies.paper.claims import Array, Claim, Flags, Seeds, by_median, by_seed, by_selection, spread
+from sayd_env.studies.paper.claims import Claim, Flags, Seeds, by_median, by_seed, by_selection, spread
 
 KMH = 3.6
 

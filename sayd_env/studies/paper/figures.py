@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sayd_env.config.palette import BLUE, GREEN, VERMILION
+from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.controlled import REAR, ControlledRun, ControlledRuns
 from sayd_env.stability import Limits
 from sayd_env.studies.critical_speed import draw_trends
@@ -17,13 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from sayd_env.report.files import Plot
-
-KMH = 3.6
 ZOOM = (20.0, 22.0)
 """s, the part of a run that figures 16 and 18 show in detail."""
 _SHOWN = 40.0  # s
-_COLOURS = {CLOSED: "C0", OPEN: "C3"}
+_COLOURS = {CLOSED: BLUE, OPEN: VERMILION}
 
 
 def controlled_plots(runs: ControlledRuns, limits: Limits, wheelsets: Sequence[str]) -> dict[str, Plot]:
@@ -82,15 +81,14 @@ def draw_starts(figure: Figure, runs: Sequence[ControlledRun], title: str) -> No
     title : str
         What the runs are of.
     """
-    figure.set_size_inches(8.0, 6.0)
-    top, bottom = figure.subplots(2, 1, sharex=True)
+    top, bottom = panels(figure, 2, size=(8.0, 3.0), sharex=True)
     for run in runs:
         _draw_command(top, run)
     for run in reversed(runs):
         _draw_force(bottom, run)
     top.set(title=f"{title}, seed {runs[0].seed}: rear bogie", ylabel="command (%)", ylim=(-5, 105))
     bottom.set(xlabel="time since the first command (s)", ylabel="force of one damper (kN)", xlim=(0, _SHOWN))
-    top.legend(loc="upper right")
+    legend_below(figure, top)
 
 
 def draw_switching(figure: Figure, run: ControlledRun, title: str) -> None:
@@ -105,35 +103,24 @@ def draw_switching(figure: Figure, run: ControlledRun, title: str) -> None:
     title : str
         What the run is of.
     """
-    figure.set_size_inches(10.0, 6.0)
-    panels = figure.subplots(2, 2, sharex="col", sharey="row", width_ratios=(3, 2))
-    for column, span in zip(panels.T, ((0.0, _SHOWN), ZOOM), strict=True):
-        _draw_command(column[0], run)
-        _draw_force(column[1], run)
-        column[1].set(xlabel="time since the first command (s)", xlim=span)
-    panels[0, 0].set(title=f"{title}, seed {run.seed}: rear bogie", ylabel="command (%)", ylim=(-5, 105))
-    panels[0, 1].set_title("detail")
-    panels[1, 1].locator_params(axis="x", nbins=4)
-    panels[1, 0].set_ylabel("force of one damper (kN)")
+    axes = panels(figure, 4, 2, (5.0, 3.0), sharex="col", sharey="row", width_ratios=(3, 2))
+    for command, force, span in zip(axes[:2], axes[2:], ((0.0, _SHOWN), ZOOM), strict=True):
+        _draw_command(command, run)
+        _draw_force(force, run)
+        force.set(xlabel="time since the first command (s)", xlim=span)
+    axes[0].set(title=f"{title}, seed {run.seed}: rear bogie", ylabel="command (%)", ylim=(-5, 105))
+    axes[1].set_title("detail")
+    axes[3].locator_params(axis="x", nbins=4)
+    axes[2].set_ylabel("force of one damper (kN)")
 
 
-def _draw_command(axis: Axes, run: ControlledRun) -> None:
+def _draw_command(axes: Axes, run: ControlledRun) -> None:
     shown = run.command[: round(_SHOWN / run.control_period), REAR]
     time = np.arange(len(shown)) * run.control_period
-    label = f"V(0) = {100 * run.initial_current:g} %"
-    axis.plot(
-        time,
-        100 * shown,
-        color=_COLOURS.get(run.initial_current),
-        linewidth=0.8,
-        drawstyle="steps-post",
-        label=label,
-    )
-    axis.grid(alpha=0.3)
+    start: dict[str, Any] = {"drawstyle": "steps-post", "label": f"V(0) = {100 * run.initial_current:g} %"}
+    axes.plot(time, 100 * shown, color=_COLOURS.get(run.initial_current, GREEN), linewidth=0.8, **start)
 
 
-def _draw_force(axis: Axes, run: ControlledRun) -> None:
+def _draw_force(axes: Axes, run: ControlledRun) -> None:
     time = np.arange(len(run.force_trace)) * run.trace_period
-    colour = _COLOURS.get(run.initial_current)
-    axis.plot(time, run.force_trace * 1e-3, color=colour, linewidth=0.6)
-    axis.grid(alpha=0.3)
+    axes.plot(time, run.force_trace * 1e-3, color=_COLOURS.get(run.initial_current, GREEN), linewidth=0.6)

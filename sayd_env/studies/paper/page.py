@@ -8,10 +8,9 @@ from typing import Any
 
 from sayd_env.report.files import json_text
 from sayd_env.report.html import Block, Code, Grid, Picture, Section, Text, report
-from sayd_env.studies.paper.claims import Claim
+from sayd_env.studies.paper.claims import CLAIMS, Claim
 
 TITLE = "The paper's statements, measured"
-CLAIM_HEADER = ("row", "judged by", "expected", "measured", "share", "holds")
 
 
 @dataclass(frozen=True)
@@ -172,8 +171,7 @@ def _claims_section(claims: Sequence[Claim], seeds: int) -> Section:
 
 
 def _claims_grid(claims: Sequence[Claim]) -> Grid:
-    rows = [(c.id, c.by, c.expected, c.measured, f"{100 * c.fraction:.0f} %", c.holds) for c in claims]
-    return Grid(CLAIM_HEADER, rows, frozenset(i for i, c in enumerate(claims) if not c.holds))
+    return Grid.of(CLAIMS, claims, frozenset(i for i, c in enumerate(claims) if not c.holds))
 
 
 def _figure_blocks(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from sayd_env.config.units import Array
 from sayd_env.runs.passive import Sweep
 from sayd_env.stability import Limits, critical_speed, grid_sensitivity, thinned_grids
 from sayd_env.studies.paper.claims import (
-    Array,
     Claim,
     Seeds,
     by_median,

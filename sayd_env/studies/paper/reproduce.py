@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,8 @@ from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics import sayd
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.columns import Table, csv_table, print_table
+from sayd_env.report.figures import Plot
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import ControlledRuns, controlled_runs, controlled_specs
 from sayd_env.runs.passive import Sweep, runs_table, sweep
@@ -28,7 +30,7 @@ from sayd_env.studies.critical_speed import (
     model_limits,
     wheelset_names,
 )
-from sayd_env.studies.paper.claims import Claim, once
+from sayd_env.studies.paper.claims import CLAIMS, Claim, once
 from sayd_env.studies.paper.control_periods import PeriodSensitivity, environments_at, period_sensitivity
 from sayd_env.studies.paper.controlled_claims import controlled_claims, required_runs, skyhook_runs
 from sayd_env.studies.paper.figures import controlled_plots
@@ -88,12 +90,10 @@ class ReproduceResult:
             **({"by_creep_law": laws} if laws else {}),
         }
 
-    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+    def tables(self) -> dict[str, Table]:
         """Claims, and every run."""
-        header = ("id", "by", "expected", "measured", "fraction", "holds")
-        claims = [[c.id, c.by, c.expected, c.measured, c.fraction, c.holds] for c in self.claims]
         return {
-            "claims": (header, claims),
+            "claims": csv_table(CLAIMS, self.claims),
             "runs_new": runs_table(self.new, self.wheelsets),
             "runs_worn": runs_table(self.worn, self.wheelsets),
             **self.controlled.tables(self.wheelsets),
@@ -101,7 +101,7 @@ class ReproduceResult:
             **{f"creep_laws_{wheels}": found.table() for wheels, found in self.creep_laws.items()},
         }
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """Counterparts of the paper's figures 1, 2, 3, 8 and 10 to 18."""
         loops = self.loops.plots()
         return {
@@ -116,24 +116,15 @@ class ReproduceResult:
         """Claims and figures on one page, beside what the paper shows."""
         return {"report": reproduce_page(self.claims, images, document, len(self.new.seeds))}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the table of claims."""
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
-
-        def shown(title: str, claims: Sequence[Claim]) -> None:
-            table = Table(title=title)
-            for name in ("row", "expected", "measured", "share", "holds"):
-                table.add_column(name, justify="right" if name == "share" else "left")
-            for c in claims:
-                verdict = "yes" if c.holds else "[bold red]no[/]"
-                table.add_row(c.id, c.expected, c.measured, f"{100 * c.fraction:.0f} %", verdict)
-            console.print(table)
-
-        shown(f"what the paper shows, on {len(self.new.seeds)} track seeds", self.claims)
+        title = f"what the paper shows, on {len(self.new.seeds)} track seeds"
+        print_table(console, title, CLAIMS, self.claims, wide=wide)
         for period, claims in () if self.sensitivity is None else self.sensitivity.claims.items():
-            shown(f"rows S1 to S6 with a control period of {1e3 * period:g} ms", claims)
+            title = f"rows S1 to S6 with a control period of {1e3 * period:g} ms"
+            print_table(console, title, CLAIMS, claims, wide=wide)
         for wheels, found in self.creep_laws.items():
-            found.summary(console, f"critical speed on {wheels} wheels by creep law, all else equal")
+            found.summary(console, f"critical speed on {wheels} wheels by creep law, all else equal", wide)
         if len(self.new.seeds) < LEAST_SEEDS:
             console.print(f"fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
         held = len(self.claims) - len(self.failed)

@@ -18,9 +18,12 @@ from scipy.stats import qmc
 
 from sayd_env.config import StudyError
 from sayd_env.config.calibration import CalibrationConfig, Search
+from sayd_env.config.palette import cycled
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.columns import Column, Table, print_table
+from sayd_env.report.figures import Plot, label, panels
 from sayd_env.runs.context import RunContext, silent
 from sayd_env.runs.passive import Sweep, sweep
 from sayd_env.stability import Limits
@@ -122,7 +125,7 @@ class CalibrationResult:
             "stage": best.stage,
         }
 
-    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+    def tables(self) -> dict[str, Table]:
         """Every evaluation."""
         names = [p.name for p in self.config.parameters]
         rows = sorted({row for e in self.evaluations for row in e.penalties})
@@ -135,36 +138,43 @@ class CalibrationResult:
         ]
         return {"evaluations": (header, lines)}
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """Cost over the search."""
         return {"cost": self._draw}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the calibrated values and what is left of each row's penalty."""
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
-
-        table = Table(
-            "parameter", "value", "range", "source", title=f"cost {self.best.cost:.3f} ({self.best.stage})"
-        )
-        for p in self.config.parameters:
-            table.add_row(
-                p.name,
-                f"{self.values[p.name]:.4g} {p.unit}",
-                f"{p.low:g} to {p.high:g}",
-                p.source,
-                style=None,
-            )
-        console.print(table)
+        rows = [
+            {"name": p.name, "value": self.values[p.name], "unit": p.unit}
+            | {"low": p.low, "high": p.high, "source": p.source}
+            for p in self.config.parameters
+        ]
+        title = f"cost {self.best.cost:.3f} ({self.best.stage})"
+        print_table(console, title, PARAMETERS, rows, wide=wide)
         left = {k: round(v, 2) for k, v in self.best.penalties.items() if v > 0.0}
         console.print(f"penalties left: {left or 'none'}")
 
     def _draw(self, figure: Figure) -> None:
-        axis = figure.subplots()
-        for stage in dict.fromkeys(e.stage for e in self.evaluations):
-            points = [(i, e.cost) for i, e in enumerate(self.evaluations) if e.stage == stage]
-            axis.plot(*zip(*points, strict=True), ".", label=stage)
-        axis.set(xlabel="evaluation", ylabel="cost", yscale="symlog", title="calibration")
-        axis.legend()
+        (axes,) = panels(figure, 1, size=(8.0, 4.5))
+        for number, stage in enumerate(dict.fromkeys(e.stage for e in self.evaluations)):
+            places = [i for i, e in enumerate(self.evaluations) if e.stage == stage]
+            costs = [self.evaluations[i].cost for i in places]
+            style = cycled(number)
+            axes.plot(places, costs, style.marker, color=style.colour, markersize=3, label=label(stage))
+        axes.set(xlabel="evaluation", ylabel="cost", title="calibration", yscale="symlog")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.legend()
+
+
+PARAMETERS = (
+    Column("name", "parameter"),
+    Column("value", "value"),
+    Column("unit", "unit"),
+    Column("low", "from"),
+    Column("high", "to"),
+    Column("source", "source", wide=True),
+)
+"""Of the printed table."""
 
 
 def assignments(config: CalibrationConfig, place: Sequence[float]) -> dict[str, float]:

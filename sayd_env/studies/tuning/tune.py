@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -13,9 +12,12 @@ import numpy as np
 from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
 from sayd_env.config.loader import packaged_names
+from sayd_env.config.palette import SKY, VERMILION, policy_style
 from sayd_env.config.software import git_state
 from sayd_env.config.tuning import Gains, TuningConfig
 from sayd_env.config.units import Array
+from sayd_env.report.columns import Column, Table, print_table
+from sayd_env.report.figures import Plot, label, log_axis, panels
 from sayd_env.runs.cache import fingerprint
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.evaluator import Costs, PolicyEvaluator
@@ -104,7 +106,7 @@ class TuneResult:
             "evaluations": len(self.tried),
         }
 
-    def tables(self) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
+    def tables(self) -> dict[str, Table]:
         """J by scenario and policy, the tuned controller last; the evaluations."""
         everything = self.references | {self.title: self.best}
         conditions = ("speed_kmh", "wear", "friction", "seed")
@@ -123,33 +125,27 @@ class TuneResult:
             "evaluations": (("policy", "stage", *gains, "J", "derailed", *costs), tried),
         }
 
-    def plots(self) -> dict[str, Callable[[Figure], None]]:
+    def plots(self) -> dict[str, Plot]:
         """The search, and J over speed before and after."""
         return {"tune": self._draw}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         """Print the gains, and mean J beside that of the references."""
-        from rich.table import Table  # noqa: PLC0415 - only who prints pays for it
-
-        table = Table(
-            "gain", "before", "tuned", "range", title=f"{self.title}: {len(self.tried)} evaluations"
-        )
-        own = load_controller(self.controller)
-        for name, gain in self.settings.of(self.controller).gains.items():
-            share = f" of {gain.share_of}" if gain.share_of else ""
-            before = getattr(own, name)
-            shown = "-" if before is None else f"{before:g}"
-            table.add_row(name, shown, f"{self.best.gains[name]:g}", f"{gain.low:g} to {gain.high:g}{share}")
-        console.print(table)
-        count = len(self.settings.scenarios)
-        costs = Table("policy", "J", "to before", "better in", title=f"mean J of {count} scenarios")
-        for name, e in (self.references | {self.title: self.best}).items():
-            better = sum(a < b for a, b in zip(e.costs, self.before.costs, strict=True))
-            lost = f", {e.derailed} derailed" if e.derailed else ""
-            costs.add_row(
-                name, f"{e.mean:.5f}", f"{e.mean / self.before.mean - 1.0:+.1%}", f"{better} of {count}{lost}"
-            )
-        console.print(costs)
+        own, gains = load_controller(self.controller), self.settings.of(self.controller).gains
+        rows = [
+            {"gain": name, "before": getattr(own, name), "tuned": self.best.gains[name]}
+            | {"range": f"{gain.low:g} to {gain.high:g}{f' of {gain.share_of}' if gain.share_of else ''}"}
+            for name, gain in gains.items()
+        ]
+        print_table(console, f"{self.title}: {len(self.tried)} evaluations", GAINS, rows, wide=wide)
+        costs = [
+            {"policy": name, "J": e.mean, "change": e.mean / self.before.mean - 1.0}
+            | {"better": sum(a < b for a, b in zip(e.costs, self.before.costs, strict=True))}
+            | {"derailed": e.derailed}
+            for name, e in (self.references | {self.title: self.best}).items()
+        ]
+        title = f"mean J of {len(self.settings.scenarios)} scenarios"
+        print_table(console, title, COSTS, costs, wide=wide)
 
     def control_file(self) -> str:
         """Text of a file of parameters: the controller's own, with the tuned gains in their places."""
@@ -187,34 +183,49 @@ class TuneResult:
         return "\n".join(lines) + "\n"
 
     def _draw(self, figure: Figure) -> None:
-        figure.set_size_inches(10.0, 4.5)
-        left, right = figure.subplots(1, 2)
+        left, right = panels(figure, 2, 2, (5.0, 4.2))
         self._draw_search(left)
         speeds = [case.speed_kmh for case in self.settings.scenarios]
-        for e, label in ((self.before, self.controller), (self.best, self.title)):
-            right.plot(speeds, e.costs, "o", markersize=4, label=label)
-        right.set(xlabel="speed (km/h)", ylabel="J of a scenario", yscale="log")
+        for e, name in ((self.before, self.controller), (self.best, self.title)):
+            style = policy_style(name)
+            # No lines: two scenarios of neighbouring speeds have other wear and friction.
+            right.plot(speeds, e.costs, style.marker, color=style.colour, markersize=4, label=label(name))
+        right.set(xlabel="speed (km/h)", ylabel="J of a scenario")
+        log_axis(right)
         right.legend(fontsize="small")
-        right.grid(alpha=0.3)
 
-    def _draw_search(self, axis: Axes) -> None:
+    def _draw_search(self, axes: Axes) -> None:
         costs = [e.mean for e in self.tried]
         names = list(self.best.gains)
         if len(names) == 1:
-            axis.plot([e.gains[names[0]] for e in self.tried], costs, "o", markersize=4)
-            axis.set_xlabel(names[0])
+            axes.plot([e.gains[names[0]] for e in self.tried], costs, "o", markersize=4)
+            axes.set_xlabel(names[0])
         else:
-            axis.plot(costs, ".", label="evaluation")
-            axis.plot(np.minimum.accumulate(costs), label="best so far")
-            axis.set_xlabel("evaluation")
+            axes.plot(costs, ".", color=SKY, label="evaluation")
+            axes.plot(np.minimum.accumulate(costs), color=VERMILION, label="best so far")
+            axes.set_xlabel("evaluation")
         for name, e in self.references.items():
             if e.mean < 2.0 * self.before.mean:
-                axis.axhline(e.mean, linestyle=":", linewidth=1.0, color="k")
-                axis.annotate(name, (1.0, e.mean), xycoords=("axes fraction", "data"), fontsize=6, ha="right")
-        axis.set(ylabel="mean J", yscale="log", title=self.title)
-        axis.grid(alpha=0.3)
-        if len(names) > 1:
-            axis.legend(fontsize="small")
+                axes.axhline(e.mean, linewidth=1.0, label=label(name), **policy_style(name).plain)
+        axes.set(ylabel="mean J", title=self.title)
+        log_axis(axes)
+        axes.legend(fontsize="small")
+
+
+GAINS = (
+    Column("gain", "gain"),
+    Column("before", "before"),
+    Column("tuned", "tuned"),
+    Column("range", "range"),
+)
+COSTS = (
+    Column("policy", "policy"),
+    Column("J", "J", digits=5, best=True),
+    Column("change", "to before", "%", 100.0, 1),
+    Column("better", "scenarios better"),
+    Column("derailed", "derailed", limit=0),
+)
+"""Of the printed tables."""
 
 
 def tune(

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sayd_env.agents.config import load_train
 
+from sayd_env.agents.config import load_train
 from sayd_env.studies.bench import training as bench_training
 from sayd_env.studies.bench.training import Learner, TrainingEffort, measure_training
 

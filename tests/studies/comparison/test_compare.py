@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
 from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
-
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.comparison import ComparedTrack, ComparisonConfig, load_comparison
