@@ -11,6 +11,7 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
@@ -208,6 +209,23 @@ def _end_processes(executor: Executor) -> None:
             process.terminate()
 
 
+@contextmanager
+def _connecting(choice: ExecutorChoice) -> Iterator[None]:
+    """Refuse a cluster that does not answer, at once, and keep our own way to end on a signal."""
+    main = threading.current_thread() is threading.main_thread()
+    terminate = signal.getsignal(signal.SIGTERM)
+    try:
+        host, _, port = choice.address.rpartition(":")
+        if host:  # Ray would try for ten minutes
+            socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
+        yield
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise ConfigError(f"--executor {choice}: no connection ({reason})") from None
+    if main:
+        signal.signal(signal.SIGTERM, terminate)
+
+
 def _start_ray(choice: ExecutorChoice) -> Executor:
     try:
         import ray  # noqa: PLC0415 - an extra
@@ -224,14 +242,11 @@ class _Ray(Executor):
     def __init__(self, ray: Any, choice: ExecutorChoice) -> None:
         self._ray = ray
         quiet = {"log_to_driver": False, "logging_level": "error"}
-        try:
+        with _connecting(choice):
             if choice.address:
                 ray.init(address=_ray_address(choice.address), **quiet)
             else:
                 ray.init(num_cpus=choice.count, include_dashboard=False, **quiet)
-        except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise ConfigError(f"--executor {choice}: no connection ({reason})") from None
         self._call = ray.remote(_call)
 
     def submit(self, function: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
@@ -268,11 +283,8 @@ class _Dask(Executor):
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is computed again
         where = {"address": f"tcp://{choice.address}"} if choice.address else {"n_workers": choice.count}
         alone = {} if choice.address else {"threads_per_worker": 1, "dashboard_address": None}
-        try:
+        with _connecting(choice):
             self._client = client(**where, **alone, timeout=CONNECT_SECONDS)
-        except (OSError, TimeoutError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise ConfigError(f"--executor {choice}: no connection ({reason})") from None
 
     def submit(self, function: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         future: Future[T] = self._client.get_executor(pure=False).submit(function, *args, **kwargs)

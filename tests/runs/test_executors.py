@@ -22,7 +22,7 @@ from sayd_env.config.errors import ConfigError, StudyError
 from sayd_env.config.scenario import load_scenario
 from sayd_env.runs import executors
 from sayd_env.runs.cache import RunCache
-from sayd_env.runs.context import RunContext
+from sayd_env.runs.context import Progress, RunContext, silent
 from sayd_env.runs.executors import ExecutorChoice, computed
 from sayd_env.runs.metrics import Row
 from sayd_env.runs.passive import sweep
@@ -42,8 +42,8 @@ def choice(kind: str) -> ExecutorChoice:
     return ExecutorChoice.parse(kind, 2)
 
 
-def rows(kind: str, cache: RunCache | None = None) -> list[Row]:
-    context = RunContext(choice(kind), cache or RunCache())
+def rows(kind: str, cache: RunCache | None = None, progress: Progress = silent) -> list[Row]:
+    context = RunContext(choice(kind), cache or RunCache(), progress)
     policies = [PolicySpec("passive"), PolicySpec("mppt2")]
     scenario = load_scenario("nominal", [*SHORT, "wear=1"])
     return evaluate(scenario, [80.0, 97.0], range(2), policies=policies, context=context).rows
@@ -61,18 +61,30 @@ def workers(kind: str) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", EVERY[1:])
-def test_the_bits_do_not_depend_on_the_executor(kind: str):
-    assert repr(rows(kind)) == repr(rows(executors.THREADS))
+def test_the_bits_do_not_depend_on_the_executor_nor_on_a_worker_that_is_killed(kind: str):
+    victims: list[int] = []
+
+    def kill_one(done: float, total: float, what: str = "") -> None:
+        if not victims:
+            victims.extend(workers(kind)[:1])
+            os.kill(victims[0], signal.SIGKILL)
+
+    assert repr(rows(kind, progress=kill_one)) == repr(rows(executors.THREADS))
+    assert victims
 
 
-@pytest.mark.parametrize("kind", EVERY)
+@pytest.mark.parametrize("kind", [executors.THREADS, executors.PROCESSES, executors.DASK])
 def test_what_the_work_raises_ends_the_study_as_it_is(kind: str):
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
         list(computed(math.sqrt, [4.0, -1.0], choice(kind)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", EVERY[1:])
+def test_what_ray_wraps_is_unwrapped():
+    error = ValueError("as it is")
+    assert executors._cause(type("RayTaskError", (Exception,), {"cause": error})()) is error
+
+
+@pytest.mark.parametrize("kind", [executors.PROCESSES, executors.DASK])
 def test_a_worker_that_is_killed_costs_no_result(kind: str):
     found, victims = [], []
     for i, _ in computed(time.sleep, [0.4] * 8, choice(kind)):
