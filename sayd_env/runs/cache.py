@@ -21,7 +21,7 @@ import numpy as np
 
 from sayd_env.config.plain import jsonable
 from sayd_env.config.software import source_fingerprint
-from sayd_env.config.storage import remove_leftovers, write_file
+from sayd_env.config.storage import remove_leftovers, reported, write_file
 
 Record = TypeVar("Record")
 _KEY = "_key"
@@ -80,7 +80,8 @@ class RunCache:
         if self._folder is None:
             return
         if not self._folder.is_dir():
-            self._folder.mkdir(parents=True, exist_ok=True)
+            with reported(self._folder):
+                self._folder.mkdir(parents=True, exist_ok=True)
         stream = io.BytesIO()
         content: dict[str, Any] = {name: v for name, v in vars(record).items() if v is not None}
         np.savez_compressed(stream, **content | {_KEY: key})

@@ -275,7 +275,7 @@ def test_too_little_memory_is_one_message(refused: Refused, monkeypatch: pytest.
     def exhausted(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("sayd_env.studies.evaluate.run_groups", exhausted)
+    monkeypatch.setattr("sayd_env.studies.evaluate.rows", exhausted)
     assert "not enough memory" in refused(*EVALUATE, status=1)
 
 

@@ -1,19 +1,30 @@
-"""Finished runs on the disk: found again, and only where every input is the same."""
+"""Finished runs on the disk: found again, and only where every input and every source is the same."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sayd_env.config import ConfigError, Model
-from sayd_env.runs import cache as checkpoint
-from sayd_env.runs.cache import RunStore, fingerprint
+from sayd_env.config import Model, StudyError, software
+from sayd_env.config import control as control_config
+from sayd_env.config.environment import load_environment
+from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.config.software import FLOORS, fingerprint_of, source_fingerprint
+from sayd_env.runs import cache as module
+from sayd_env.runs import rollouts
+from sayd_env.runs.cache import RunCache, fingerprint
+from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import ControlledRun
+from sayd_env.runs.passive import PassiveRun
+from sayd_env.runs.policies import PolicySpec, policy_spec
+from sayd_env.runs.rollouts import Run
 
 
 class Inputs(Model):
@@ -27,14 +38,18 @@ class Toy:
     policy: str
     values: np.ndarray
     command: np.ndarray
+    ending: str | None = None
 
 
 TOY = Toy(1 / 3, 7, "mppt1 µ", np.linspace(0, 1, 5), np.eye(2, dtype=np.float32))
+KEY = fingerprint("toys", Inputs())
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> RunStore[Toy]:
-    return RunStore(tmp_path, "toys", Toy, Inputs())
+def cache(tmp_path: Path) -> RunCache:
+    """A cache that has to read from the disk what another one has kept there."""
+    RunCache(tmp_path).put(KEY, TOY)
+    return RunCache(tmp_path)
 
 
 def only_file(folder: Path) -> Path:
@@ -42,74 +57,179 @@ def only_file(folder: Path) -> Path:
     return path
 
 
-def test_a_run_comes_back_bit_for_bit(store: RunStore[Toy], tmp_path: Path):
-    store.put("a", TOY)
-    found = RunStore(tmp_path, "toys", Toy, Inputs()).get("a")
+def same(one: Any, other: Any) -> bool:
+    return all(np.array_equal(value, getattr(other, name)) for name, value in vars(one).items())
+
+
+def test_a_run_comes_back_bit_for_bit(cache: RunCache):
+    found = cache.get(KEY, Toy)
     assert found is not None
     assert (found.speed, found.seed, found.policy) == (TOY.speed, TOY.seed, TOY.policy)
     assert [type(x) for x in (found.speed, found.seed, found.policy)] == [float, int, str]
     assert (found.values == TOY.values).all()
     assert (found.command == TOY.command).all()
     assert found.command.dtype == np.float32
+    assert found.ending is None
 
 
 def test_a_controlled_run_comes_back(controlled_run: Callable[..., ControlledRun], tmp_path: Path):
     run = controlled_run("skyhook-onoff", 350, 3)
-    RunStore(tmp_path, "skyhook", ControlledRun, Inputs(), {"closed": 0.0}).put("350_kmh_seed_3", run)
-    found = RunStore(tmp_path, "skyhook", ControlledRun, Inputs(), {"closed": 0.0}).get("350_kmh_seed_3")
+    RunCache(tmp_path).put(KEY, run)
+    found = RunCache(tmp_path).get(KEY, ControlledRun)
     assert found is not None
     assert same(found, run)
     assert found.command.dtype == np.float32
 
 
-def test_the_second_call_does_no_work(store: RunStore[Toy]):
-    calls = []
-
-    def compute() -> Toy:
-        calls.append(1)
-        return TOY
-
-    first = store.remembered("a", compute)
-    assert store.reused == 0
-    second = store.remembered("a", compute)
-    assert (len(calls), store.reused) == (1, 1)
-    assert (first.values == second.values).all()
-    store.remembered("b", compute)
-    assert len(calls) == 2
+def test_without_a_folder_runs_are_kept_in_memory():
+    cache = RunCache()
+    cache.put(KEY, TOY)
+    assert cache.get(KEY, Toy) is TOY
+    assert cache.reused == 0
 
 
-def test_a_work_that_fails_leaves_nothing(store: RunStore[Toy], tmp_path: Path):
-    def interrupted() -> Toy:
-        raise KeyboardInterrupt
+@dataclass(frozen=True)
+class Spec:
+    """A run that `doubled` makes."""
 
+    number: int
+
+    def inputs(self) -> list[Any]:
+        return [Inputs(), self.number]
+
+    def companions(self) -> int:
+        return 0
+
+
+@dataclass(frozen=True)
+class Doubled:
+    value: int
+
+
+made: list[int] = []
+
+
+def doubled(specs: list[Spec]) -> list[Doubled]:
+    for spec in specs:
+        if spec.number < 0:
+            raise KeyboardInterrupt
+    made.extend(spec.number for spec in specs)
+    return [Doubled(2 * spec.number) for spec in specs]
+
+
+def values(cache: RunCache, numbers: Iterable[int]) -> list[int]:
+    found = RunContext(cache=cache).records(doubled, [Spec(n) for n in numbers], Doubled)
+    return [record.value for record in found]
+
+
+def test_the_second_call_does_no_work(tmp_path: Path):
+    made.clear()
+    first = RunCache(tmp_path)
+    assert values(first, [1, 2]) == values(first, [1, 2]) == [2, 4]
+    assert (sorted(made), first.reused) == ([1, 2], 0)  # a cache's own runs do not come from the disk
+    second = RunCache(tmp_path)
+    assert values(second, [2, 3, 1]) == [4, 6, 2]
+    assert (sorted(made), second.reused) == ([1, 2, 3], 2)
+
+
+def test_a_work_that_fails_leaves_nothing(tmp_path: Path):
     with pytest.raises(KeyboardInterrupt):
-        store.remembered("a", interrupted)
-    assert list(tmp_path.glob("*/*")) == []
+        values(RunCache(tmp_path), [-1])
+    assert list(tmp_path.iterdir()) == []
 
 
-def test_other_inputs_find_nothing(store: RunStore[Toy], tmp_path: Path):
-    store.put("a", TOY)
-    assert RunStore(tmp_path, "toys", Toy, Inputs(friction=0.3)).get("a") is None
-    assert RunStore(tmp_path, "toys", Toy, Inputs(), {"k_y": 1.0}).get("a") is None
-    assert RunStore(tmp_path, "others", Toy, Inputs()).get("a") is None
+def test_other_work_finds_nothing(tmp_path: Path):
+    """The maker of a run belongs to its inputs: an assessed run is no judged one."""
+    values(RunCache(tmp_path), [1])
+
+    def other(specs: list[Spec]) -> list[Doubled]:
+        return [Doubled(0) for _ in specs]
+
+    (found,) = RunContext(cache=RunCache(tmp_path)).records(other, [Spec(1)], Doubled)
+    assert found.value == 0
 
 
-def test_other_software_finds_nothing(store: RunStore[Toy], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    store.put("a", TOY)
-    monkeypatch.setattr(checkpoint, "versions", lambda: {"numpy": "another"})
-    assert RunStore(tmp_path, "toys", Toy, Inputs()).get("a") is None
+def test_other_inputs_find_nothing(cache: RunCache):
+    for inputs in (("toys", Inputs(friction=0.3)), ("toys", Inputs(), {"k_y": 1.0}), ("others", Inputs())):
+        assert cache.get(fingerprint(*inputs), Toy) is None
+    assert cache.get(fingerprint("toys", Inputs()), Toy) is not None
 
 
-def test_another_source_has_another_fingerprint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    package = tmp_path / "sayd_env"
-    (package / "physics").mkdir(parents=True)
-    source = package / "physics" / "step.py"
-    source.write_text("x = 1\n")
-    monkeypatch.setattr(checkpoint, "_PACKAGE", package)
-    before = fingerprint("a")
-    assert fingerprint("a") == before
-    source.write_text("x = 2\n")
-    assert fingerprint("a") != before
+def test_another_record_finds_nothing(cache: RunCache):
+    assert cache.get(KEY, Doubled) is None
+
+
+def test_other_software_finds_nothing(cache: RunCache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "source_fingerprint", lambda: 16 * "0")
+    assert RunCache(tmp_path).get(KEY, Toy) is None
+
+
+def test_other_versions_of_libraries_are_other_software(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    before = fingerprint_of([tmp_path])
+    monkeypatch.setattr(software, "versions", lambda: {"numpy": "another"})
+    assert fingerprint_of([tmp_path]) != before
+
+
+LEAVES = {
+    "agents": "policy_file.py",
+    "baselines": "mppt.py",
+    "config": "track.py",
+    "envs": "loop.py",
+    "measured": "recordings.py",
+    "physics": "contact/hertz.py",
+    "runs": "metrics.py",
+    "stability": "signals.py",
+}
+"""A file of each floor that can change a run."""
+
+
+@pytest.fixture(scope="module")
+def copies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Every floor's sources in a folder of their own."""
+    parent = tmp_path_factory.mktemp("floors")
+    for floor in FLOORS:
+        shutil.copytree(
+            str(resources.files(f"sayd_env.{floor}")),
+            parent / floor,
+            ignore=shutil.ignore_patterns("__pycache__", "*.npz"),
+        )
+    return {floor: parent / floor for floor in FLOORS}
+
+
+def test_the_same_sources_elsewhere_have_the_same_fingerprint(copies: dict[str, Path]):
+    assert fingerprint_of(list(copies.values())) == source_fingerprint()
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_an_edit_in_any_floor_finds_nothing(
+    floor: str, copies: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """A comment is enough."""
+    leaf = copies[floor] / LEAVES[floor]
+    original = leaf.read_text()
+    RunCache(tmp_path).put(KEY, TOY)
+    try:
+        leaf.write_text(original + "# edited\n")
+        edited = fingerprint_of(list(copies.values()))
+    finally:
+        leaf.write_text(original)
+    assert edited != source_fingerprint()
+    assert fingerprint_of(list(copies.values())) == source_fingerprint()
+    monkeypatch.setattr(module, "source_fingerprint", lambda: edited)
+    assert RunCache(tmp_path).get(KEY, Toy) is None
+    monkeypatch.undo()
+    assert RunCache(tmp_path).get(KEY, Toy) is not None
+
+
+def test_a_new_or_renamed_source_is_another_software(copies: dict[str, Path]):
+    folders = list(copies.values())
+    new = copies["physics"] / "contact" / "new.py"
+    new.write_text("")
+    one = fingerprint_of(folders)
+    new = new.rename(new.with_name("other.py"))
+    other = fingerprint_of(folders)
+    new.unlink()
+    assert len({source_fingerprint(), one, other}) == 3
 
 
 def test_the_content_of_a_file_counts_that_an_input_names(tmp_path: Path):
@@ -123,11 +243,70 @@ def test_the_content_of_a_file_counts_that_an_input_names(tmp_path: Path):
     assert fingerprint({"text": "no\0file"}, {"text": "x" * 10_000})
 
 
-def test_the_runs_class_counts(tmp_path: Path):
-    here = fingerprint("a", modules=[Path(__file__)])
-    other = tmp_path / "module.py"
-    other.write_text("y = 1\n")
-    assert len({here, fingerprint("a"), fingerprint("a", modules=[other])}) == 3
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return load_scenario("estimates")
+
+
+@pytest.fixture(scope="module")
+def run(scenario: Scenario) -> Run:
+    """A run of a controller whose parameters, vehicle, track and clock can be varied."""
+    policy = policy_spec("constant:0.3")
+    (run,) = rollouts.policy_runs([policy], [scenario], [80.0], [5], load_environment())
+    return run
+
+
+def key(run: Run | PassiveRun) -> str:
+    return fingerprint(*run.inputs())
+
+
+def test_a_run_is_that_of_its_vehicle_policy_seed_and_speed(run: Run):
+    vehicle, clock = run.scenario, run.environment
+    others = [
+        replace(run, seed=6),
+        replace(run, speed=80.1),
+        replace(run, initial_current=0.1),
+        replace(run, policy=PolicySpec("constant", {"current": 0.31})),
+        replace(run, policy=PolicySpec("mppt2")),
+        replace(run, policy=PolicySpec("mppt2", {"k_J": 0.123})),
+        replace(run, scenario=vehicle.model_copy(update={"wear": 0.75})),
+        replace(
+            run,
+            scenario=vehicle.model_copy(
+                update={"vehicle": vehicle.vehicle.model_copy(update={"name": "other"})}
+            ),
+        ),
+        replace(run, environment=clock.model_copy(update={"control_period": 0.005})),
+    ]
+    assert len({key(run), *map(key, others)}) == 1 + len(others)
+
+
+def test_the_same_run_is_found_whatever_its_label(run: Run):
+    """Read again, and under another title: the same vehicle, parameters and track are the same run."""
+    again = replace(run, policy=PolicySpec("constant", {"current": 0.3}, "mine"))
+    assert key(replace(again, scenario=run.scenario.model_copy(deep=True))) == key(run)
+
+
+def test_the_on_line_filter_belongs_to_a_run(run: Run, monkeypatch: pytest.MonkeyPatch):
+    """Policies see its output and J is taken by it."""
+    before = key(run)
+    online = control_config.load_online()
+    other = online.model_copy(update={"settling": 1.25 * online.settling})
+    monkeypatch.setattr(rollouts, "load_online", lambda: other)
+    assert key(run) != before
+
+
+def test_a_passive_run_is_that_of_its_vehicle_seed_and_speed(scenario: Scenario):
+    run = PassiveRun(scenario, 80.0, 5)
+    others = [
+        replace(run, seed=6),
+        replace(run, speed=80.1),
+        replace(run, scenario=scenario.model_copy(update={"friction": 0.3})),
+        replace(run, scenario=load_scenario("estimates", ["assessment.length=600"])),
+        replace(run, scenario=load_scenario("estimates", ["contact.creep_law=polach"])),
+    ]
+    assert len({key(run), *map(key, others)}) == 1 + len(others)
+    assert key(PassiveRun(load_scenario("estimates"), 80.0, 5)) == key(run)
 
 
 def cut(path: Path) -> None:
@@ -146,58 +325,50 @@ def pickled(path: Path) -> None:
     "damage",
     [cut, foreign, pickled, lambda path: path.write_bytes(b""), lambda path: path.write_text("hello")],
 )
-def test_a_file_that_is_no_such_run_is_computed_again(damage: Any, store: RunStore[Toy], tmp_path: Path):
-    store.put("a", TOY)
+def test_a_file_that_is_no_such_run_counts_as_not_found(damage: Any, cache: RunCache, tmp_path: Path):
     damage(only_file(tmp_path))
-    assert store.get("a") is None
-    assert store.remembered("a", lambda: TOY) is TOY
-    assert store.get("a") is not None
+    assert cache.get(KEY, Toy) is None
+    assert cache.reused == 0
+    cache.put(KEY, TOY)
+    assert RunCache(tmp_path).get(KEY, Toy) is not None
 
 
-def test_a_renamed_run_is_not_taken_for_another(store: RunStore[Toy], tmp_path: Path):
-    store.put("a", TOY)
+def test_a_renamed_run_is_not_taken_for_another(cache: RunCache, tmp_path: Path):
     path = only_file(tmp_path)
     path.rename(path.with_name("b.npz"))
-    assert store.get("b") is None
+    assert cache.get("b", Toy) is None
 
 
-def same(one: Any, other: Any) -> bool:
-    return all(np.array_equal(value, getattr(other, name)) for name, value in vars(one).items())
-
-
-def test_a_damaged_byte_changes_no_value(store: RunStore[Toy], tmp_path: Path):
-    store.put("a", TOY)
+def test_a_damaged_byte_changes_no_value(cache: RunCache, tmp_path: Path):
     path = only_file(tmp_path)
     good = path.read_bytes()
     lost = 0
     for place in range(0, len(good), 5):
         path.write_bytes(good[:place] + bytes([good[place] ^ 0xFF]) + good[place + 1 :])
-        found = store.get("a")
+        found = RunCache(tmp_path).get(KEY, Toy)
         assert found is None or same(found, TOY), place
         lost += found is None
     assert lost > 0.3 * len(good) / 5
 
 
-def test_former_runs_are_removed_on_request_and_nothing_else(store: RunStore[Toy], tmp_path: Path):
-    store.put("a", TOY)
-    for name in ("toys-0123456789abcdef", "toys-not-ours", "toys-old", "others-0123456789abcdef"):
+def test_former_runs_are_removed_on_request_and_nothing_else(cache: RunCache, tmp_path: Path):
+    for name in ("0123456789abcdef", "not-ours", "old", "0123456789ABCDEF"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.npz").write_bytes(b"x")
-    store.forget_former()
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left == {
-        f"toys-{store.fingerprint}",
-        "toys-not-ours",
-        "toys-old",
-        "others-0123456789abcdef",
+    cache.forget_former()
+    assert {path.name for path in tmp_path.iterdir()} == {
+        source_fingerprint(),
+        "not-ours",
+        "old",
+        "0123456789ABCDEF",
     }
+    assert cache.get(KEY, Toy) is not None
 
 
-def test_a_name_stays_in_its_folder(tmp_path: Path):
-    RunStore(tmp_path / "runs", "../of *any* [kind]", Toy, Inputs())
-    assert [path.parent for path in tmp_path.rglob("*of__any*")] == [tmp_path / "runs"]
+def test_a_cache_in_memory_has_nothing_to_forget():
+    RunCache().forget_former()
 
 
-def test_a_folder_that_cannot_be_written_is_found_at_once():
-    with pytest.raises(ConfigError, match="cannot be written"):
-        RunStore(Path("/proc/sayd"), "toys", Toy)
+def test_a_folder_that_cannot_be_written_is_one_message():
+    with pytest.raises(StudyError, match="cannot be written"):
+        RunCache(Path("/proc/sayd")).put(KEY, TOY)

@@ -101,6 +101,20 @@ def test_workers_that_always_end_are_reported_once():
         list(computed(os._exit, [1, 1], ExecutorChoice(executors.PROCESSES, workers=1)))
 
 
+def second_fails(case: int) -> int:
+    if case == 1:
+        raise ConfigError("the second case")
+    return case
+
+
+def test_the_first_error_ends_the_others():
+    choice = ExecutorChoice(workers=2)
+    found = []
+    with pytest.raises(ConfigError, match="the second case"):
+        found.extend(computed(second_fails, range(1000), choice))
+    assert dict(computed(second_fails, [5, 0, 3], choice)) == {0: 5, 1: 0, 2: 3}
+
+
 class LosesSecond(Executor):
     """Computes the first piece of work at once; the second is lost with the executor."""
 

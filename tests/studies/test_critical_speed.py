@@ -14,7 +14,9 @@ from sayd_env.config import ConfigError
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.files import json_text
-from sayd_env.runs.passive import Sweep, assessed_run, parallel, sweep
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.executors import ExecutorChoice
+from sayd_env.runs.passive import PassiveRun, Sweep, assessed, sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.critical_speed import (
     CriticalSpeedResult,
@@ -120,22 +122,24 @@ def test_limits_of_the_papers_vehicle_are_those_of_the_paper(short_model: Vehicl
 SPEEDS = (300 / 3.6, 400 / 3.6)
 
 
-def test_a_sweep_is_its_single_runs_whatever_the_workers(short_model: VehicleModel):
-    one, many = (sweep(short_model, SPEEDS, (3, 5, 8), workers=n) for n in (1, 3))
+def test_a_sweep_is_its_single_runs_whatever_the_workers(short_scenario: Scenario):
+    contexts = (RunContext(ExecutorChoice(workers=n)) for n in (1, 3))
+    one, many = (sweep(short_scenario, SPEEDS, (3, 5, 8), context) for context in contexts)
     assert one.acceleration.shape == (2, 3, 4)
     assert one.seeds == (3, 5, 8)
     for name in ("frequency", "frequency_force", "acceleration", "track_shift"):
         assert np.array_equal(getattr(one, name), getattr(many, name))
-    single = assessed_run(short_model, SPEEDS[1], 5)
+    (single,) = assessed([PassiveRun(short_scenario, SPEEDS[1], 5)])
     assert np.array_equal(one.track_shift[1, 1], single.track_shift)
     assert np.array_equal(one.frequency[1, 1], single.frequency)
 
 
 def test_progress_counts_every_run_once(short_scenario: Scenario):
     told: list[tuple[float, float]] = []
-    result = find_critical_speed(
-        short_scenario, SPEEDS, (0, 1), progress=lambda done, total, what="": told.append((done, total))
+    context = RunContext(
+        ExecutorChoice(workers=4), progress=lambda done, total, what="": told.append((done, total))
     )
+    result = find_critical_speed(short_scenario, SPEEDS, (0, 1), context=context)
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
     # The history shows the wheelset with the highest RMS of the first speed and seed.
     worst = int(np.argmax(result.sweep.acceleration[0, 0]))
@@ -143,22 +147,12 @@ def test_progress_counts_every_run_once(short_scenario: Scenario):
     assert result.history.rms.max() == pytest.approx(result.sweep.acceleration[0, 0, worst], rel=1e-12)
 
 
-def test_a_speed_out_of_range_is_refused_before_any_work(short_scenario: Scenario):
-    model = VehicleModel(short_scenario)
+def test_a_speed_out_of_range_is_refused_before_any_work(
+    short_scenario: Scenario, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.delattr(RunContext, "records")
     with pytest.raises(ConfigError, match="speed 900 km/h is outside the range"):
-        sweep(model, (300 / 3.6, 900 / 3.6), (0,))
-    assert "table" not in model.__dict__
-
-
-def test_the_first_error_ends_the_others():
-    def work(case: int) -> int:
-        if case == 1:
-            raise ConfigError("the second case")
-        return case
-
-    with pytest.raises(ConfigError, match="the second case"):
-        parallel(work, range(1000), workers=2)
-    assert parallel(work, [5, 0, 3], workers=2) == [5, 0, 3]
+        sweep(short_scenario, (300 / 3.6, 900 / 3.6), (0,))
 
 
 def test_the_command_prints_the_keys_and_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -180,7 +174,7 @@ def test_the_command_prints_the_keys_and_writes_its_files(tmp_path: Path, capsys
     assert content["seed"] == 7
     assert content["config"]["assessment"]["length"] == 600
     files = {path.name for path in tmp_path.iterdir()}
-    assert files == {"result.json", "runs.csv", "critical_speed.png", "time_history.png"}
+    assert files == {"result.json", "runs.csv", "critical_speed.png", "time_history.png", "runs"}
     runs = np.genfromtxt(tmp_path / "runs.csv", delimiter=",", names=True, dtype=None, encoding=None)
     at = (runs["speed_kmh"] == 300.0) & (runs["wheelset"] == "rear.trailing")
     median = np.median(runs["acceleration_rms"][at])
@@ -211,7 +205,7 @@ def test_critical_speeds_by_creep_law(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.parametrize(
     ("laws", "message"),
-    [(["kalker"], "kalker: unknown creep law"), (["table"] * 2, "'table' stands there twice")],
+    [(["kalker"], "kalker: unknown creep law"), (["table"] * 2, "'table' is named twice")],
 )
 def test_creep_laws_that_are_none_are_refused(short_scenario: Scenario, laws: list[str], message: str):
     with pytest.raises(ConfigError, match=message):

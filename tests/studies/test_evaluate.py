@@ -21,9 +21,11 @@ from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
-from sayd_env.physics.simulator import VehicleModel
+from sayd_env.physics.simulator import RUN_OUT, Simulator, Telemetry, VehicleModel
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.runs.metrics import switchings
-from sayd_env.runs.passive import run_from, simulate
+from sayd_env.runs.passive import assessed_run
 from sayd_env.runs.policies import policy_spec
 from sayd_env.studies.critical_speed import model_limits
 from sayd_env.studies.evaluate import AVERAGED, EvaluateResult, Row, evaluate, with_reward
@@ -69,7 +71,12 @@ def acceleration_cost(signals: Array, limit: float) -> float:
 def result(short_scenario: Scenario) -> EvaluateResult:
     # Episodes short enough for the track of a short assessed run.
     environment = load_environment(overrides=["episode_s=4"])
-    return evaluate(short_scenario, [SPEED], range(2), environment=environment, workers=1)
+    return evaluate(short_scenario, [SPEED], range(2), environment=environment)
+
+
+def telemetry(model: VehicleModel, seed: int) -> Telemetry:
+    """All signals of the run, by the simulator of a vehicle by itself."""
+    return Simulator(model, SPEED, seed).run(RUN_IN + LENGTH + RUN_OUT)
 
 
 def test_the_cost_off_line_is_that_of_eq_27_from_the_telemetry(
@@ -77,7 +84,7 @@ def test_the_cost_off_line_is_that_of_eq_27_from_the_telemetry(
 ):
     cost = short_model.scenario.cost
     for row in result.rows:
-        signals = simulate(short_model, SPEED, row.seed)
+        signals = telemetry(short_model, row.seed)
         limit = model_limits(short_model).acceleration
         acceleration = acceleration_cost(signals.acceleration[:SAMPLES], limit)
         distance = np.arange(len(signals.time)) * SPEED / RATE
@@ -93,9 +100,9 @@ def test_the_cost_off_line_is_that_of_eq_27_from_the_telemetry(
 def test_the_ratios_are_those_of_the_assessment(result: EvaluateResult, short_model: VehicleModel):
     bounds = model_limits(short_model)
     for row in result.rows:
-        signals = simulate(short_model, SPEED, row.seed)
+        signals = telemetry(short_model, row.seed)
         both = signals.acceleration[:SAMPLES], signals.track_shift[:SAMPLES]
-        run = run_from(*both, SPEED, row.seed, short_model.scenario.assessment)
+        run = assessed_run(*both, SPEED, row.seed, short_model.scenario.assessment)
         assert row.acceleration_ratio == run.acceleration.max() / bounds.acceleration
         assert row.track_shift_ratio == run.track_shift.max() / bounds.track_shift_force
 
@@ -164,9 +171,10 @@ def test_a_derailment_is_charged_and_told(tmp_path: Path, monkeypatch: pytest.Mo
 def test_policies_run_on_the_same_tracks(short_scenario: Scenario):
     """What a policy gives does not depend on the company it is in, nor on the number of threads."""
     both = [policy_spec("passive"), policy_spec("constant:0.4")]
-    together = evaluate(short_scenario, [SPEED], range(6), policies=both, workers=2)
+    context = RunContext(ExecutorChoice(workers=2))
+    together = evaluate(short_scenario, [SPEED], range(6), policies=both, context=context)
     assert together.policies == ("passive", "constant:0.4")
-    alone = evaluate(short_scenario, [SPEED], range(3, 6), policies=both[1:], workers=1)
+    alone = evaluate(short_scenario, [SPEED], range(3, 6), policies=both[1:])
     assert together.runs("constant:0.4")[3:] == alone.rows
 
 
@@ -245,7 +253,7 @@ def test_the_best_stands_out_and_what_exceeds_a_limit_too(short_scenario: Scenar
 
 
 def test_a_policy_may_stand_there_once_only(short_scenario: Scenario):
-    with pytest.raises(ConfigError, match="policy 'mppt1' stands there twice"):
+    with pytest.raises(ConfigError, match="policy 'mppt1' is named twice"):
         evaluate(short_scenario, [SPEED], [0], policies=[policy_spec("mppt1")] * 2)
 
 
@@ -263,6 +271,6 @@ def test_the_command_runs_policies_wear_speeds_and_seeds(tmp_path: Path, capsys:
         for seed in (4, 5)
     ]
     assert [row["valve_mean"] for row in rows] == [None] * 8 + [pytest.approx(0.3)] * 8
-    names = {"result.json", "runs.csv", "medians.csv"}
+    names = {"result.json", "runs.csv", "medians.csv", "runs"}
     pictures = {f"evaluate_wear_{wear}_friction_0.35.png" for wear in ("0.5", "1")}
     assert {path.name for path in tmp_path.iterdir()} == names | pictures

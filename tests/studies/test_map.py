@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,13 @@ from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import load_sayd
 from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.runs.cache import RunCache
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.metrics import Row
 from sayd_env.runs.policies import PolicySpec, policy_spec
-from sayd_env.runs.rollouts import Group
+from sayd_env.runs.rollouts import Run
 from sayd_env.studies import map as module
-from sayd_env.studies.map import MapGrid, MapResult, MapRun, halfway, stability_map
+from sayd_env.studies.map import MapGrid, MapResult, halfway, stability_map
 
 GRID = MapGrid(
     wear=(0.0, 1.0),
@@ -27,31 +30,38 @@ GRID = MapGrid(
     condition_speeds=(350 / 3.6,),
     refinements=2,
 )
-Law = Callable[[Group, int], MapRun]
 
 
-def made_up(group: Group, seed: int) -> MapRun:
+def made_up(run: Run) -> Row:
     """Acceleration reaches its limit at 340 - 40 wear km/h (300 at wear 1), track shift force 20 km/h later.
 
     J is lowest at the current 0.45 on line, at 0.9 off line.
     """
-    kmh, wear = group.speed * 3.6, group.scenario.wear
-    current = float(group.policy.parameters.get("current", 0.0))
-    ratio = 1.0 + (kmh - (340.0 - 40.0 * wear)) / 100.0 + 0.01 * (seed - 1)
-    return MapRun((current - 0.45) ** 2, (current - 0.9) ** 2 + 1.0, ratio, ratio - 0.2)
+    kmh, wear = run.speed * 3.6, run.scenario.wear
+    current = float(run.policy.parameters.get("current", 0.0))
+    ratio = 1.0 + (kmh - (340.0 - 40.0 * wear)) / 100.0 + 0.01 * (run.seed - 1)
+    others = dict.fromkeys((field.name for field in fields(Row)), 0.0) | {"ending": None}
+    made: dict[str, Any] = {
+        "J": (current - 0.45) ** 2,
+        "J_offline": (current - 0.9) ** 2 + 1.0,
+        "acceleration_ratio": ratio,
+        "track_shift_ratio": ratio - 0.2,
+    }
+    return Row(**others | made | {"policy": run.policy.title})
 
 
 @pytest.fixture
-def runs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float, float]]:
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float, float, int]]:
     """What is run, with a made-up vehicle in place of the simulation."""
-    asked: list[tuple[str, float, float, float]] = []
+    asked: list[tuple[str, float, float, float, int]] = []
 
-    def run_kept(groups: list[Group], *_: Any, **__: Any) -> list[list[MapRun]]:
-        for g in groups:
-            asked.append((g.policy.title, g.scenario.wear, g.scenario.friction, round(g.speed * 3.6, 6)))
-        return [[made_up(group, seed) for seed in group.seeds] for group in groups]
+    def rows(runs: list[Run], *_: Any) -> list[Row]:
+        for run in runs:
+            where = run.scenario.wear, run.scenario.friction, round(run.speed * 3.6, 6)
+            asked.append((run.policy.title, *where, run.seed))
+        return [made_up(run) for run in runs]
 
-    monkeypatch.setattr(module, "run_kept", run_kept)
+    monkeypatch.setattr(module, "rows", rows)
     return asked
 
 
@@ -69,10 +79,10 @@ def test_the_critical_speed_is_that_of_the_median_seed(result: MapResult):
 
 
 def test_the_interval_of_the_crossing_is_halved(
-    result: MapResult, runs: list[tuple[str, float, float, float]]
+    result: MapResult, runs: list[tuple[str, float, float, float, int]]
 ):
     """At wear 0 acceleration crosses between 320 and 360, force between 320 or 360 and 400 km/h."""
-    speeds = sorted(kmh for title, wear, mu, kmh in runs if (title, wear, mu) == ("mppt1", 0.0, 0.2))
+    speeds = sorted(kmh for *where, kmh, seed in runs if (*where, seed) == ("mppt1", 0.0, 0.2, 0))
     assert speeds[:2] == [280, 320]
     assert 340 in speeds
     assert len(runs) == len(set(runs))
@@ -92,7 +102,7 @@ def test_the_best_current_is_found_to_a_sixteenth(result: MapResult):
 
 
 def test_currents_that_leave_the_valve_closed_are_tried_once(
-    result: MapResult, runs: list[tuple[str, float, float, float]]
+    result: MapResult, runs: list[tuple[str, float, float, float, int]]
 ):
     """The packaged valve's overlap keeps it closed up to the current `throttle.overlap`."""
     closed = load_sayd("sayd").throttle.overlap
@@ -143,9 +153,11 @@ def test_a_repeated_map_runs_nothing_again(tmp_path: Path):
         refinements=0,
     )
     specs = [policy_spec("constant:1")]
-    first = stability_map(scenario, specs, [0], grid=grid, folder=tmp_path)
-    second = stability_map(scenario, specs, [0, 1], grid=grid, folder=tmp_path)
-    assert (first.reused, second.reused) == (0, 3)  # an open valve at both speeds, a closed one at the first
+    caches = [RunCache(tmp_path), RunCache(tmp_path)]
+    first = stability_map(scenario, specs, [0], grid=grid, context=RunContext(cache=caches[0]))
+    stability_map(scenario, specs, [0, 1], grid=grid, context=RunContext(cache=caches[1]))
+    # An open valve at both speeds, a closed one at the first.
+    assert [cache.reused for cache in caches] == [0, 3]
     alone = stability_map(scenario, specs, [0], grid=grid)
     assert alone.as_dict() == first.as_dict()
 

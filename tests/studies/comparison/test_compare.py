@@ -18,11 +18,13 @@ from sayd_env.config import ConfigError
 from sayd_env.config.comparison import ComparedTrack, ComparisonConfig, load_comparison
 from sayd_env.config.control import load_controller
 from sayd_env.envs.single import SaydEnv
+from sayd_env.runs.cache import RunCache, fingerprint
+from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison import compare as module
 from sayd_env.studies.comparison.compare import CompareResult, compare, fewer
 from sayd_env.studies.comparison.entrants import Entrant, read_entrants
-from sayd_env.studies.comparison.grid import OWN, Keeper, ScenarioGrid, Variant, constant
+from sayd_env.studies.comparison.grid import OWN, ScenarioGrid, Variant, constant
 from sayd_env.studies.comparison.scores import Stability
 
 ENVIRONMENT = "base: randomized\nepisode_s: 4.0\n"
@@ -159,45 +161,42 @@ def test_conditions_are_all_combinations_and_reach_the_vehicle(config: Compariso
         }
     )
     grid = ScenarioGrid.of(many)
-    groups = grid.groups(PolicySpec("mppt2"))
-    assert len(groups) == len(grid.conditions) == 2 * 2 * 2
-    last = groups[-1]
+    runs = grid.runs(PolicySpec("mppt2"))
+    assert len(runs) == len(grid.conditions) == 2 * 2 * 2
+    last = runs[-1]
     assert (last.speed * 3.6, last.scenario.wear, last.scenario.friction) == (350.0, 1.0, 0.35)
     assert getattr(last.scenario.track.irregularity, "scale") == 0.4  # noqa: B009 - of one kind of track
     assert last.scenario.damper.type == "sayd"
-    assert not last.config.randomisation.tracks
-    assert last.config.randomisation.tolerances  # still drawn from the seed
-    assert grid.groups(PolicySpec("passive"))[0].scenario.damper.type == "passive"
+    assert not last.environment.randomisation.tracks
+    assert last.environment.randomisation.tolerances  # still drawn from the seed
+    assert grid.runs(PolicySpec("passive"))[0].scenario.damper.type == "passive"
 
 
-def test_the_constant_s_run_is_that_of_its_command(config: ComparisonConfig, tmp_path: Path):
-    """By name, with the command of its file, it shares the store of those with a command of their own."""
+def test_the_constant_s_run_is_that_of_its_command(config: ComparisonConfig):
+    """By name, with the command of its file, it is the run of those with a command of their own."""
     grid = ScenarioGrid.of(config)
     own = load_controller("constant").model_dump()["current"]
-    keeper = Keeper(tmp_path, grid)
-    places = [
-        keeper.place(grid.groups(policy)[0], 5)
+    named, same, other = (
+        fingerprint(*grid.runs(policy)[0].inputs())
         for policy in (PolicySpec("constant"), constant(own), constant(1.0))
-    ]
-    assert places[0] == places[1]
-    assert places[0][0] is places[2][0]
-    assert places[0][1] != places[2][1]
+    )
+    assert named == same != other
 
 
 def test_j_has_the_weights_and_the_charge_of_its_variant(config: ComparisonConfig):
     """k_y = 1 and k_F = 0.5; J_term = 12 a second, doubled with k_F because 2 k_F then exceeds k_y."""
     grid = ScenarioGrid.of(config)
     columns = {
-        "acceleration": 0.3,
-        "force": 0.2,
-        "offline_acceleration": 0.5,
-        "offline_force": 0.1,
+        "J_acceleration": 0.3,
+        "J_force": 0.2,
+        "J_offline_acceleration": 0.5,
+        "J_offline_force": 0.1,
         "lost": 0.25,
         "offline_lost": 0.25,
     }
     runs = {name: np.array([[value, value]]) for name, value in columns.items()}
     runs["lost"][0, 0] = 0.0
-    runs["offline_acceleration"][0, 1] = np.inf
+    runs["J_offline_acceleration"][0, 1] = np.inf
     assert grid.costs(runs, OWN)[0] == pytest.approx([0.3 + 0.1, 0.4 + 0.25 * 12])
     assert grid.costs(runs, Variant("online", 2.0))[0] == pytest.approx([0.5, 0.5 + 0.25 * 24])
     assert grid.costs(runs, Variant("online", 0.5))[0] == pytest.approx([0.35, 0.35 + 0.25 * 12])
@@ -229,7 +228,7 @@ def entrants(policy: Callable[..., StoredPolicy], tmp_path_factory: pytest.TempP
 
 @pytest.fixture(scope="module")
 def result(config: ComparisonConfig, entrants: list[Entrant], kept: Path) -> CompareResult:
-    return compare(config, entrants, folder=kept)
+    return compare(config, entrants, context=RunContext(cache=RunCache(kept)))
 
 
 def test_a_blind_policy_scores_as_the_constant_that_it_commands(result: CompareResult):
@@ -268,9 +267,10 @@ def crosses(stability: Stability) -> bool:
 def test_nothing_is_run_twice(
     config: ComparisonConfig, entrants: list[Entrant], kept: Path, result: CompareResult
 ):
-    again = compare(config, entrants, folder=kept)
+    cache = RunCache(kept)
+    again = compare(config, entrants, context=RunContext(cache=cache))
     # Three policies and the constant in two conditions; three at two speeds, and halfway to a crossing.
-    assert again.reused == 4 * 2 + 3 * 2 + sum(crosses(each) for each in result.stability.values())
+    assert cache.reused == 4 * 2 + 3 * 2 + sum(crosses(each) for each in result.stability.values())
     assert np.array_equal(again.costs[OWN]["blind"], result.costs[OWN]["blind"])
     assert again.scores[OWN]["blind"].to_passive == result.scores[OWN]["blind"].to_passive
 
@@ -284,12 +284,12 @@ def test_other_weights_under_the_same_name_are_another_policy(
 ):
     save_policy(tmp_path / "blind.npz", policy(0.1, **trained(4)))
     copy = shutil.copytree(kept, tmp_path / "runs")
-    found = compare(
-        fewer(config), read_entrants(["passive", "mppt2", f"blind={tmp_path}/blind.npz"]), folder=copy
-    )
+    others = read_entrants(["passive", "mppt2", f"blind={tmp_path}/blind.npz"])
+    cache = RunCache(copy)
+    found = compare(fewer(config), others, context=RunContext(cache=cache))
     assert found.field(found.entrants[2], "valve_mean") == pytest.approx(0.1)
     # The others and the constant are taken from the disk, at one speed and on the way to the critical one.
-    assert found.reused == 3 + 2 * 2 + sum(crosses(result.stability[name]) for name in ("passive", "mppt2"))
+    assert cache.reused == 3 + 2 * 2 + sum(crosses(result.stability[name]) for name in ("passive", "mppt2"))
 
 
 def test_an_interrupted_comparison_keeps_what_was_run(
@@ -302,7 +302,7 @@ def test_an_interrupted_comparison_keeps_what_was_run(
     arguments = ["compare", "--config", str(file), "--policies", "mppt2", "--quick", "--out", str(tmp_path)]
     assert main(arguments) == 130
     assert f"finished runs are in {tmp_path}/runs; the same command goes on" in capsys.readouterr().err
-    assert len(list(tmp_path.glob("runs/compare-*/*.npz"))) == 3
+    assert len(list(tmp_path.glob("runs/*/*.npz"))) == 3
     assert not (tmp_path / "result.json").exists()
     monkeypatch.undo()
     assert main([*arguments, "--json"]) == 0

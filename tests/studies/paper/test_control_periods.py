@@ -9,6 +9,8 @@ import pytest
 
 from sayd_env.config import ConfigError
 from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.runs.cache import RunCache
+from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import ControlledRuns
 from sayd_env.stability import Limits
 from sayd_env.studies.paper.control_periods import period_sensitivity
@@ -35,7 +37,8 @@ def test_the_rows_are_judged_as_among_all_others(paper_runs: Callable[..., Contr
 @pytest.mark.slow
 def test_periods_stand_side_by_side_and_are_run_once(tmp_path: Path):
     scenario = load_scenario("estimates", ("assessment.run_in=200", "assessment.length=600"))
-    first = period_sensitivity(scenario, [0], (0.005, 0.01), folder=tmp_path)
+    caches = [RunCache(tmp_path), RunCache(tmp_path)]
+    first = period_sensitivity(scenario, [0], (0.005, 0.01), context=RunContext(cache=caches[0]))
     assert first.rows == ("S1", "S2", "S3", "S4", "S5", "S6")
     header, rows = first.table()
     assert [(row[0], row[1]) for row in rows[:4]] == [
@@ -45,8 +48,8 @@ def test_periods_stand_side_by_side_and_are_run_once(tmp_path: Path):
         ("S2", 0.01),
     ]
     assert {len(row) for row in rows} == {len(header)}
-    second = period_sensitivity(scenario, [0], (0.01, 0.02), folder=tmp_path)
-    assert (first.reused, second.reused) == (0, len(skyhook_runs()))
+    second = period_sensitivity(scenario, [0], (0.01, 0.02), context=RunContext(cache=caches[1]))
+    assert [cache.reused for cache in caches] == [0, len(skyhook_runs())]
     assert second.claims[0.01] == first.claims[0.01]
 
 

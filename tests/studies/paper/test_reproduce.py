@@ -12,8 +12,10 @@ import pytest
 from sayd_env.cli import main
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.runs import passive as sweep
-from sayd_env.runs.passive import assessed_run
+from sayd_env.runs import passive
+from sayd_env.runs.cache import RunCache
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.studies.components.hysteresis import hysteresis
 from sayd_env.studies.critical_speed import find_critical_speed
 from sayd_env.studies.paper.passive_claims import WORN_SPEEDS, passive_claims
@@ -31,12 +33,10 @@ def told() -> list[tuple[float, float]]:
 
 @pytest.fixture(scope="module")
 def result(short_scenario: Scenario, told: list[tuple[float, float]]) -> ReproduceResult:
-    return reproduce(
-        short_scenario,
-        [3],
-        workers=2,
-        progress=lambda done, total, what="": told.append((done, total)),
+    context = RunContext(
+        ExecutorChoice(workers=2), progress=lambda done, total, what="": told.append((done, total))
     )
+    return reproduce(short_scenario, [3], context=context)
 
 
 def test_every_row_is_judged(result: ReproduceResult):
@@ -57,39 +57,50 @@ class Stop(Exception):
     pass
 
 
-def test_an_interrupted_study_goes_on_without_repeating_runs(
-    result: ReproduceResult, short_scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def interrupted(scenario: Scenario, folder: Path, runs: int) -> int:
+    """Stop a study after some runs; the number of the finished ones."""
+
     def stop(done: float, total: float, what: str = "") -> None:
-        if done == 4:
+        if done == runs:
             raise Stop
 
     with pytest.raises(Stop):
-        reproduce(short_scenario, [3], workers=1, progress=stop, folder=tmp_path)
-    finished = len(list(tmp_path.glob("*/*.npz")))
+        reproduce(scenario, [3], context=RunContext(ExecutorChoice(workers=1), RunCache(folder), stop))
+    return len(list(folder.glob("*/*.npz")))
+
+
+def test_an_interrupted_study_goes_on_without_repeating_runs(
+    result: ReproduceResult, short_scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    finished = interrupted(short_scenario, tmp_path, 4)
     assert 4 <= finished < 11
 
-    calls = []
+    made: list[passive.PassiveRun] = []
 
-    def counted(*arguments: Any) -> Any:
-        calls.append(arguments)
-        return assessed_run(*arguments)
+    def counted(runs: list[passive.PassiveRun]) -> Any:
+        made.extend(runs)
+        return simulated(runs)
 
-    monkeypatch.setattr(sweep, "assessed_run", counted)
-    second = reproduce(short_scenario, [3], folder=tmp_path)
-    assert (len(calls), second.reused) == (11 - finished, finished)
+    simulated = passive.simulated
+    monkeypatch.setattr(passive, "simulated", counted)
+
+    def again(scenario: Scenario) -> tuple[ReproduceResult, int]:
+        cache = RunCache(tmp_path)
+        return reproduce(scenario, [3], context=RunContext(cache=cache)), cache.reused
+
+    second, reused = again(short_scenario)
+    assert (len(made), reused) == (11 - finished, finished)
     assert second.claims == result.claims
-    third = reproduce(short_scenario, [3], folder=tmp_path)
-    assert (len(calls), third.reused) == (11 - finished, RUNS)
-    changed = short_scenario.model_copy(update={"friction": 0.3})
-    assert reproduce(changed, [3], folder=tmp_path).reused == 0
-    assert len(calls) == 22 - finished
+    _, reused = again(short_scenario)
+    assert (len(made), reused) == (11 - finished, RUNS)
+    _, reused = again(short_scenario.model_copy(update={"friction": 0.3}))
+    assert (len(made), reused) == (22 - finished, 0)
 
 
 def test_wear_is_0_and_1_in_turn(result: ReproduceResult, short_scenario: Scenario):
     for grid, wear in ((result.new, 0.0), (result.worn, 1.0)):
-        model = VehicleModel(short_scenario.model_copy(update={"wear": wear}))
-        run = assessed_run(model, float(grid.speeds[0]), 3)
+        scenario = short_scenario.model_copy(update={"wear": wear})
+        (run,) = passive.assessed([passive.PassiveRun(scenario, float(grid.speeds[0]), 3)])
         assert (grid.acceleration[0, 0] == run.acceleration).all()
     assert result.worn.speeds == pytest.approx(WORN_SPEEDS)
 
@@ -123,24 +134,17 @@ def test_the_command_writes_claims_and_figures(tmp_path: Path, capsys: pytest.Ca
     assert page.count('src="data:image/png;base64,') == len([f for f in files if f.endswith(".png")])
     assert "track_seeds" not in page  # the estimates are not calibrated
     assert main(["reproduce", *SHORT, "--seeds", "1", "--out", str(tmp_path)]) == 0
-    assert (
-        f"{RUNS} runs had been finished by an earlier start and were not repeated" in capsys.readouterr().out
-    )
+    assert f"{RUNS} runs had been finished by an earlier start" in capsys.readouterr().out
 
 
 def test_runs_with_controllers_go_on_after_an_interruption(
     result: ReproduceResult, short_scenario: Scenario, tmp_path: Path
 ):
-    def stop(done: float, total: float, what: str = "") -> None:
-        if done == 11 + 3:
-            raise Stop
-
-    with pytest.raises(Stop):
-        reproduce(short_scenario, [3], workers=1, progress=stop, folder=tmp_path)
-    finished = len(list(tmp_path.glob("*/*.npz")))
+    finished = interrupted(short_scenario, tmp_path, 11 + 3)
     assert 14 <= finished < RUNS
-    second = reproduce(short_scenario, [3], folder=tmp_path)
-    assert second.reused == finished
+    cache = RunCache(tmp_path)
+    second = reproduce(short_scenario, [3], context=RunContext(cache=cache))
+    assert cache.reused == finished
     assert second.claims == result.claims
 
 
@@ -176,12 +180,8 @@ def test_critical_speeds_by_creep_law(short_scenario: Scenario, monkeypatch: pyt
     speeds = (300 / 3.6, 400 / 3.6)
     monkeypatch.setattr("sayd_env.studies.paper.reproduce.LAW_SPEEDS", speeds)
     told: list[tuple[float, float]] = []
-    found = reproduce(
-        short_scenario,
-        [3],
-        creep_laws=["polach"],
-        progress=lambda done, total, what="": told.append((done, total)),
-    )
+    context = RunContext(progress=lambda done, total, what="": told.append((done, total)))
+    found = reproduce(short_scenario, [3], creep_laws=["polach"], context=context)
     assert told[-1][0] == told[-1][1]
     keys = found.as_dict()["by_creep_law"]
     for wheels, wear in (("new", 0.0), ("worn", 1.0)):

@@ -1,4 +1,4 @@
-"""Calibration: what a place in the ranges sets, what a row's penalty is, and a log that is not lost."""
+"""Calibration: what a place in the ranges sets, what a row's penalty is, and runs that are not lost."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.calibration import CalibrationConfig, load_calibration
 from sayd_env.config.scenario import load_scenario
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.runs.cache import RunCache
+from sayd_env.runs.context import RunContext
 from sayd_env.runs.passive import Sweep, sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.critical_speed import model_limits
@@ -141,48 +143,30 @@ def test_other_rows_measure_their_distance(rows: Rows):
     assert rows(worn=312.0)[0]["P4"] == pytest.approx((ratio_320 - 0.96) / 0.04)
 
 
-def test_an_interrupted_calibration_goes_on_where_it_stopped(
-    config: CalibrationConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    made: list[tuple[float, ...]] = []
+class Stop(Exception):
+    pass
 
-    def one(_: CalibrationConfig, stage: str, place: tuple[float, ...], seeds: int, workers: int | None):
-        made.append(place)
-        if len(made) == 3:
-            raise KeyboardInterrupt
-        return Evaluation(stage, place, sum(place), {"P1": place[0]}, {"x": place[1]})
 
-    monkeypatch.setattr(module, "_evaluate", one)
-    log = tmp_path / "evaluations.jsonl"
-    more = config.model_copy(update={"screening_samples": 5})
-    with pytest.raises(KeyboardInterrupt):
-        calibrate(more, log=log)
-    with log.open("a") as stream:  # the line that the interruption cut off
-        stream.write('{"stage": "screening", "pla')
+def test_an_interrupted_calibration_goes_on_where_it_stopped(config: CalibrationConfig, tmp_path: Path):
+    """Four speeds on new and four on worn wheels for each evaluation."""
     told: list[float] = []
-    result = calibrate(more, log=log, progress=lambda done, total, what="": told.append(done))
-    assert told == [1, 2, 3, 4, 5]
-    assert len(made) == 3 + 3  # the two of the log are not computed again
-    assert len(set(made)) == 5
-    assert len(log.read_text().splitlines()) == 1 + 5
-    again = calibrate(more, log=log)
-    assert len(made) == 6
-    assert again.evaluations == result.evaluations
-    assert result.best.cost == min(sum(place) for place in made)
 
+    def stop(done: float, total: float, what: str = "") -> None:
+        told.append(done)
+        if len(told) == 2:
+            raise Stop
 
-def test_a_log_of_another_calibration_is_refused(config: CalibrationConfig, tmp_path: Path):
-    log = tmp_path / "evaluations.jsonl"
-    for text in ('{"calibration": "another"}\n', "no JSON\n", "[1]\n", "\n"):
-        log.write_text(text)
-        with pytest.raises(ConfigError, match=r"evaluations\.jsonl: belongs to another calibration"):
-            calibrate(config, log=log)
-        assert log.read_text() == text
-
-
-def test_a_log_that_cannot_be_written_is_one_message(config: CalibrationConfig, tmp_path: Path):
-    with pytest.raises(ConfigError, match="cannot be written"):
-        calibrate(config, log=tmp_path / "nowhere" / "evaluations.jsonl")
+    more = config.model_copy(update={"screening_samples": 3})
+    with pytest.raises(Stop):
+        calibrate(more, context=RunContext(cache=RunCache(tmp_path), progress=stop))
+    assert len(list(tmp_path.glob("*/*.npz"))) == 2 * 8
+    told = [0.0, 0.0]
+    cache = RunCache(tmp_path)
+    result = calibrate(more, context=RunContext(cache=cache, progress=stop))
+    assert told[2:] == [1, 2, 3]
+    assert cache.reused == 2 * 8
+    assert result.evaluations == calibrate(more).evaluations
+    assert result.best.cost == min(e.cost for e in result.evaluations)
 
 
 def test_no_finite_run_at_all_is_a_failed_study(config: CalibrationConfig, monkeypatch: pytest.MonkeyPatch):
@@ -204,15 +188,15 @@ def test_two_evaluations_are_what_their_assignments_give(
     assert {path.name for path in out.iterdir()} == {
         "result.json",
         "evaluations.csv",
-        "evaluations.jsonl",
+        "runs",
         "cost.png",
         "nominal.yaml",
     }
     keys = [f"{key}={value!r}" for key, value in content["set"].items()]
-    models = [VehicleModel(load_scenario(config.base, [*keys, f"wear={wear}"])) for wear in (0.0, 1.0)]
+    wheels = [load_scenario(config.base, [*keys, f"wear={wear}"]) for wear in (0.0, 1.0)]
     grids = (config.new_speeds, config.worn_speeds)
-    new, worn = (sweep(m, v, [1000], workers=1) for m, v in zip(models, grids, strict=True))
-    penalties, measures = penalties_of(new, worn, model_limits(models[0]))
+    new, worn = (sweep(each, speeds, [1000]) for each, speeds in zip(wheels, grids, strict=True))
+    penalties, measures = penalties_of(new, worn, model_limits(VehicleModel(wheels[0])))
     assert content["penalties"] == pytest.approx(penalties, rel=1e-12)
     residuals = residuals_of(penalties, measures)
     assert content["cost"] == pytest.approx(np.sum(np.square(residuals)), rel=1e-12)
