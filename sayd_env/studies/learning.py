@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
 from sayd_env.config.software import provenance
-from sayd_env.report.files import Plot, Table
+from sayd_env.report.columns import Table
+from sayd_env.report.figures import Plot
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.executors import THREADS, ExecutorChoice
 
