@@ -1,4 +1,4 @@
-"""One J of an episode: rewards, batch, tuning's evaluator, training's judge and metrics all give the same.
+"""One J of an episode: rewards, batch, rollouts and the evaluators of tuning and training all give the same.
 
 The expected number is written out here from the unweighted squares that `info` gives of each step.
 """
@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sayd_env.agents.config import load_train
-from sayd_env.agents.scenarios import Judge
 
 from sayd_env import baselines
 from sayd_env.config.environment import load_environment
-from sayd_env.config.tuning import load_tuning
 from sayd_env.envs.cost import episode_cost
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
@@ -22,8 +20,9 @@ from sayd_env.envs.loop import COST_ACCELERATION, COST_FORCE, TERMS
 from sayd_env.envs.rollout import roll_out
 from sayd_env.envs.single import SaydEnv
 from sayd_env.envs.vector import SaydVectorEnv
-from sayd_env.runs.evaluator import Proving
+from sayd_env.runs.evaluator import PolicyEvaluator
 from sayd_env.runs.policies import policy_spec
+from sayd_env.studies.learning import policy_evaluator
 
 SECONDS, J_TERM, POLICY, SEED = 2.0, 7.0, "constant:0.3", 5
 CONDITIONS = {"speed_kmh": 350.0, "wear": 1.0, "initial_current": 0.2}
@@ -80,15 +79,9 @@ def test_all_give_the_same_j(force_weight: float, ends_early: bool, tmp_path: Pa
     (run,) = roll_out(batch, baselines.make(POLICY, batch.interface), episodes, [batch.steps])
     assert run.episode_cost(config, batch.scenario).total == pytest.approx(expected, rel=1e-12)
 
-    conditions = f"{{speed_kmh: 350.0, wear: 1.0, friction: {batch.scenario.friction}, seed: {SEED}}}"
-    tuning = [
-        f"environment={name}",
-        f"episode_s={SECONDS}",
-        "initial_current=0.2",
-        f"scenarios=[{conditions}]",
-    ]
-    found, ended = Proving(load_tuning(overrides=tuning), workers=1).costs(policy_spec(POLICY))
-    assert (float(found[0]), ended) == (pytest.approx(expected, rel=1e-12), int(ends_early))
+    case = {"speed_kmh": 350.0, "wear": 1.0, "friction": batch.scenario.friction, "seed": SEED}
+    found = PolicyEvaluator(name, [case], episode_s=SECONDS, initial_current=0.2).costs(policy_spec(POLICY))
+    assert (float(found.costs[0]), found.derailed) == (pytest.approx(expected, rel=1e-12), int(ends_early))
 
     evaluation = {
         "episode_s": SECONDS,
@@ -101,7 +94,7 @@ def test_all_give_the_same_j(force_weight: float, ends_early: bool, tmp_path: Pa
         f"environment.name={name}",
         *(f"evaluation.{key}={value}" for key, value in evaluation.items()),
     ]
-    assert Judge(load_train("ppo", training)).reference(POLICY) == pytest.approx([expected], rel=1e-12)
+    assert policy_evaluator(load_train("ppo", training))(POLICY) == pytest.approx([expected], rel=1e-12)
 
 
 def test_a_run_shorter_than_the_episode_counts_with_its_whole_seconds() -> None:

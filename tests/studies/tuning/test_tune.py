@@ -1,10 +1,12 @@
-"""Tuning: the search finds a known optimum, evaluations are not lost, and J is the rollout evaluator's."""
+"""Tuning: the search finds a known optimum and evaluations are not lost."""
 
 from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +16,9 @@ from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.tuning import ControllerTuning, TuningConfig, load_tuning
-from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
-from sayd_env.envs.rollout import roll_out
-from sayd_env.runs.evaluator import Proving
+from sayd_env.runs.evaluator import Costs
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning import tune as module
 from sayd_env.studies.tuning.search import minimise
@@ -88,21 +88,23 @@ class Bowl:
     made = 0
     stop: int | None = None
 
-    def __init__(self, settings: TuningConfig, workers: int | None) -> None:
-        self.environment = self.scenario = "none"
-        self.count = len(settings.scenarios)
+    def __init__(self, environment: str, cases: Sequence[Mapping[str, Any]], **_: Any) -> None:
+        self.environment, self.cases = environment, cases
 
-    def costs(self, policy: PolicySpec) -> tuple[np.ndarray, int]:
+    def inputs(self) -> tuple[Any, ...]:
+        return self.environment, list(self.cases)
+
+    def costs(self, policy: PolicySpec) -> Costs:
         if Bowl.stop == Bowl.made:
             raise KeyboardInterrupt
         Bowl.made += 1
         current = policy.parameters.get("current", 0.0)
-        return 0.02 + (current - 0.45) ** 2 + 0.1 * np.arange(self.count), 0
+        return Costs(0.02 + (current - 0.45) ** 2 + 0.1 * np.arange(len(self.cases)), 0)
 
 
 @pytest.fixture
 def bowl(monkeypatch: pytest.MonkeyPatch) -> type[Bowl]:
-    monkeypatch.setattr(module, "Proving", Bowl)
+    monkeypatch.setattr(module, "PolicyEvaluator", Bowl)
     monkeypatch.setattr(Bowl, "made", 0)
     monkeypatch.setattr(Bowl, "stop", None)
     return Bowl
@@ -173,27 +175,6 @@ def test_the_file_of_parameters_is_the_controller_with_other_gains(bowl: type[Bo
     assert about["scenarios"] == "4 of mine.yaml, 12 s, seeds 8005 to 8023"
     assert about["evaluations"] == len(result.tried)
     assert about["J_before"] == pytest.approx(0.17 + 0.45**2, rel=1e-5)  # mean of 0, 0.1, 0.2, 0.3: 0.15
-
-
-def test_j_is_that_of_the_rollout_evaluator():
-    """The same episodes by `roll_out`: J of the parts, weighted; policies leave no trace, nor do threads."""
-    settings = load_tuning(overrides=TINY)
-    proving = Proving(settings, workers=1)
-    spec = policy_spec("constant:0.42")
-    costs, derailed = proving.costs(spec)
-    assert derailed == 0
-    config, scenario = configured("training", episode_s=2.0)
-    batch = EpisodeBatch(config, 2, scenario=scenario, num_threads=1)
-    episodes = [
-        draw_episode(config, s.seed, 0, s.model_dump(exclude={"seed"}) | {"initial_current": 0.0})
-        for s in settings.scenarios
-    ]
-    runs = roll_out(batch, spec.make(batch), episodes, [200, 200])
-    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
-    assert costs == pytest.approx([np.dot(weights, run.cost(2.0)) for run in runs], rel=1e-9)
-    assert not np.array_equal(proving.costs(policy_spec("mppt2"))[0], costs)
-    assert np.array_equal(proving.costs(spec)[0], costs)
-    assert np.array_equal(Proving(settings, workers=2).costs(spec)[0], costs)
 
 
 def test_a_tuning_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
