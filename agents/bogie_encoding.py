@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from itertools import product
 
 import numpy as np
+
 from sayd_env.agents.config import InputConfig, OutputConfig, View
 from sayd_env.agents.encoding import Array, Encoding, Observation, VehicleEncoding
 from sayd_env.agents.products import columns, times
-
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sayd_env.agents.config import InputConfig, OutputConfig
 
+from sayd_env.agents.config import InputConfig, OutputConfig
 from sayd_env.config import ConfigError, nearest
 from sayd_env.envs.interface import Interface
 

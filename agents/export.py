@@ -8,10 +8,10 @@ from typing import Any, cast
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
+
 from sayd_env.agents.bogie_encoding import BogieEncoding
 from sayd_env.agents.encoding import FLOOR, Encoding, VehicleEncoding
 from sayd_env.agents.policy_file import LearnedPolicy, PolicyDescription, StoredPolicy, interface_like
-
 from sayd_env.config import StudyError
 from sayd_env.config.storage import write_file
 
@@ -63,7 +63,7 @@ def onnx_model(stored: StoredPolicy) -> Any:
     model = helper.make_model(
         made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=8, producer_name="sayd-env"
     )
-    helper.set_model_props(model, _told(stored.description))
+    helper.set_model_props(model, _metadata(stored.description))
     return model
 
 
@@ -158,7 +158,7 @@ def _clipped(graph: _Graph, values: str, low: float, high: float) -> str:
     return graph.add("Clip", values, graph.constant(np.float64(low)), graph.constant(np.float64(high)))
 
 
-def _told(description: PolicyDescription) -> dict[str, str]:
+def _metadata(description: PolicyDescription) -> dict[str, str]:
     return {
         "observation": description.observation,
         "signals": " ".join(description.signals),

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from sayd_env.agents.config import WIDEST, InputConfig, NetworkConfig, OutputConfig
 from sayd_env.agents.policy_archive import file_digest, read_bytes
 from sayd_env.agents.policy_file import Layers, LearnedPolicy, StoredPolicy, describe
-
 from sayd_env.config import ConfigError, DataError, validate
 from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig
@@ -152,9 +152,9 @@ def _algorithm(path: Path) -> str:
     """Name of the algorithm, read without unpickling anything."""
     try:
         with zipfile.ZipFile(path) as archive:
-            told = json.loads(archive.read("data"))
+            content = json.loads(archive.read("data"))
             whole = archive.testzip() is None
-        module, keys = told["policy_class"]["__module__"], set(told)
+        module, keys = content["policy_class"]["__module__"], set(content)
     except (zipfile.BadZipFile, zlib.error, KeyError, TypeError, ValueError, EOFError, OSError, RuntimeError):
         whole, module, keys = False, "", set()
     if not whole:

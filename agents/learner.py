@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from stable_baselines3 import PPO, SAC
+
 from sayd_env.agents.config import PpoConfig, TrainConfig
 from sayd_env.agents.learning_env import EncodedVecEnv
 from sayd_env.agents.policy_file import Layers
-from stable_baselines3 import PPO, SAC
-
 from sayd_env.config import DataError
 from sayd_env.config.storage import write_folder
 

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
+
 from sayd_env.agents.bogie_encoding import make_encoding
 from sayd_env.agents.config import TrainConfig
 from sayd_env.agents.encoding import Encoding, Observation
 from sayd_env.agents.sb3_vec import SaydVecEnv, Step
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 
 Array = npt.NDArray[np.float64]
 Numbers = Callable[[], Array]
@@ -115,14 +116,14 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
     """
     settings = config.environment
     vehicles = SaydVecEnv(
-        num_envs=settings.lanes, num_threads=settings.threads, **environment_keywords(config)
+        num_envs=settings.vehicles, num_threads=settings.threads, **environment_keywords(config)
     )
     encoding = make_encoding(vehicles.interface, config.view, config.inputs, config.clip, config.output)
 
     def factors() -> Array:
         return reward_factors(config, vehicles)
 
-    # The monitor stands below: it adds up what the environment gives, minus J.
+    # The monitor is below: it adds up what the environment gives, minus J.
     return EncodedVecEnv(VecMonitor(vehicles), encoding, factors, vehicles.bogie_costs), encoding
 
 

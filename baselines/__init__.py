@@ -23,7 +23,6 @@ from sayd_env.baselines.observation_layout import interface_of
 from sayd_env.baselines.perturb_observe import PerturbAndObserve
 from sayd_env.baselines.policy import Policy
 from sayd_env.baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
-
 from sayd_env.config import ConfigError
 from sayd_env.config.control import controller_of, load_controller
 from sayd_env.envs.registration import policy_loader

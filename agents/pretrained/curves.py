@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from sayd_env.agents.pretrained import FOLDER, groups
 from sayd_env.agents.table import Table
-
 from sayd_env.config import DataError
 
 if TYPE_CHECKING:
@@ -64,4 +63,4 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
         axis.set(title=algorithm.upper(), xlabel="steps of bogies (millions)")
         axis.grid(alpha=0.3)
         axis.legend(fontsize="small", ncols=2)
-    axes[0].set_ylabel("mean J of the scenarios that judge a training")
+    axes[0].set_ylabel("mean J of the scenarios of the evaluations")

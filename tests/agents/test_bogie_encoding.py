@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from sayd_env.agents.bogie_encoding import BogieEncoding
 from sayd_env.agents.config import InputConfig, OutputConfig
-
 from sayd_env.config import ConfigError
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.single import SaydEnv

@@ -18,10 +18,10 @@ SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
 from gymnasium.wrappers import FlattenObservation, RescaleAction  # noqa: E402
-from sayd_env.agents.foreign import read_foreign  # noqa: E402
-from sayd_env.agents.policy_file import load_policy  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize  # noqa: E402
 
+from sayd_env.agents.foreign import read_foreign  # noqa: E402
+from sayd_env.agents.policy_file import load_policy  # noqa: E402
 from sayd_env.cli import main  # noqa: E402
 from sayd_env.config import ConfigError, DataError  # noqa: E402
 from sayd_env.config.environment import load_environment  # noqa: E402

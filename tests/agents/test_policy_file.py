@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
 from sayd_env.agents.encoding import VehicleEncoding
 from sayd_env.agents.policy_file import (
@@ -23,7 +24,6 @@ from sayd_env.agents.policy_file import (
     read_policy,
     save_policy,
 )
-
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.errors import StudyError
 from sayd_env.envs.interface import Interface

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from sayd_env.agents import pretrained
 
+from sayd_env.agents import pretrained
 from sayd_env.config import ConfigError
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from sayd_env.agents.products import columns, layer, times
 
 

@@ -9,12 +9,12 @@ import pytest
 
 SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
-from sayd_env.agents.sb3_vec import SaydVecEnv  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.monitor import Monitor  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor  # noqa: E402
 
 from sayd_env import baselines  # noqa: E402
+from sayd_env.agents.sb3_vec import SaydVecEnv  # noqa: E402
 from sayd_env.config import ConfigError  # noqa: E402
 from sayd_env.config.environment import load_environment  # noqa: E402
 from sayd_env.envs.draw import draw_episode  # noqa: E402

@@ -15,10 +15,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from sayd_env.agents import pretrained
 
 import sayd_env
 from sayd_env import baselines
+from sayd_env.agents import pretrained
 from sayd_env.cli import main
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.environment import load_environment

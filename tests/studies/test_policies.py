@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+
+from sayd_env import baselines
 from sayd_env.agents import pretrained
 from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
 from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
 from sayd_env.agents.pretrained import cards
-
-from sayd_env import baselines
 from sayd_env.cli import main
 from sayd_env.config import ConfigError, DataError
 from sayd_env.envs.single import SaydEnv
@@ -94,7 +94,7 @@ def test_origins_are_told_by_the_files(ready: Path) -> None:
 
 
 def test_the_package_s_page_is_that_of_its_files() -> None:
-    """Made by ``python -m agents.pretrained.cards``."""
+    """Made by ``python -m sayd_env.agents.pretrained.cards``."""
     assert (pretrained.FOLDER / cards.README).read_text(encoding="utf-8") == cards.readme()
 
 
