@@ -27,7 +27,7 @@ class LearningEnvironmentConfig(Model):
     """The environment in which a policy learns; what is null stays as the environment has it."""
 
     name: str = Field(min_length=1, description="Name of an environment, or a path to its YAML file")
-    lanes: int = Field(description="Vehicles side by side", strict=True, ge=1, le=4096)
+    vehicles: int = Field(description="Vehicles side by side", strict=True, ge=1, le=4096)
     threads: Count | None = Field(None, description="Threads of the simulator; null: all cores")
     valves: Literal["bogie", "damper", "vehicle"]
     observation: Literal["signals", "history", "features"]
@@ -133,7 +133,7 @@ class EvaluationConfig(Model):
 class RewardReferenceConfig(Model):
     """J of an ordinary policy in an episode: cost (v / speed)^p (level / track_level)^q.
 
-    Rewards are told in its multiples. It knows the conditions alone, so that it makes episodes alike for the
+    Rewards are given in its multiples. It knows the conditions alone, so that it makes episodes alike for the
     learner and leaves open which of two policies is the better one there.
     """
 
@@ -191,7 +191,7 @@ class TrainConfig(Model):
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
         learning = self.learning
-        vehicles = self.environment.lanes * (2 if self.view == "bogie" else 1)
+        vehicles = self.environment.vehicles * (2 if self.view == "bogie" else 1)
         if isinstance(learning, PpoConfig) and learning.n_steps * vehicles % learning.batch_size:
             raise ValueError(
                 f"learning.batch_size ({learning.batch_size}) must divide n_steps x networks "

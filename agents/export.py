@@ -63,7 +63,7 @@ def onnx_model(stored: StoredPolicy) -> Any:
     model = helper.make_model(
         made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=8, producer_name="sayd-env"
     )
-    helper.set_model_props(model, _told(stored.description))
+    helper.set_model_props(model, _metadata(stored.description))
     return model
 
 
@@ -158,7 +158,7 @@ def _clipped(graph: _Graph, values: str, low: float, high: float) -> str:
     return graph.add("Clip", values, graph.constant(np.float64(low)), graph.constant(np.float64(high)))
 
 
-def _told(description: PolicyDescription) -> dict[str, str]:
+def _metadata(description: PolicyDescription) -> dict[str, str]:
     return {
         "observation": description.observation,
         "signals": " ".join(description.signals),

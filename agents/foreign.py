@@ -152,9 +152,9 @@ def _algorithm(path: Path) -> str:
     """Name of the algorithm, read without unpickling anything."""
     try:
         with zipfile.ZipFile(path) as archive:
-            told = json.loads(archive.read("data"))
+            content = json.loads(archive.read("data"))
             whole = archive.testzip() is None
-        module, keys = told["policy_class"]["__module__"], set(told)
+        module, keys = content["policy_class"]["__module__"], set(content)
     except (zipfile.BadZipFile, zlib.error, KeyError, TypeError, ValueError, EOFError, OSError, RuntimeError):
         whole, module, keys = False, "", set()
     if not whole:

@@ -116,14 +116,14 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
     """
     settings = config.environment
     vehicles = SaydVecEnv(
-        num_envs=settings.lanes, num_threads=settings.threads, **environment_keywords(config)
+        num_envs=settings.vehicles, num_threads=settings.threads, **environment_keywords(config)
     )
     encoding = make_encoding(vehicles.interface, config.view, config.inputs, config.clip, config.output)
 
     def factors() -> Array:
         return reward_factors(config, vehicles)
 
-    # The monitor stands below: it adds up what the environment gives, minus J.
+    # The monitor is below: it adds up what the environment gives, minus J.
     return EncodedVecEnv(VecMonitor(vehicles), encoding, factors, vehicles.bogie_costs), encoding
 
 

@@ -48,7 +48,7 @@ class OnnxPolicy:
 
 
 def read_onnx(path: Path) -> OnnxPolicy:
-    """Read an ONNX file; what environment it needs is told by its metadata, as `agents.export` writes them.
+    """Read an ONNX file; its metadata, as `agents.export` writes it, says what environment it needs.
 
     Raises
     ------
@@ -58,17 +58,17 @@ def read_onnx(path: Path) -> OnnxPolicy:
         It is no ONNX model, or its metadata cannot be used.
     """
     source, content = shown_path(path), read_bytes(path)
-    told = _session(content, source).get_modelmeta().custom_metadata_map
-    if "observation" not in told:
+    metadata = _session(content, source).get_modelmeta().custom_metadata_map
+    if "observation" not in metadata:
         return OnnxPolicy(source, content, {})
     try:
         needs = {
-            "observation": told["observation"],
-            "valves": told["valves"],
-            "control_period": float(told["control_period"]),
+            "observation": metadata["observation"],
+            "valves": metadata["valves"],
+            "control_period": float(metadata["control_period"]),
         }
-        rows = {"history": int(told["history"])} if told["observation"] == "history" else {}
-        signals = tuple(told["signals"].split())
+        rows = {"history": int(metadata["history"])} if metadata["observation"] == "history" else {}
+        signals = tuple(metadata["signals"].split())
     except (KeyError, ValueError) as error:
         raise DataError(f"{source}: its metadata cannot be used ({shown(str(error))})") from None
     return OnnxPolicy(source, content, needs | rows, signals)

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +38,6 @@ from sayd_env.envs.interface import Interface, Signal
 
 Layers = tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
 
-Kind = TypeVar("Kind")
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _NORMALISATION = ("input_middle", "input_half")
 
@@ -99,20 +98,29 @@ class StoredPolicy:
     @property
     def needs(self) -> dict[str, Any]:
         """Keywords of the environments in which it can act."""
-        told = self.description
-        rows = {"history": told.history} if told.observation == "history" else {}
-        common = {"observation": told.observation, "valves": told.valves}
-        return {**common, **rows, "control_period": told.control_period}
+        needs = self.description.model_dump(include={"observation", "valves", "control_period", "history"})
+        if needs["observation"] != "history":
+            del needs["history"]
+        return needs
 
     @property
     def algorithm(self) -> str | None:
         """How it was trained, if it says so."""
-        return _nested(self.description.made, str, "config", "learning", "algorithm")
+        found = self.made("config", "learning", "algorithm")
+        return found if isinstance(found, str) else None
 
     @property
     def seed(self) -> int | None:
         """Of its training, if it says so."""
-        return _nested(self.description.made, int, "config", "seed")
+        found = self.made("config", "seed")
+        return found if isinstance(found, int) else None
+
+    def made(self, *keys: str) -> Any:
+        """What nested keys say about where it comes from; None if they say nothing."""
+        content: Any = self.description.made
+        for key in keys:
+            content = content.get(key) if isinstance(content, Mapping) else None
+        return content
 
     def identity(self) -> str:
         """SHA-256 of all that it is."""
@@ -130,22 +138,15 @@ class StoredPolicy:
 
     def encoding(self, interface: Interface) -> Encoding:
         """What its network sees and commands in an environment."""
-        told = self.description
+        about = self.description
         try:
-            encoding = make_encoding(interface, told.view, told.inputs, told.clip, told.output)
+            encoding = make_encoding(interface, about.view, about.inputs, about.clip, about.output)
         except ConfigError as error:
             raise ConfigError(f"{self.source}: {error}") from None
         if self.normalisation is not None and isinstance(encoding, VehicleEncoding):
             middle, half = self.normalisation
             encoding.middle, encoding.per_half = middle, 1.0 / half
         return encoding
-
-
-def _nested(content: Any, kind: type[Kind], *keys: str) -> Kind | None:
-    """What nested keys hold; None if they hold nothing of this type."""
-    for key in keys:
-        content = content.get(key) if isinstance(content, Mapping) else None
-    return content if isinstance(content, kind) else None
 
 
 def describe(interface: Interface, source: str = "policy", **content: Any) -> PolicyDescription:
@@ -156,7 +157,7 @@ def describe(interface: Interface, source: str = "policy", **content: Any) -> Po
     ConfigError
         Content that is not allowed; the message begins with the source.
     """
-    told = {
+    known = {
         "format": 1,
         "observation": interface.observation,
         "signals": tuple(signal.name for signal in interface.signals),
@@ -164,7 +165,7 @@ def describe(interface: Interface, source: str = "policy", **content: Any) -> Po
         "valves": interface.valves,
         "control_period": interface.control_period,
     }
-    return validate(PolicyDescription, told | content, source)
+    return validate(PolicyDescription, known | content, source)
 
 
 def interface_like(description: PolicyDescription) -> Interface:

@@ -4,7 +4,7 @@ A run is a folder::
 
     config.yaml       everything that was chosen
     run.yaml          command, versions and inputs of each start
-    progress.csv      what the algorithm tells, and tensorboard/ the same
+    progress.csv      what the algorithm reports, and tensorboard/ the same
     evaluations.csv   J in each scenario while it learned
     references.csv    J of the controllers to compare with
     best.npz          policy with the lowest mean J (`agents.policy_file`)
@@ -25,6 +25,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +96,7 @@ def train(
     about : mapping, optional
         Command line, versions and the like, to be written into the run.
     progress : callable, optional
-        Told the steps done, the steps in all, and how things go.
+        Gets the steps done, the steps in all, and how things go.
 
     Raises
     ------
@@ -177,7 +178,7 @@ class _Run:
                 self.references.add({"policy": name} | self._row(self.evaluator(name)))
             self.references.save()
         writers: list[KVWriter] = [_Writer(self.log)]
-        if _installed("tensorboard"):
+        if find_spec("tensorboard"):
             writers.append(TensorBoardOutputFormat(str(self.folder / "tensorboard")))
         self.model.set_logger(Logger(str(self.folder), writers))
         try:
@@ -189,16 +190,16 @@ class _Run:
             self.model.logger.close()
             self.env.close()
 
-    def stand(self) -> Progress:
+    def progress(self) -> Progress:
         """How far it has come."""
         seconds = self.origin.seconds + time.monotonic() - self.clock
         return Progress(self.steps, self.model._n_updates, self.origin.restarts, seconds)
 
     def evaluate(self) -> None:
         """Evaluate the policy as it is, and keep it if it is the best."""
-        stand, policy = self.stand(), self._policy(None)
+        now, policy = self.progress(), self._policy(None)
         costs = self.evaluator(policy)
-        row = {"steps": stand.steps, "seconds": round(stand.seconds, 1)} | self._row(costs)
+        row = {"steps": now.steps, "seconds": round(now.seconds, 1)} | self._row(costs)
         self.evaluations.add(row)
         self.model.logger.record("evaluation/J", row["J"])
         if row["J"] < self.best:
@@ -210,7 +211,7 @@ class _Run:
         """Write a checkpoint, unless there is one of this step."""
         path = self.folder / CHECKPOINTS / f"{self.steps:012d}"
         if not path.exists():
-            save_model(path, self.model, self.stand())
+            save_model(path, self.model, self.progress())
             save_policy(self.folder / LAST, self._policy(None))
         self.log.save()
         self.evaluations.save()
@@ -219,12 +220,12 @@ class _Run:
 
     def outcome(self) -> Trained:
         """What it has come to."""
-        stand = self.stand()
+        now = self.progress()
         return Trained(
             self.folder,
             self.config,
-            stand.steps,
-            stand.seconds,
+            now.steps,
+            now.seconds,
             self.best,
             self.evaluations.rows,
             self.references.rows,
@@ -237,10 +238,10 @@ class _Run:
 
     def _policy(self, cost: float | None) -> StoredPolicy:
         layers, squash = policy_layers(self.model)
-        config, stand = self.config, self.stand()
+        config, now = self.config, self.progress()
         made = {
-            "steps": stand.steps,
-            "seconds": round(stand.seconds, 1),
+            "steps": now.steps,
+            "seconds": round(now.seconds, 1),
             "J": cost,
             "environment_sha256": self.digest,
             "config": config.model_dump(mode="json"),
@@ -269,7 +270,7 @@ class _Callback(BaseCallback):
         checkpoint = run.config.checkpoint.every
         self._every = (max(checkpoint // LOGS, 1), run.config.evaluation.every, checkpoint)
         self._next = [(run.steps // each + 1) * each for each in self._every]
-        self._fresh, self._told = True, 0.0
+        self._fresh, self._reported = True, 0.0
 
     def _on_rollout_start(self) -> None:
         run = self._run
@@ -296,8 +297,8 @@ class _Callback(BaseCallback):
 
     def _on_step(self) -> bool:
         now = time.monotonic()
-        if now > self._told + REPORT_SECONDS:
-            self._told = now
+        if now > self._reported + REPORT_SECONDS:
+            self._reported = now
             best = f"best J {self._run.best:.4f}" if np.isfinite(self._run.best) else ""
             self._report(self.model.num_timesteps, self._run.config.total_steps, best)
         return True
@@ -340,8 +341,12 @@ def _starts(config: TrainConfig, folder: Path, digest: str) -> list[dict[str, An
     changed = [key for key in sorted(mine | found) if mine.get(key) != found.get(key)]
     refused = [key for key in changed if key not in MAY_CHANGE]
     if refused:
-        told = "; ".join(f"{key}: the run has {mine.get(key)!r}, found {found.get(key)!r}" for key in refused)
-        raise ConfigError(f"--resume {folder}: {told}. Only {', '.join(sorted(MAY_CHANGE))} may change")
+        differences = "; ".join(
+            f"{key}: the run has {mine.get(key)!r}, found {found.get(key)!r}" for key in refused
+        )
+        raise ConfigError(
+            f"--resume {folder}: {differences}. Only {', '.join(sorted(MAY_CHANGE))} may change"
+        )
     run = parse_yaml(read_text(folder / RUN), str(folder / RUN))
     if not isinstance(run, dict) or not isinstance(run.get("starts"), list):
         raise DataError(f"{folder / RUN}: is damaged; expected the starts of the run")
@@ -369,14 +374,6 @@ def _checkpoints(folder: Path) -> list[Path]:
 def _cost_of(path: Path) -> float:
     """J of the best policy so far; infinite if there is none."""
     return float(read_policy(path).description.made["J"]) if path.is_file() else float("inf")
-
-
-def _installed(library: str) -> bool:
-    try:
-        metadata.version(library)
-    except metadata.PackageNotFoundError:
-        return False
-    return True
 
 
 def _yaml(content: Any) -> bytes:

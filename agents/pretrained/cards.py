@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from sayd_env.agents.policy_file import read_policy
 from sayd_env.agents.pretrained import FOLDER, groups
@@ -23,14 +21,14 @@ _HEAD = """# Ready policies
 
 Trained by `sayd train`, as the files themselves tell: each holds its whole configuration, the versions and
 the command. `sayd evaluate --policies ppo-s3` runs one, without torch; `ppo` alone is the first training,
-whichever is the best. J is the mean over the scenarios that judged it while it learned: no result of a
-comparison. They learned, and J was measured, on the former physics (Polach's creep law, a damper without
+whichever is the best. J is the mean over the scenarios of its evaluations while it learned: no result of
+a comparison. They learned, and J was measured, on the former physics (Polach's creep law, a damper without
 bleed, a first-order valve).
 
 ![learning curves](learning_curves.png)
 
-`python -m agents.pretrained.cards` makes this page from the files, and the picture from the tables beside
-them.
+`python -m sayd_env.agents.pretrained.cards` makes this page from the files, and the picture from the tables
+beside them.
 """
 
 
@@ -90,21 +88,20 @@ def origin(path: Path) -> Origin:
     ConfigError, DataError
         A file that cannot be read or is damaged, or that is another training than its name says.
     """
-    made, content = read_policy(path).description.made, path.read_bytes()
-    algorithm = _told(made, "config", "learning", "algorithm")
-    seed = _told(made, "config", "seed")
-    if f"{algorithm}-s{seed}" != path.stem:
+    policy, content = read_policy(path), path.read_bytes()
+    algorithm, seed, made = policy.algorithm, policy.seed, policy.made
+    if algorithm is None or seed is None or f"{algorithm}-s{seed}" != path.stem:
         raise DataError(f"{path}: holds the training '{algorithm}-s{seed}', another one than its name says")
-    commit = _told(made, "git_commit")
+    commit = made("git_commit")
     return Origin(
         name=path.stem,
         algorithm=algorithm,
         seed=seed,
-        commit=f"{commit}+" if commit and _told(made, "git_modified") else commit,
-        steps=_told(made, "steps"),
-        seconds=_told(made, "seconds"),
-        J=_told(made, "J"),
-        environment=_told(made, "config", "environment", "name"),
+        commit=f"{commit}+" if commit and made("git_modified") else commit,
+        steps=made("steps"),
+        seconds=made("seconds"),
+        J=made("J"),
+        environment=made("config", "environment", "name"),
         sha256=hashlib.sha256(content).hexdigest(),
         size=len(content),
     )
@@ -134,14 +131,6 @@ def readme(folder: Path | None = None) -> str:
         return f"{_HEAD}\nThere are none yet.\n"
     lines = [COLUMNS, ("---",) * len(COLUMNS), *rows]
     return _HEAD + "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def _told(made: Mapping[str, Any], *keys: str) -> Any:
-    """What stands under nested keys; None if nothing does."""
-    content: Any = made
-    for key in keys:
-        content = content.get(key) if isinstance(content, Mapping) else None
-    return content
 
 
 def picture() -> bytes:

@@ -66,4 +66,4 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
         axis.set(title=algorithm.upper(), xlabel="steps of bogies (millions)")
         axis.grid(alpha=0.3)
         axis.legend(fontsize="small", ncols=2)
-    axes[0].set_ylabel("mean J of the scenarios that judge a training")
+    axes[0].set_ylabel("mean J of the scenarios of the evaluations")

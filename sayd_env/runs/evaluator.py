@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -120,19 +121,14 @@ class PolicyEvaluator:
             if policy.needs.get("damper") == "passive":
                 config, scenario = configured(**self._environment, damper="passive")
             config = policy.environment(config)
-            alone = self._executor is None
-            count = 1 if alone else min(self._workers or 1, len(self._cases))
-            parts = np.array_split(np.arange(len(self._cases)), count)
-            self._pieces[key] = [
-                _Piece(
-                    config,
-                    scenario,
-                    [self._cases[int(i)] for i in part],
-                    self._current,
-                    self._workers if alone else 1,
-                )
-                for part in parts
-            ]
+            whole = _Piece(config, scenario, self._cases, self._current, self._workers)
+            count = 1 if self._executor is None else min(self._workers or 1, len(self._cases))
+            ends = [len(self._cases) * i // count for i in range(count + 1)]
+            self._pieces[key] = (
+                [whole]
+                if count == 1
+                else [replace(whole, cases=self._cases[a:b], threads=1) for a, b in pairwise(ends)]
+            )
         return self._pieces[key]
 
 
@@ -184,8 +180,9 @@ def _costs(work: tuple[_Piece, PolicySpec]) -> tuple[Array, int]:
         observation, _, _, _ = batch.step(action)
         terms[n] = batch.vehicles.terms
     ended, period = batch.vehicles.status != RUNNING, batch.config.control_period
-    for i in np.flatnonzero(batch.vehicles.status == NOT_FINITE):
-        raise StudyError(f"{policy.title}: the run of seed {piece.cases[int(i)]['seed']} diverged")
+    for case, status in zip(piece.cases, batch.vehicles.status, strict=True):
+        if status == NOT_FINITE:
+            raise StudyError(f"{policy.title}: the run of seed {case['seed']} diverged")
     costs = [
         episode_cost(
             terms[: batch.elapsed[i], i], period, piece.config, piece.scenario.cost, terminated=ended[i]

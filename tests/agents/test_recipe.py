@@ -15,8 +15,8 @@ from sayd_env.agents.policy_file import read_policy
 from sayd_env.cli import main
 
 FEW = {
-    "ppo": ("environment.lanes=8", "learning.n_steps=64", "learning.batch_size=256"),
-    "sac": ("environment.lanes=16", "learning.gradient_steps=1", "learning.learning_starts=256"),
+    "ppo": ("environment.vehicles=8", "learning.n_steps=64", "learning.batch_size=256"),
+    "sac": ("environment.vehicles=16", "learning.gradient_steps=1", "learning.learning_starts=256"),
 }
 SHORT = (
     "checkpoint.every=1024",

@@ -37,10 +37,12 @@ from sayd_env.config import ConfigError, DataError  # noqa: E402
 from sayd_env.config.errors import Interrupted, StudyError  # noqa: E402
 from sayd_env.envs.loop import COST_ACCELERATION, COST_FORCE  # noqa: E402
 from sayd_env.envs.single import SaydEnv  # noqa: E402
+from sayd_env.runs.executors import ExecutorChoice  # noqa: E402
 from sayd_env.studies.learning import policy_evaluator  # noqa: E402
+from sayd_env.studies.learning import train as study  # noqa: E402
 
 SMALL = [
-    "environment.lanes=4",
+    "environment.vehicles=4",
     "environment.episode_s=0.5",
     "evaluation.episode_s=1.0",
     "evaluation.speeds_kmh=[350.0]",
@@ -129,6 +131,14 @@ def test_the_evaluator_gives_what_evaluate_policy_gives(trained: Trained) -> Non
         vector.set_options({"speed_kmh": 350.0, "wear": 1.0, "initial_current": 0.0})
         mean, _ = evaluate_policy(policy, vector, n_eval_episodes=1)
         assert -mean == pytest.approx(cost, abs=1e-5)
+
+
+def test_other_processes_evaluate_to_the_same_bits(trained: Trained, tmp_path: Path) -> None:
+    config = trained.config.model_copy(update={"total_steps": 1})
+    result = study(config, tmp_path / "run", executor=ExecutorChoice("processes", workers=2))
+    assert result.trained.references == trained.references
+    first, expected = result.trained.evaluations[0], trained.evaluations[0]
+    assert first | {"seconds": 0.0} == expected | {"seconds": 0.0}
 
 
 def test_a_run_is_exported(
@@ -311,7 +321,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
     process.wait()
     # Whatever it was about to write when it was killed: what counts is whole.
     machine = re.sub(r"\W", "_", platform.node())
-    half = folder / "checkpoints" / f".000000000999.{machine}.{2**22 + 1}.tmp"
+    half = folder / "checkpoints" / f".000000000999.{machine}.{2**22 + 1}.tmp"  # of no process
     half.mkdir()
     (half / "state.pt").write_bytes(b"half")
     newest = max(path for path in (folder / "checkpoints").iterdir() if path.name.startswith("0"))

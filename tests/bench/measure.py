@@ -181,7 +181,7 @@ def training(algorithm: str, strides: int) -> dict[str, float]:
     # `learn` begins with a reset, which counts by what the steps hold beyond whole episodes.
     resets = spent["reset"] * (calls / episode - calls // episode)
     elapsed += resets - spent["reset"]
-    return {"value": calls * settings.lanes / elapsed, "share": (spent["step"] + resets) / elapsed}
+    return {"value": calls * settings.vehicles / elapsed, "share": (spent["step"] + resets) / elapsed}
 
 
 def start(cache: str) -> dict[str, float]:

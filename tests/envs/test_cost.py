@@ -1,4 +1,4 @@
-"""One J of an episode: rewards, batch, evaluator of tuning and training and metrics all give the same.
+"""One J of an episode: rewards, batch, rollouts and the evaluators of tuning and training all give the same.
 
 The expected number is written out here from the unweighted squares that `info` gives of each step.
 """

@@ -95,7 +95,7 @@ def test_origins_are_told_by_the_files(ready: Path) -> None:
 
 
 def test_the_package_s_page_is_that_of_its_files() -> None:
-    """Made by ``python -m agents.pretrained.cards``."""
+    """Made by ``python -m sayd_env.agents.pretrained.cards``."""
     assert (pretrained.FOLDER / cards.README).read_text(encoding="utf-8") == cards.readme()
 
 

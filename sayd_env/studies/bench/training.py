@@ -145,7 +145,7 @@ def _config(name: str, threads: int) -> TrainConfig:
     changes = [f"environment.threads={threads}"]
     config = load_train(name, changes)
     if isinstance(config.learning, PpoConfig):
-        networks = config.environment.lanes * (2 if config.view == "bogie" else 1)
+        networks = config.environment.vehicles * (2 if config.view == "bogie" else 1)
         changes.append(f"learning.n_steps={math.lcm(config.learning.batch_size, networks) // networks}")
     else:
         changes.append("learning.learning_starts=0")
@@ -158,7 +158,7 @@ def _learner(config: TrainConfig) -> Learner:
 
     env, settings = make_learning_env(config)[0], config.environment
     episode = round(settings.episode_s / settings.control_period)
-    return Learner(env, make_model(config, env), settings.lanes, episode)
+    return Learner(env, make_model(config, env), settings.vehicles, episode)
 
 
 class Learner:
