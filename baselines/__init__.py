@@ -3,7 +3,7 @@
     policy = baselines.make("mppt1", env)
     action, state = policy.predict(observation, state, episode_start)
 
-They see sensor signals alone, and one policy serves one vehicle or many side by side.
+They use sensor signals only; one policy serves one vehicle or many.
 """
 
 from __future__ import annotations
@@ -64,16 +64,18 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Policy[Any, Any]:
         or dampers that the controller needs.
     """
     name, short = parse(name)
-    twice = short.keys() & parameters
-    if twice:
-        raise ConfigError(f"policy '{name}': {', '.join(twice)} is given behind the colon and as a parameter")
+    duplicates = short.keys() & parameters
+    if duplicates:
+        raise ConfigError(
+            f"policy '{name}': {', '.join(duplicates)} is given after the colon and as a parameter"
+        )
     config = load_controller(name, {**short, **parameters})
     name = controller_of(name)
     return _KINDS[name](name, interface_of(env_or_spec), config)  # type: ignore[no-any-return]
 
 
 def parse(text: str) -> tuple[str, dict[str, float]]:
-    """Read a controller's name and what stands behind a colon: ``constant:0.3``.
+    """Split a controller's name from the value after a colon: ``constant:0.3``.
 
     Parameters
     ----------
@@ -90,7 +92,7 @@ def parse(text: str) -> tuple[str, dict[str, float]]:
     Raises
     ------
     ConfigError
-        A value behind another name than ``constant``, or one that is not a number from 0 to 1.
+        A value after another name than ``constant``, or one that is not a number from 0 to 1.
     """
     name, colon, value = str(text).strip().partition(":")
     if not colon or name not in NAMES:
@@ -102,5 +104,5 @@ def parse(text: str) -> tuple[str, dict[str, float]]:
     except ValueError:
         current = float("nan")
     if not 0.0 <= current <= 1.0:
-        raise ConfigError(f"policy '{text}': expected a valve command from 0 to 1 behind the colon")
+        raise ConfigError(f"policy '{text}': expected a valve command from 0 to 1 after the colon")
     return name, {"current": current}
