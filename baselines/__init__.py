@@ -9,8 +9,8 @@
 >>> action.shape
 (2,)
 
-They see sensor signals alone, and one policy serves one vehicle or many side by side. `make` makes other
-policies, too, learned ones and those of one's own code, as far as their loader is registered.
+They use sensor signals only; one policy serves one vehicle or many. `make` also makes other policies, learned ones
+and those of one's own code, where their loader is registered.
 """
 
 from __future__ import annotations
@@ -75,9 +75,11 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Any:
     given, (name, short) = name, parse(name)
     if name not in NAMES and not name.endswith((".yaml", ".yml")):
         return policy_loader()(given, env_or_spec, **parameters)
-    twice = short.keys() & parameters
-    if twice:
-        raise ConfigError(f"policy '{name}': {', '.join(twice)} is given behind the colon and as a parameter")
+    duplicates = short.keys() & parameters
+    if duplicates:
+        raise ConfigError(
+            f"policy '{name}': {', '.join(duplicates)} is given after the colon and as a parameter"
+        )
     config = load_controller(name, {**short, **parameters})
     name = controller_of(name)
     keywords = {"damper": "passive"} if name == "passive" else None
@@ -85,7 +87,7 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Any:
 
 
 def parse(text: str) -> tuple[str, dict[str, float]]:
-    """Read a controller's name and what stands behind a colon: ``constant:0.3``.
+    """Split a controller's name from the value after a colon: ``constant:0.3``.
 
     Parameters
     ----------
@@ -102,7 +104,7 @@ def parse(text: str) -> tuple[str, dict[str, float]]:
     Raises
     ------
     ConfigError
-        A value behind another name than ``constant``, or one that is not a number from 0 to 1.
+        A value after another name than ``constant``, or one that is not a number from 0 to 1.
     """
     name, colon, value = str(text).strip().partition(":")
     if not colon or name not in NAMES:
@@ -114,5 +116,5 @@ def parse(text: str) -> tuple[str, dict[str, float]]:
     except ValueError:
         current = float("nan")
     if not 0.0 <= current <= 1.0:
-        raise ConfigError(f"policy '{text}': expected a valve command from 0 to 1 behind the colon")
+        raise ConfigError(f"policy '{text}': expected a valve command from 0 to 1 after the colon")
     return name, {"current": current}

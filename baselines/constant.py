@@ -1,4 +1,4 @@
-"""Controllers that do not control: passive dampers, and one valve command for ever."""
+"""Controllers without feedback: passive dampers, and a constant valve command."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.envs.interface import Interface
 
 
-class Unmoved(Policy[ConstantConfig | PassiveControlConfig, int]):
-    """A policy of one command; its state is the number of vehicles."""
+class OpenLoop(Policy[ConstantConfig | PassiveControlConfig, int]):
+    """A policy with a constant command; its state is the number of vehicles."""
 
     def __init__(
         self,
@@ -38,7 +38,7 @@ class Unmoved(Policy[ConstantConfig | PassiveControlConfig, int]):
         return np.full((state, self.interface.actions), self._current)
 
 
-class Constant(Unmoved):
+class Constant(OpenLoop):
     """Constant valve command: V = current.
 
     ===========  ====  ==========================================
@@ -54,8 +54,8 @@ class Constant(Unmoved):
         super().__init__(name, interface, parameters, parameters.current)
 
 
-class Passive(Unmoved):
-    """Passive dampers, which no command reaches: V = 0.
+class Passive(OpenLoop):
+    """Passive dampers, which ignore commands: V = 0.
 
     No parameters, no sensors, any layout of valves.
 

@@ -1,4 +1,4 @@
-"""What the searches for the smallest J share: the cost of eq. (27), seconds, the range of the command."""
+"""What controllers that seek the smallest J share: the cost of eq. (27), its seconds, the command's range."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Search:
     cost: Array
     """(n, 2) J of the last second; NaN before there is one."""
     direction: Array
-    """(n, 2) of the last move of V, +1 or -1; only of controllers that remember it."""
+    """(n, 2) of the last move of V, +1 or -1; only for controllers that use it."""
 
 
 class ExtremumSeeking(BogiePolicy[CostParameters, Search]):
@@ -46,7 +46,7 @@ class ExtremumSeeking(BogiePolicy[CostParameters, Search]):
         return np.asarray((rms / scale) ** 2 @ weights)
 
     def listen(self, run_in: RunIn) -> Search | None:
-        """State at step 0 of controllers that have been running: filters and f_0 know the run-in.
+        """State at step 0 of controllers that ran during the run-in: filters and f_0 include it.
 
         Parameters
         ----------
@@ -62,13 +62,13 @@ class ExtremumSeeking(BogiePolicy[CostParameters, Search]):
             return None
         rows = run_in.observations[:, :, self._columns].astype(np.float64)
         state = self._begin(rows[-1])
-        # The last observation is that of the reset, which `predict` gets.
+        # The last observation is that of the reset: `predict` gets it.
         self._meter.listen(state.readings, rows[:-1], run_in.begins)
         return state
 
     @abstractmethod
     def _move(self, command: Array, previous: Array, cost: Array, rms: Array, direction: Array) -> Array:
-        """Commands for the next second, before they are cut to their range; may change `direction`.
+        """Commands for the next second, before they are clipped to their range; may change `direction`.
 
         All arrays have shape (m, 2): the commands V^n, J^n (NaN in the first second), J^(n+1), the RMS of the
         acceleration (m/s2), and the directions.

@@ -1,4 +1,4 @@
-"""The semi-active damper's characteristic turned round: which current gives a force at a stroke rate."""
+"""The inverse of the semi-active damper's characteristic: the current for a force at a stroke rate."""
 
 from __future__ import annotations
 

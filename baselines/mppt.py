@@ -22,8 +22,8 @@ class Mppt(ExtremumSeeking[MpptConfig]):
 
     psi_y is the RMS over the second of the lateral acceleration of the bogie frame, band-passed to f_0 +- 2
     Hz, psi_F that of the hydraulic force. A step by (30) or (31) replaces (29). In the first second there is
-    no J^n: (29) then leaves V. (29) has no sign of the last move of V and so is no search;
-    `PerturbAndObserve` is.
+    no J^n: (29) then leaves V unchanged. (29) lacks the sign of the last move of V and so does not
+    search; `PerturbAndObserve` does.
 
     =================  =====  ==========================================================================
     parameter          unit   meaning
@@ -42,7 +42,7 @@ class Mppt(ExtremumSeeking[MpptConfig]):
     ``slowest``        m/s    speed below which the spectrum behind f_0 covers less than 500 m
     =================  =====  ==========================================================================
 
-    MPPT1 has k_F = 0 and needs one accelerometer, MPPT2 weighs the force, too.
+    MPPT1 has k_F = 0 and needs one accelerometer, MPPT2 also weighs the force.
 
     Sensors: one accelerometer of each bogie (``lateral_acceleration``), the train's ``speed`` (at the start,
     for the length of the spectrum), with k_F > 0 both pressures of one damper of each bogie, and with

@@ -1,4 +1,4 @@
-"""Where a policy learns what it controls: from an environment, a vector of them, or an environment's id."""
+"""The layout of observations and actions that a policy needs, from an environment, several, or an id."""
 
 from __future__ import annotations
 
@@ -77,6 +77,6 @@ def _check_observations(source: Any, inner: Any) -> None:
             if getattr(source, name, own) != own:
                 raise ConfigError(
                     "a wrapper changes the environment's observations; controllers need them as the sensors "
-                    "give them: make the policy with the environment that it has inside"
+                    "give them: make the policy with the environment inside the wrapper"
                 )
             return

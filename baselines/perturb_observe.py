@@ -1,4 +1,4 @@
-"""The textbook search for a maximum power point, here for the smallest cost: perturb and observe."""
+"""Perturb and observe: the textbook search for a maximum power point, here for the smallest cost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class PerturbAndObserve(ExtremumSeeking[PerturbObserveConfig]):
 
         d^(n+1) = -d^n if J^(n+1) > J^n, else d^n            V^(n+1) = V^n + step d^(n+1)
 
-    At an end of its range the command turns inwards.
+    At an end of its range the command moves inwards.
 
     =================  =====  ==========================================================================
     parameter          unit   meaning

@@ -1,4 +1,4 @@
-"""What every controller shares: the `predict` protocol, one vehicle or many side by side."""
+"""What all controllers share: the `predict` protocol, for one vehicle or many."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ State = TypeVar("State")
 
 
 class Policy(ABC, Generic[Parameters, State]):
-    """A controller that knows nothing but sensor signals.
+    """A controller that uses sensor signals only.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Policy(ABC, Generic[Parameters, State]):
         observation : array_like, shape (obs) or (N, obs)
             What one vehicle or N vehicles observe, in SI units.
         state : optional
-            What the last call returned, changed in place; None starts all vehicles afresh.
+            What the last call returned, changed in place; None starts all vehicles anew.
         episode_start : array_like of bool, shape (N,), optional
             Vehicles that begin a new episode with this observation.
         deterministic : bool
@@ -137,7 +137,7 @@ class Policy(ABC, Generic[Parameters, State]):
 
     @abstractmethod
     def _restart(self, state: State, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
-        """Put some vehicles back to the begin of an episode."""
+        """Reset some vehicles to the start of an episode."""
 
     @abstractmethod
     def _command(self, state: State, rows: Array) -> Array:
@@ -145,7 +145,7 @@ class Policy(ABC, Generic[Parameters, State]):
 
 
 class BogiePolicy(Policy[Parameters, State]):
-    """A controller of one bogie, twice: each bogie's dampers share one command."""
+    """Two controllers, one for each bogie, whose dampers share one command."""
 
     def __init__(
         self, name: str, interface: Interface, parameters: Parameters, sensors: tuple[str, ...]
@@ -153,7 +153,7 @@ class BogiePolicy(Policy[Parameters, State]):
         super().__init__(name, interface, parameters, sensors)
         if interface.valves == "vehicle":
             raise ConfigError(
-                f"{name}: controls each bogie by itself, but valves='vehicle' has one command for both; "
+                f"{name}: controls each bogie separately, but valves='vehicle' has one command for both; "
                 "make the environment with valves='bogie' or 'damper'"
             )
         self._repeats = interface.actions // len(BOGIES)

@@ -23,21 +23,21 @@ from sayd_env.physics.plant import Index
 from sayd_env.stability.online import Band, BandState, band, band_state, push, restart, retune_group
 
 SECOND = 1.0
-"""Time over which J is taken (s), the paper's step (section 4.1); features are RMS values over it, too."""
+"""Time over which J is taken (s), the paper's step (section 4.1), and RMS values of features."""
 
 CURRENTS = of_all_dampers("current")
 
 
 @dataclass
 class Readings:
-    """What the meters of n vehicles hold."""
+    """State of the meters of n vehicles."""
 
     count: Index
-    """(n,) control periods of the second under way; -1 before the first observation."""
+    """(n,) control periods of the current second; -1 before the first observation."""
     rms: Array
     """(n, 2, 2) the last second's RMS at front and rear: acceleration (m/s2), force (N)."""
     squares: Array
-    """(n, 2, 2) sums of squares of the second under way."""
+    """(n, 2, 2) sums of squares of the current second."""
     sample: Array
     """(2 n,) scratch: accelerations."""
     filtered: Array
@@ -59,7 +59,7 @@ class RmsMeter(ABC):
     _period: int
 
     def begin(self, rows: Array) -> Readings:
-        """Make meters of vehicles whose episodes begin with these readings, which are not yet measured."""
+        """State of vehicles whose episodes begin with these readings, which are not yet measured."""
         vehicles = len(rows)
         return Readings(
             count=np.full(vehicles, -1, dtype=np.int64),
@@ -71,7 +71,7 @@ class RmsMeter(ABC):
         )
 
     def restart(self, readings: Readings, rows: Array, vehicle: int) -> None:
-        """Put one vehicle's meters back to the begin of an episode."""
+        """Reset one vehicle's meters to the start of an episode."""
         readings.count[vehicle] = -1
         readings.squares[vehicle] = 0.0
         self._restart_filters(readings, rows, vehicle)
@@ -110,7 +110,7 @@ class RmsMeter(ABC):
 
     @abstractmethod
     def _restart_filters(self, readings: Readings, rows: Array, vehicle: int) -> None:
-        """Put one vehicle's filters to rest."""
+        """Reset one vehicle's filters to rest."""
 
 
 def make_rms_meter(name: str, interface: Interface, parameters: BogieCostConfig) -> RmsMeter:
@@ -135,7 +135,7 @@ class FeatureRmsMeter(RmsMeter):
         self.sensors = acceleration + (of_both(f"force_rms.{{}}.{parameters.damper}") if self._force else ())
 
     def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
-        """Take nothing: the environment has listened."""
+        """Take nothing: the environment computes the features."""
 
     def measure(self, readings: Readings, rows: Array) -> bool:
         """Take one control period's readings."""
@@ -186,7 +186,7 @@ class SignalRmsMeter(RmsMeter):
 
     def measure(self, readings: Readings, rows: Array) -> bool:
         """Take one control period's readings."""
-        assert readings.filters is not None  # for signals there are some
+        assert readings.filters is not None  # signals always have filters
         return _measure(
             self._band,
             readings.filters,
@@ -203,7 +203,7 @@ class SignalRmsMeter(RmsMeter):
     def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
         """Fill the filters and the spectra behind f_0."""
         filters, vehicles = readings.filters, len(begins)
-        assert filters is not None  # for signals there are some
+        assert filters is not None  # signals always have filters
         # A speed sensor rises slowly to its reading: the length of the spectrum is that of the last one.
         speeds = self._speed(rows[-1, :, 0]) if len(rows) else np.zeros(vehicles)
         for t, row in enumerate(rows):

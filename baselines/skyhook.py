@@ -1,4 +1,4 @@
-"""Skyhook: dampers that resist where they slow down the bogie, and give way where they would drive it."""
+"""Skyhook: dampers that resist where they decelerate the bogie, and yield where they would accelerate it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Motion:
     """Yaw motion of n vehicles' bogies, front and rear, at the dampers' longitudinal mounts."""
 
     displacement: Array
-    """(n, 2) integral of the velocity, without what is slow, m."""
+    """(n, 2) integral of the velocity, high-passed, m."""
     velocity: Array
     """(n, 2) x', absolute longitudinal velocity of the left side's mounts, m/s."""
     strokes: Array
@@ -46,12 +46,12 @@ class Skyhook(BogiePolicy[SkyhookConfig, Motion]):
     The four dampers of a bogie share one command. Hunting turns the bogie, so the yaw part decides, half the
     difference of left and right: there x' dL' is the same on both sides.
 
-    **x'** is the integral of the longitudinal acceleration without what is slow, H(s) = s / (s^2 + 2 zeta w s
-    + w^2) instead of 1 / s, w = 2 pi corner, zeta = sqrt(1/2): a constant error of the sensor leaves no
-    trace. The readings are means over the control period, for which the discrete filter is exact.
+    **x'** is the high-passed integral of the longitudinal acceleration, H(s) = s / (s^2 + 2 zeta w s
+    + w^2) instead of 1 / s, w = 2 pi corner, zeta = sqrt(1/2): a constant error of the sensor has no
+    effect. The readings are means over the control period, for which the discrete filter is exact.
 
     **dL'** is the slope at the end of the parabola through the last three means m of the stroke, (2 m_n - 3
-    m_(n-1) + m_(n-2)) / T: a plain difference would be late by a control period, 18 degrees at 5 Hz. A
+    m_(n-1) + m_(n-2)) / T: a plain difference would lag by a control period, 18 degrees at 5 Hz. A
     first-order low-pass follows.
     """
 
@@ -115,18 +115,18 @@ class Skyhook(BogiePolicy[SkyhookConfig, Motion]):
 
 
 class OnOffSkyhook(Skyhook):
-    """On-off skyhook: the valve is closed where closing slows the bogie down, and open elsewhere.
+    """On-off skyhook: the valve is closed where this decelerates the bogie, and open elsewhere.
 
         c_YD = c_max if x' dL' >= 0, else c_min                                            (38)
 
     x' is the absolute longitudinal velocity of the bogie frame at the dampers' mounts, dL' the dampers'
-    stroke rate, d/dt (x at the bogie - x at the carbody); `Skyhook` says how sensors give them.
+    stroke rate, d/dt (x at the bogie - x at the carbody); `Skyhook` says how they follow from sensors.
 
     ===============  =====  ============================================================================
     parameter        unit   meaning
     ===============  =====  ============================================================================
-    ``closed``       -      command that stands for c_max
-    ``open``         -      command that stands for c_min
+    ``closed``       -      command for c_max
+    ``open``         -      command for c_min
     ``corner``       Hz     corner of the high-pass in the integration of x'
     ``rate_corner``  Hz     corner of the low-pass on dL'; null: none
     ``dead_band``    m/s    the command stays while abs(x') or abs(dL') is smaller
@@ -152,14 +152,14 @@ class ContinuousSkyhook(Skyhook):
         c_YD = min(c_max x' / dL', c_max) if x' dL' >= 0, else c_min                       (37)
 
     and c_min where the first is less, (35). c_max dL' is the force of the damper at the command `closed` and
-    this stroke rate; the command that gives the wanted share of it comes from the damper's own characteristic
+    this stroke rate; the command that gives the wanted share of it comes from the damper's characteristic
     field (`InverseDamper`). x' and dL' as in `OnOffSkyhook`.
 
     ===============  =====  ============================================================================
     parameter        unit   meaning
     ===============  =====  ============================================================================
-    ``closed``       -      command that stands for c_max
-    ``open``         -      command that stands for c_min
+    ``closed``       -      command for c_max
+    ``open``         -      command for c_min
     ``corner``       Hz     corner of the high-pass in the integration of x'
     ``rate_corner``  Hz     corner of the low-pass on dL'; null: none
     ``dead_band``    m/s    the command stays while abs(x') or abs(dL') is smaller
@@ -191,7 +191,7 @@ class ContinuousSkyhook(Skyhook):
 
 
 def _yaw_strokes(rows: Array) -> Array:
-    """Half the difference of the sides' mean strokes, twice: shape (n, 2, 2) of vehicles, bogies, moments."""
+    """Half the difference of the sides' mean strokes, repeated: shape (vehicles, bogies, 2 times)."""
     sides = rows[:, len(ACCELERATIONS) :].reshape(-1, len(BOGIES), 2, 2).mean(axis=3)
     yaw = 0.5 * (sides[:, :, 0] - sides[:, :, 1])
     return np.repeat(yaw[:, :, None], 2, axis=2)

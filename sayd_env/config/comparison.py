@@ -1,4 +1,4 @@
-"""Schema of a comparison: the conditions that policies meet, and how what they do there is judged.
+"""Schema of a comparison: the conditions that policies meet, and how they are assessed there.
 
 The packaged comparison holds conditions that nothing may be tuned or trained on: it is read here alone, and
 this module is imported by the comparison alone.
@@ -29,7 +29,7 @@ Share = Annotated[Number, Field(ge=0.0, le=1.0)]
 def _distinct(values: tuple[float, ...]) -> tuple[float, ...]:
     for value in values:
         if values.count(value) > 1:
-            raise ValueError(f"{value:g} stands there twice")
+            raise ValueError(f"{value:g} is a duplicate")
     return values
 
 
@@ -73,19 +73,21 @@ class ComparedTrack(Model):
 
 
 class CriticalSpeedConfig(Model):
-    """Where the critical speed is looked for, by EN 14363."""
+    """Where the critical speed of EN 14363 is searched."""
 
     study: str = Field(min_length=1, description="Scenario: name of a packaged study, or a path")
     speeds_kmh: tuple[Number, ...] = Field(min_length=2, description="Grid of speeds (km/h), rising")
     wear: float = quantity("-", "Wear of the treads", ge=0.0, le=1.0)
-    seeds: tuple[Seed, ...] = Field(min_length=1, description="Seeds of tracks; medians over them are judged")
+    seeds: tuple[Seed, ...] = Field(
+        min_length=1, description="Seeds of tracks; medians over them are assessed"
+    )
 
     _speeds = field_validator("speeds_kmh")(_rising)
     _seeds = field_validator("seeds")(_distinct)
 
 
 class BootstrapConfig(Model):
-    """How intervals are found."""
+    """How confidence intervals are computed."""
 
     samples: int = Field(description="Resamples", strict=True, ge=100, le=1_000_000)
     seed: Seed = Field(description="Of the resampling")
@@ -109,7 +111,7 @@ class ComparisonConfig(Model):
         description="Valve commands (-), of which the best in each condition is a bound",
     )
     force_weights: tuple[Annotated[Number, Field(gt=0.0)], ...] = Field(
-        min_length=1, description="Factors on k_F under which J is judged (-), 1 among them"
+        min_length=1, description="Factors on k_F for which J is assessed (-), including 1"
     )
     bootstrap: BootstrapConfig
 
@@ -125,7 +127,7 @@ class ComparisonConfig(Model):
     @classmethod
     def _with_the_own(cls, values: tuple[float, ...]) -> tuple[float, ...]:
         if 1.0 not in values:
-            raise ValueError("1 must be among them: the weight as it is")
+            raise ValueError("must include 1: the weight as it is")
         return _distinct(values)
 
     @field_validator("tracks")
@@ -133,7 +135,7 @@ class ComparisonConfig(Model):
     def _different(cls, tracks: tuple[ComparedTrack, ...]) -> tuple[ComparedTrack, ...]:
         for track in tracks:
             if tracks.count(track) > 1:
-                raise ValueError(f"track '{track.name}' stands there twice with the same scale")
+                raise ValueError(f"track '{track.name}' is a duplicate with the same scale")
         return tracks
 
 
@@ -159,7 +161,7 @@ def load_comparison(name: str = HELD_OUT, overrides: Iterable[str] = ()) -> Comp
 
 
 def _placed(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Content whose paths are seen from the folder of its file."""
+    """Content with paths relative to the folder of its file resolved."""
     result = dict(content)
     _place(result, "environment", folder)
     critical, tracks = result.get("critical_speed"), result.get("tracks")

@@ -20,7 +20,7 @@ class OnlineConfig(Model):
     Band, filter order, range of f_0 and the distance behind it are those of the assessment.
     """
 
-    start_frequency: float = quantity("Hz", "f_0 until the distance of one spectrum is run", gt=0.0)
+    start_frequency: float = quantity("Hz", "f_0 until the distance of one spectrum has been run", gt=0.0)
     frequency_step: float = quantity("Hz", "step of the grid of f_0", gt=0.0)
     block: float = quantity("s", "the spectrum is that of the means over this time, or of samples", gt=0.0)
     settling: float = quantity("s", "kept signal that a filter with a new band runs over first", gt=0.0)
@@ -49,7 +49,7 @@ class PassiveControlConfig(Model):
 
 
 class ConstantConfig(Model):
-    """One valve command for ever."""
+    """A constant valve command."""
 
     current: float = quantity("-", "Valve command V of every damper: 0 closed, 1 open", ge=0.0, le=1.0)
 
@@ -94,7 +94,7 @@ class MpptConfig(BogieCostConfig):
 
 
 class PerturbObserveConfig(BogieCostConfig):
-    """The textbook search: perturb the command, observe J, turn where it rises."""
+    """Perturb and observe: step the command, observe J, reverse where it rises."""
 
     step: float = quantity("-", "Change of the valve command in a second", gt=0.0, le=1.0)
     first_move: Literal["close", "open"] = Field(description="Direction of the first change")
@@ -103,8 +103,8 @@ class PerturbObserveConfig(BogieCostConfig):
 class SkyhookConfig(Model):
     """On-off and continuous skyhook, eq. (32) to (38)."""
 
-    closed: float = quantity("-", "Valve command that stands for c_max", ge=0.0, le=1.0)
-    open: float = quantity("-", "Valve command that stands for c_min", ge=0.0, le=1.0)
+    closed: float = quantity("-", "Valve command for c_max", ge=0.0, le=1.0)
+    open: float = quantity("-", "Valve command for c_min", ge=0.0, le=1.0)
     corner: float = quantity("Hz", "Corner of the high-pass that keeps the velocity from drifting", gt=0.0)
     rate_corner: float | None = quantity(
         "Hz", "Corner of the low-pass on the stroke rate; null: none", gt=0.0
@@ -123,8 +123,8 @@ class SkyhookConfig(Model):
 class TunedProvenance(Model):
     """Where the gains of a tuned controller come from."""
 
-    command: str = Field(min_length=1, description="What found them")
-    scenarios: str = Field(min_length=1, description="What they were judged on")
+    command: str = Field(min_length=1, description="Command that found them")
+    scenarios: str = Field(min_length=1, description="Scenarios on which they were assessed")
     evaluations: int = quantity("-", "Sets of gains that were tried", ge=1)
     J_before: float = quantity("-", "Mean J of the controller that was tuned", gt=0.0)
     J_after: float = quantity("-", "Mean J with these gains", gt=0.0)
@@ -132,7 +132,7 @@ class TunedProvenance(Model):
 
 
 class TunedConstantConfig(ConstantConfig):
-    """The best constant valve command for everything."""
+    """The best constant valve command for all conditions."""
 
     provenance: TunedProvenance
 
@@ -178,7 +178,7 @@ def controller_of(name_or_path: str) -> str:
 
 
 def load_controller(name: str, parameters: Mapping[str, Any] | None = None) -> ControllerConfig:
-    """Read the parameters of a controller from configs/control, or from a file of one's own.
+    """Read the parameters of a controller from configs/control, or from a user's file.
 
     Parameters
     ----------

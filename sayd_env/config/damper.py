@@ -1,4 +1,4 @@
-"""Schema of the yaw dampers that stand in a vehicle's yaw-damper places."""
+"""Schema of a vehicle's yaw dampers."""
 
 from __future__ import annotations
 

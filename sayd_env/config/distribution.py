@@ -19,14 +19,14 @@ Array = npt.NDArray[np.float64]
 
 
 class FixedDistribution(Model):
-    """Always the same number."""
+    """A constant."""
 
     law: Literal["fixed"]
     value: Number = Field(description="The number")
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Smallest and largest number that can come."""
+        """Smallest and largest number that can be drawn."""
         return self.value, self.value
 
     def at(self, u: npt.ArrayLike) -> Array:
@@ -35,7 +35,7 @@ class FixedDistribution(Model):
 
 
 class UniformDistribution(Model):
-    """All numbers between two limits alike, or those of a grid between them."""
+    """All numbers between two limits, or those of a grid between them, equally likely."""
 
     law: Literal["uniform"]
     low: Number = Field(description="Smallest number")
@@ -57,7 +57,7 @@ class UniformDistribution(Model):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Smallest and largest number that can come."""
+        """Smallest and largest number that can be drawn."""
         return self.low, self.high
 
     def at(self, u: npt.ArrayLike) -> Array:
@@ -66,15 +66,15 @@ class UniformDistribution(Model):
             return self.low + np.asarray(u) * (self.high - self.low)
         count = round((self.high - self.low) / self.step) + 1
         values = self.low + self.step * np.minimum(np.floor(np.asarray(u) * count), count - 1)
-        return np.asarray(np.round(values, 12))  # 0.15, as one would write it
+        return np.asarray(np.round(values, 12))  # 0.15 instead of 0.15000000000000002
 
 
 class NormalDistribution(Model):
-    """The normal distribution, cut off at two limits."""
+    """The normal distribution, truncated at two limits."""
 
     law: Literal["normal"]
-    mean: Number = Field(description="Mean before the cut")
-    deviation: Annotated[Number, Field(gt=0.0)] = Field(description="Standard deviation before the cut")
+    mean: Number = Field(description="Mean before truncation")
+    deviation: Annotated[Number, Field(gt=0.0)] = Field(description="Standard deviation before truncation")
     low: Number = Field(description="Smallest number")
     high: Number = Field(description="Largest number")
 
@@ -88,7 +88,7 @@ class NormalDistribution(Model):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Smallest and largest number that can come."""
+        """Smallest and largest number that can be drawn."""
         return self.low, self.high
 
     def at(self, u: npt.ArrayLike) -> Array:
@@ -100,12 +100,12 @@ class NormalDistribution(Model):
 
 
 class ChoiceDistribution(Model):
-    """One of several numbers."""
+    """One of several given numbers."""
 
     law: Literal["choice"]
     values: tuple[Number, ...] = Field(min_length=1, description="The numbers")
     weights: tuple[Annotated[Number, Field(ge=0.0, le=1e9)], ...] | None = Field(
-        None, description="How often each comes, against the others (-); alike when absent"
+        None, description="Relative frequency of each (-); equal when absent"
     )
 
     @model_validator(mode="after")
@@ -118,7 +118,7 @@ class ChoiceDistribution(Model):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Smallest and largest number that can come."""
+        """Smallest and largest number that can be drawn."""
         return min(self.values), max(self.values)
 
     def at(self, u: npt.ArrayLike) -> Array:
@@ -134,7 +134,7 @@ Distribution = Annotated[
 
 
 def chosen(weights: tuple[float, ...], u: npt.ArrayLike) -> npt.NDArray[np.intp]:
-    """Places that belong to uniform numbers u in [0, 1), each as often as its weight says, of u's shape."""
+    """Indices for uniform numbers u in [0, 1), each as frequent as its weight says, of u's shape."""
     steps = np.cumsum(weights)
     places = np.searchsorted(steps, np.asarray(u) * steps[-1], side="right")
     last = np.flatnonzero(weights)[-1]  # u times the sum may round up to the sum

@@ -78,7 +78,7 @@ LIMITS: Mapping[str, Limits] = MappingProxyType(
 """For options of an episode and for what it draws alike. (The vehicle's speeds may reach less far.)"""
 
 TOLERANT = ("vehicle", "track", "contact_damping", "sayd", "passive")
-"""Where a key may begin that tolerances scale: sections of a scenario, or one of its two kinds of damper."""
+"""First parts of keys that tolerances may scale: sections of a scenario, or one of its kinds of damper."""
 
 
 def within(distribution: Distribution, name: str) -> Distribution:
@@ -99,7 +99,7 @@ class TrackClass(Model):
     """A track whose irregularities an episode may have; section and gauge stay those of the scenario."""
 
     name: str = Field(min_length=1, description="Name of a track, or a path to its YAML file")
-    weight: float = quantity("-", "How often it comes, against the others", default=1.0, ge=0.0, le=1e9)
+    weight: float = quantity("-", "Relative frequency", default=1.0, ge=0.0, le=1e9)
     scale: Distribution | None = Field(
         None, description="Factor on all amplitudes (-), in place of the track's own; null: its own"
     )
@@ -133,7 +133,7 @@ class ToleranceConfig(Model):
 
     keys: tuple[str, ...] = Field(
         min_length=1,
-        description="Dotted keys of the scenario; sayd. and passive. stand for the damper, where it is of "
+        description="Dotted keys of the scenario; sayd. and passive. name the damper, where it is of "
         "this type. Lists are scaled as a whole, curves in their ordinates",
     )
     factor: Distribution = Field(description="The factor (-)")
@@ -192,7 +192,7 @@ class RandomisationConfig(Model):
         for name, group in groups.items():
             for key in group.keys:
                 if key in owner:
-                    raise ValueError(f"key '{key}' stands in two groups, '{owner[key]}' and '{name}'")
+                    raise ValueError(f"key '{key}' is in two groups, '{owner[key]}' and '{name}'")
                 owner[key] = name
         return groups
 
@@ -264,7 +264,7 @@ def load_environment(name: str = "nominal", overrides: Iterable[str] = ()) -> En
     ConfigError
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
-    data, origins = _stacked(name, ())
+    data, origins = _layered(name, ())
     for item in overrides:
         changed = apply_overrides(data, [item])
         origins = (*origins, assigned(data, item))
@@ -277,8 +277,8 @@ def _source(name: str) -> str:
     return name if is_path(name) else f"configs/env/{name}.yaml"
 
 
-def _stacked(name: str, users: tuple[str, ...]) -> tuple[dict[str, Any], tuple[Origin, ...]]:
-    """Content of an environment on top of the one that its `base` names, and which file set what."""
+def _layered(name: str, users: tuple[str, ...]) -> tuple[dict[str, Any], tuple[Origin, ...]]:
+    """Content of an environment layered over its `base`, and which file set what."""
     content, source = read_config("env", name)
     own = dict(section(content, source))
     base, folder = own.pop("base", "nominal"), Path(source).parent
@@ -289,17 +289,17 @@ def _stacked(name: str, users: tuple[str, ...]) -> tuple[dict[str, Any], tuple[O
     users = (*users, str(Path(source).resolve()))
     base = None if base is None else beside(base, folder)
     if base is not None and str(Path(_source(base)).resolve()) in users:
-        raise ConfigError(f"{source}: base: '{base}' stands on this file itself")
+        raise ConfigError(f"{source}: base: '{base}' refers back to this file")
     below: tuple[dict[str, Any], tuple[Origin, ...]] = ({}, ())
     if base is not None:
-        below = _stacked(base, users)
+        below = _layered(base, users)
     own, found = _with_sensors(_placed(own, folder), source)
     set_here = tuple(Origin(path, source) for path in _paths(own))
     return _merged(below[0], own), (*below[1], *set_here, *found)
 
 
 def _placed(own: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Content whose paths are seen from the folder of its file."""
+    """Content with paths relative to the folder of its file resolved."""
     result = dict(own)
     for key in ("study", "sensors"):
         if isinstance(own.get(key), str):
@@ -333,8 +333,8 @@ def _with_sensors(data: dict[str, Any], source: str) -> tuple[dict[str, Any], tu
     return data, ()
 
 
-def _stands_alone(content: Any) -> bool:
-    """Whether content replaces what is below as a whole: a value, a list, a distribution, a named section."""
+def _replaces(content: Any) -> bool:
+    """Whether content replaces the base's as a whole: a value, a list, a distribution, a named section."""
     return not isinstance(content, dict) or "law" in content or "name" in content
 
 
@@ -342,7 +342,7 @@ def _merged(below: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     result = dict(below)
     for key, value in own.items():
         under = below.get(key)
-        alone = _stands_alone(value) or not isinstance(under, dict)
+        alone = _replaces(value) or not isinstance(under, dict)
         result[key] = value if alone else _merged(under, value)  # type: ignore[arg-type]
     return result
 
@@ -351,7 +351,7 @@ def _paths(content: dict[str, Any], above: tuple[str, ...] = ()) -> list[tuple[s
     """Paths of what a section sets."""
     found = []
     for key, value in content.items():
-        if _stands_alone(value):
+        if _replaces(value):
             found.append((*above, key))
         else:
             found += _paths(value, (*above, key))

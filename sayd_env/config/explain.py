@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in the reader's words: which file, which key, what is allowed."""
+"""What is wrong with a configuration, in the user's terms: which file, which key, what is allowed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 Path = tuple[int | str, ...]
-"""Way to a value in nested data."""
+"""Path to a value in nested data."""
 
 LONGEST_FOUND = 60
 TAGS = ("type", "law", "kind", "algorithm")
@@ -26,7 +26,7 @@ class Origin:
     source: str
     """A file, or the option that set it."""
     own: bool = False
-    """Whether the source holds just this section: keys are then named as they stand there."""
+    """Whether the source holds just this section: keys are then named as in that file."""
 
 
 def nearest(word: str, candidates: Iterable[str]) -> str:
@@ -74,7 +74,7 @@ class _Problem(NamedTuple):
 
 
 def _grouped(model: type[BaseModel], problems: list[_Problem]) -> list[list[_Problem]]:
-    """Put together the missing keys of a section, and those that resemble none that is allowed."""
+    """Put together the missing keys of a section, and unknown ones that resemble no allowed one."""
     groups: dict[object, list[_Problem]] = {}
     for number, problem in enumerate(problems):
         detail, path, origin = problem
@@ -107,7 +107,7 @@ def shown(value: Any) -> str:
 
 
 def _without_consequences(details: list[ErrorDetails]) -> list[ErrorDetails]:
-    """Leave out what only follows from another problem: a list that lost its bad entries, a misspelt key."""
+    """Leave out what only follows from another problem: a list without its bad entries, a misspelt key."""
     kept = []
     for detail in details:
         loc, kind = detail["loc"], detail["type"]
@@ -214,14 +214,14 @@ def _origin(origins: Iterable[Origin], path: Path) -> Origin | None:
     found = None
     for origin in origins:
         shorter = min(len(origin.path), len(path))
-        # The root is touched by everything, so that it says nothing about a part.
+        # Everything is below the root, so it says nothing about a part.
         if shorter and origin.path[:shorter] == path[:shorter]:
             found = origin
     return found
 
 
 def _data_path(data: Any, location: Path) -> Path:
-    """Return Pydantic's location without the tags of unions, which stand in no file."""
+    """Return Pydantic's location without the tags of unions, which are in no file."""
     node, path = data, []
     for place, part in enumerate(location):
         last = place == len(location) - 1

@@ -52,7 +52,7 @@ class _SensorFault(_Fault):
 
 
 class ValveStuck(_DamperFault):
-    """The valve stays where it is told here, whatever the command."""
+    """The valve stays at a given opening, whatever the command."""
 
     kind: Literal["valve_stuck"]
     current: float = quantity(
@@ -73,7 +73,7 @@ class DamperLost(_DamperFault):
 
 
 class SensorDead(_SensorFault):
-    """The sensor no longer follows its signal: it reads what it would read of zero."""
+    """The sensor no longer follows its signal: it reads as if the signal were zero."""
 
     kind: Literal["sensor_dead"]
 
@@ -85,7 +85,7 @@ class SensorFrozen(_SensorFault):
 
 
 class SensorBiased(_SensorFault):
-    """An error is added to the readings."""
+    """A constant error is added to the readings."""
 
     kind: Literal["sensor_biased"]
     bias: float = quantity("unit of the signal", "Error, beside the sensor's own bias")
@@ -130,14 +130,14 @@ def parse_faults(raw: Any, source: str) -> tuple[Fault, ...]:
 
 
 def _plain(entry: Any) -> Any:
-    """Entry with Python's numbers in place of NumPy's, which are no floats to a strict schema."""
+    """Entry with Python's numbers instead of NumPy's, which a strict schema does not accept."""
     if not isinstance(entry, dict):
         return entry
     return {key: value.item() if isinstance(value, np.generic) else value for key, value in entry.items()}
 
 
 class _FaultClass(Model):
-    weight: float = quantity("-", "How often this one comes, against the others", default=1.0, ge=0.0, le=1e9)
+    weight: float = quantity("-", "Relative frequency", default=1.0, ge=0.0, le=1e9)
 
 
 class ValveStuckClass(_FaultClass):
@@ -156,13 +156,13 @@ class ValveStuckClass(_FaultClass):
 
 
 class DamperFaultClass(_FaultClass):
-    """A fault of any damper that has no further measure."""
+    """A fault of any damper without a magnitude."""
 
     kind: Literal["power_lost", "damper_lost"]
 
 
 class SensorFaultClass(_FaultClass):
-    """A fault of any sensor of some kinds that has no further measure."""
+    """A fault of any sensor of some kinds without a magnitude."""
 
     kind: Literal["sensor_dead", "sensor_frozen"]
     sensors: tuple[SensorKind, ...] = Field(KINDS, min_length=1, description="Kinds of sensors")

@@ -68,16 +68,16 @@ def parse_yaml(text: str, source: str) -> Any:
     """Parse YAML text; raise `ConfigError` naming the source and the line."""
     try:
         loader = _Loader(text)
-    except yaml.YAMLError:  # PyYAML's check for characters that no text has
+    except yaml.YAMLError:  # a character that YAML does not allow
         raise ConfigError(f"{source}: is not a text file") from None
     loader.name = source
-    # Content that holds itself (`&a [*a]`) is then an error, not an endless walk.
+    # Content that contains itself (`&a [*a]`) is then an error, not an infinite loop.
     loader.deep_construct = True
     try:
         return loader.get_single_data()
-    except ValueError as error:  # a date that the calendar lacks
+    except ValueError as error:  # for example a date that does not exist
         raise ConfigError(f"{source}: {error}") from None
-    except (LookupError, TypeError, AttributeError):  # a tag such as !!int on what is none
+    except (LookupError, TypeError, AttributeError):  # a tag such as !!int on text
         raise ConfigError(f"{source}: has a value that does not fit its tag") from None
     except RecursionError:
         raise ConfigError(f"{source}: is nested too deeply") from None
@@ -97,7 +97,7 @@ def packaged_names(kind: str) -> list[str]:
 
 
 def read_text(path: Path, what: str = "file") -> str:
-    """Read a user's text file; raise `ConfigError` with one clear sentence when that fails."""
+    """Read a user's text file; raise `ConfigError` if that fails."""
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise ConfigError(f"{path}: is a device or a pipe, expected a {what}")
@@ -111,7 +111,7 @@ def read_text(path: Path, what: str = "file") -> str:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError:  # a NUL or half of a surrogate pair
-        raise ConfigError(f"{path}: is no name of a file") from None
+        raise ConfigError(f"{path}: is not a valid file name") from None
 
 
 def is_path(name_or_path: str) -> bool:
@@ -120,7 +120,7 @@ def is_path(name_or_path: str) -> bool:
 
 
 def beside(name_or_path: str, folder: Path) -> str:
-    """A path as seen from the folder of the file that holds it; a name as it is."""
+    """A path relative to the folder of its file resolved; a name unchanged."""
     return str(folder / name_or_path) if is_path(name_or_path) else name_or_path
 
 
@@ -160,7 +160,7 @@ def section(data: Any, source: str) -> dict[str, Any]:
 def validate(model: type[M], data: Any, source: str, origins: Iterable[Origin] = ()) -> M:
     """Validate raw data; raise `ConfigError` with one line for each problem.
 
-    Each line names the file, the key, what was found and what is allowed (with its unit). `origins` tells
+    Each line names the file, the key, what was found and what is allowed (with its unit). `origins` says
     which parts of the data come from other files than `source`, or from options.
     """
     try:
@@ -218,7 +218,7 @@ def apply_overrides(data: dict[str, Any], overrides: Iterable[str], option: str 
 
 
 def assigned(data: dict[str, Any], item: str, option: str = "--set") -> Origin:
-    """Where an assignment goes in the data that `apply_overrides` has accepted it for."""
+    """Where an assignment goes in data for which `apply_overrides` has accepted it."""
     node: Any = data
     path: list[int | str] = []
     for key in item.partition("=")[0].strip().split("."):

@@ -187,7 +187,7 @@ def _read(name_or_path: str, kind: str) -> tuple[object, str]:
 
 
 def with_resolved_files(data: object, folder: Path) -> object:
-    """Copy of a profile's raw content whose relative `file` entries point beside the YAML they stand in."""
+    """Copy of a profile's raw content whose relative `file` entries are resolved against its YAML file."""
     if not isinstance(data, dict):
         return data
     return {

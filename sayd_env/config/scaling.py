@@ -1,4 +1,4 @@
-"""Factors on numbers that stand deep inside a configuration, validated where they land."""
+"""Factors on nested numbers of a configuration; the result is validated."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class CostConfig(Model):
 
 
 class Scenario(Model):
-    """Everything a run needs but its speed and its seed."""
+    """Everything that a run needs except its speed and seed."""
 
     vehicle: VehicleConfig
     damper: DamperConfig
@@ -120,7 +120,7 @@ class _Draft(NamedTuple):
 
 
 def _study(name: str, users: tuple[str, ...]) -> _Draft:
-    """Content of a study on top of the study that its `base` names, its own `set` assignments last."""
+    """Content of a study layered over its `base`, its own `set` assignments last."""
     content, source = read_config("study", name)
     own = dict(section(content, source))
     base, assignments = own.pop("base", "nominal"), own.pop("set", None)
@@ -131,7 +131,7 @@ def _study(name: str, users: tuple[str, ...]) -> _Draft:
     base = None if base is None else beside(base, folder)
     users = (*users, _identity(name))
     if base is not None and _identity(base) in users:
-        raise ConfigError(f"{source}: base: '{base}' stands on this file itself")
+        raise ConfigError(f"{source}: base: '{base}' refers back to this file")
     if assignments is not None and not isinstance(assignments, dict):
         raise ConfigError(
             f"{source}: set: expected keys and values, for example damper.series_stiffness: 4.0e6"
@@ -150,7 +150,7 @@ def _paths(node: dict[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str,
     found = []
     for key, value in node.items():
         path = (*above, key)
-        # A section with a name or a type stands alone: what it lacks is not found in the study below.
+        # A section with a name or a type replaces the base's: what it lacks is not taken from there.
         if not isinstance(value, dict) or not value or "name" in value or "type" in value:
             found.append(path)
         if isinstance(value, dict):
@@ -191,7 +191,7 @@ def _expected(key: str, kind: str, found: Any) -> str:
 
 
 def _of_kind(key: str, content: dict[str, Any], source: str) -> dict[str, Any]:
-    """Refuse a rail where a wheel is expected, and the other way round."""
+    """Refuse a rail where a wheel is expected, and vice versa."""
     kind = content.get("kind")
     if key in PROFILE_KINDS and kind in PROFILE_KINDS and kind != key:
         fitting = [n for n in packaged_names("profile") if read_config("profile", n)[0].get("kind") == key]
@@ -204,14 +204,14 @@ def _identity(name_or_path: str) -> str:
 
 
 def _placed(key: str, value: Any, folder: Path) -> Any:
-    """Value of a study's key, its paths as seen from the folder of the file in which they stand."""
+    """Value of a study's key, its paths relative to the folder of its file resolved."""
     if key in REFERENCES and isinstance(value, str):
         return beside(value, folder)
     return _with_data_files(key, value, folder) if isinstance(value, dict) else value
 
 
 def _with_data_files(key: str, content: dict[str, Any], folder: Path) -> Any:
-    """Content whose data files are looked for beside the YAML file that names them."""
+    """Content with data files relative to the YAML file that names them."""
     if key == "damper":
         return with_resolved_table(content, folder)
     if key == "track":

@@ -15,7 +15,7 @@ from typing import Any
 import sayd_env
 
 LIBRARIES = ("numpy", "scipy", "numba", "pydantic", "matplotlib", "gymnasium")
-"""Their versions stand in every result."""
+"""Their versions are recorded in every result."""
 FLOORS = ("agents", "baselines", "config", "envs", "measured", "physics", "runs", "stability")
 """Packages whose sources can change a run; the others only ask for runs and show them."""
 

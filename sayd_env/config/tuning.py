@@ -27,7 +27,7 @@ class TuningScenario(Model):
 
 
 class GainRange(Model):
-    """Where a gain is looked for, in the gain's own unit."""
+    """Range in which a gain is searched, in the gain's own unit."""
 
     low: Number = Field(description="Lower end", allow_inf_nan=False)
     high: Number = Field(description="Upper end", allow_inf_nan=False)
@@ -50,7 +50,7 @@ class ControllerTuning(Model):
         (), description="Points of the ranges (shares as such) that the global search starts with"
     )
     search: int = quantity("-", "Evaluations of the global search; 0: none", default=0, ge=0)
-    population: int = quantity("-", "Points of one of its generations", default=5, ge=5)
+    population: int = quantity("-", "Points of a generation", default=5, ge=5)
     polish: int = quantity("-", "Evaluations of the local search", ge=0)
     radius: float = quantity(
         "-", "First step of the local search, as a share of half the ranges", default=0.2, gt=0.01, le=1.0
@@ -61,7 +61,7 @@ class ControllerTuning(Model):
         for name, gain in self.gains.items():
             whole = None if gain.share_of is None else self.gains.get(gain.share_of)
             if gain.share_of is not None and (whole is None or whole.share_of is not None):
-                raise ValueError(f"{name}: '{gain.share_of}' is no gain of its own in this list")
+                raise ValueError(f"{name}: '{gain.share_of}' is not an independent gain of this list")
         for guess in self.guesses:
             if set(guess) != set(self.gains):
                 raise ValueError(f"a guess needs a value of each of {', '.join(self.gains)}")
@@ -84,7 +84,7 @@ class ControllerTuning(Model):
         if len(self.gains) == 1 and self.search:
             raise ValueError("one gain is found by the local search alone: leave out search")
         if self.population < 1 + len(self.guesses):
-            raise ValueError(f"the population of {self.population} has no room for all guesses")
+            raise ValueError(f"the population of {self.population} is too small for all guesses")
 
     def values(self, place: Iterable[float], digits: int) -> dict[str, float]:
         """Gains at a place of the ranges, rounded; shares become values."""
@@ -96,7 +96,7 @@ class ControllerTuning(Model):
         return {name: round(value, digits) + 0.0 for name, value in values.items()}
 
     def place(self, values: Gains) -> list[float]:
-        """Place of gains in the ranges; what lies outside comes to their ends."""
+        """Place of gains in the ranges; values outside are clipped to its ends."""
         places = []
         for name, gain in self.gains.items():
             whole = 1.0 if gain.share_of is None else values[gain.share_of]
@@ -106,11 +106,11 @@ class ControllerTuning(Model):
 
 
 class QuickTuning(Model):
-    """Budget of a first look."""
+    """Budget of a quick run."""
 
     scenarios: int = quantity("-", "Scenarios, spread over the list", ge=1)
     search: int = quantity("-", "Evaluations of the global search", ge=5)
-    population: int = quantity("-", "Points of one of its generations", ge=5)
+    population: int = quantity("-", "Points of a generation", ge=5)
     polish: int = quantity("-", "Evaluations of the local search", ge=0)
 
 
@@ -121,8 +121,8 @@ class TuningConfig(Model):
     environment: str = Field(min_length=1, description="Environment: a packaged name or a path")
     episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
     initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
-    digits: int = quantity("-", "Digits of a gain behind the point", ge=1, le=12)
-    references: tuple[str, ...] = Field((), description="Policies that are run on the list as well")
+    digits: int = quantity("-", "Decimal places of a gain", ge=1, le=12)
+    references: tuple[str, ...] = Field((), description="Policies that are also run on the list")
     scenarios: tuple[TuningScenario, ...] = Field(min_length=1)
     controllers: dict[str, ControllerTuning] = Field(min_length=1)
     quick: QuickTuning
@@ -133,7 +133,7 @@ class TuningConfig(Model):
         seeds = [scenario.seed for scenario in scenarios]
         for seed in seeds:
             if seeds.count(seed) > 1:
-                raise ValueError(f"the seed {seed} stands there twice")
+                raise ValueError(f"the seed {seed} is a duplicate")
         return scenarios
 
     @field_validator("controllers")
@@ -170,7 +170,7 @@ class TuningConfig(Model):
         return self.controllers[controller]
 
     def shortened(self) -> TuningConfig:
-        """The same with the budget of a first look."""
+        """The same with the budget of a quick run."""
         every = max(1, len(self.scenarios) // self.quick.scenarios)
         searches = {
             name: tuning.model_copy(

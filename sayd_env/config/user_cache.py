@@ -17,7 +17,7 @@ def cache_folder(name: str = "") -> Path | None:
 
     Tried are the directory that SAYD_CACHE_DIR names, the user's cache directory (XDG_CACHE_HOME or
     ``~/.cache``), and a directory among the temporary files that belongs to this user alone. One line in the
-    log tells of a SAYD_CACHE_DIR that cannot serve, and of no place at all.
+    log reports a SAYD_CACHE_DIR that cannot serve, and of no place at all.
     """
     for place in _places():
         if _is_writable(place / name):
@@ -30,7 +30,7 @@ def _places() -> Iterator[Path]:
     given = os.environ.get("SAYD_CACHE_DIR")
     if given:
         yield Path(given).absolute()
-        # Whoever got this place would not have come back if it had served.
+        # The caller would not ask again if the first place had been usable.
         report_once(f"SAYD_CACHE_DIR: {given} cannot be written; another cache directory serves")
     base = os.environ.get("XDG_CACHE_HOME", "")
     with contextlib.suppress(RuntimeError):  # a user without a home
@@ -64,5 +64,5 @@ def _is_writable(folder: Path) -> bool:
 
 @cache
 def report_once(line: str) -> None:
-    """Tell the log something once in a process; where none is set up, it appears on standard error."""
+    """Log a message once in a process; where none is set up, it appears on standard error."""
     logging.getLogger("sayd_env").warning(line)

@@ -43,7 +43,7 @@ def load_pygame() -> Any:
 
 
 class Canvas:
-    """A picture in the making.
+    """A picture being drawn.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Canvas:
         self._base_words: list[tuple[Any, tuple[float, float]]] = []
 
     def keep_as_base(self) -> None:
-        """Take what has been drawn as the ground on which every picture begins."""
+        """Keep what has been drawn as the background of every picture."""
         self._base.blit(self._fine, (0, 0))
         self._base_words = list(self._words)
 
@@ -82,7 +82,7 @@ class Canvas:
         self._fine.fill(colour)
 
     def clip(self, box: tuple[float, float, float, float] | None) -> None:
-        """Let shapes be seen in a box (left, top, width, height) alone; None for everywhere."""
+        """Clip shapes to a box (left, top, width, height); None for no clipping."""
         area = None if box is None else self.pygame.Rect([round(FINENESS * value) for value in box])
         self._fine.set_clip(area)
 
@@ -187,7 +187,7 @@ class Window:
     """
 
     LONGEST_GAP = 0.04
-    """A picture comes at least as often as this, s, however late the simulation is."""
+    """A picture is shown at least this often, s, however late the simulation is."""
 
     def __init__(self, size: tuple[int, int], title: str) -> None:
         self.pygame = load_pygame()
@@ -204,7 +204,7 @@ class Window:
         self._shown = -np.inf
 
     def due(self, now: float) -> bool:
-        """Wait until a simulated time (s) has come; say whether there is time to draw it.
+        """Wait for a simulated time (s); return whether there is time to draw it.
 
         A picture is left out where the simulation is late and one has been shown just before. Time that runs
         backwards, as it does when an episode begins, starts the clock anew.
@@ -231,7 +231,7 @@ class Window:
         self._shown = time.monotonic()
 
     def close(self) -> None:
-        """Close the window; closing twice does no harm."""
+        """Close the window; closing it again has no effect."""
         if self.open:
             self.open = False
             self.pygame.display.quit()

@@ -4,7 +4,7 @@ Seeds
 -----
 Episode k of seed s has the seed sequence [s, k]. The track uses this sequence itself, so that the track of
 episode 0 is that of seed s in the studies. Every other component has a child of its own, spawn key (1,) to
-(5,), and every quantity of the scenario has a child of that by its name. So no draw shifts another one:
+(5,), and every quantity of the scenario has a child of that by its name. So no draw affects another one:
 neither an option, nor another distribution, nor the length of the episodes before.
 """
 
@@ -76,7 +76,7 @@ class Episode:
     sensor_noise: Array = field(repr=False)
     """(41,) factor on the noise of each signal's sensor."""
     faults: tuple[Fault, ...]
-    """What happens to valves, dampers and sensors."""
+    """Faults of valves, dampers and sensors."""
 
     @property
     def track_seed(self) -> int:

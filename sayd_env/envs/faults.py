@@ -1,4 +1,4 @@
-"""Faults of a running vehicle: what each kind does to its state, from the moment at which it happens."""
+"""Faults of a running vehicle: how each kind changes its state when it occurs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PLACES = {name: place for place, name in enumerate(SIGNALS)}
 
 
 class FaultSchedule:
-    """The faults of one episode, each of which happens once.
+    """The faults of one episode, each of which occurs once.
 
     Parameters
     ----------
@@ -33,13 +33,13 @@ class FaultSchedule:
         self._ahead = sorted(faults, key=lambda fault: fault.start_s)
 
     def apply(self, time: float, vehicles: VehicleBatch, vehicle: int) -> None:
-        """Let all faults happen whose time (s after step 0) has come."""
+        """Apply all faults that are due (time in s after step 0)."""
         while self._ahead and self._ahead[0].start_s <= time + 1e-9:
             strike(self._ahead.pop(0), vehicles, vehicle)
 
 
 def strike(fault: Fault, vehicles: VehicleBatch, vehicle: int) -> None:
-    """Let a fault happen now to a vehicle. A passive damper has no valve that could fail."""
+    """Apply a fault to a vehicle. A passive damper has no valve that could fail."""
     match fault:
         case ValveStuck() | PowerLost() | DamperLost():
             _strike_damper(fault, vehicles, vehicle)

@@ -1,4 +1,4 @@
-"""What `info` tells of a vehicle: its episode, its cost, its forces and valves."""
+"""Contents of `info`: a vehicle's episode, cost, forces and valves."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def vehicle_info(batch: EpisodeBatch, i: int, running: SlidingRms) -> dict[str, 
     vehicles, limits = batch.vehicles, batch.limits[i]
     state, row, mean = vehicles.state.view(i), vehicles.trace[i, -1], vehicles.memory.view(i).rail_mean
     acceleration, shift = running.rms()
-    told = {
+    values_of = {
         "damper_force": row[trace.FORCE : trace.FORCE + DAMPERS],
         "track_shift_force": row[trace.TRACK_SHIFT : trace.TRACK_SHIFT + POINTS],
         "wheel_lateral_force": row[trace.WHEEL_LATERAL : trace.WHEEL_LATERAL + LANES],
@@ -88,7 +88,7 @@ def vehicle_info(batch: EpisodeBatch, i: int, running: SlidingRms) -> dict[str, 
         "mean_quotient": mean[RAIL_QUOTIENT:RAIL_TRACK_SHIFT],
         "mean_track_shift": mean[RAIL_TRACK_SHIFT:],
     }
-    finite = {name: np.nan_to_num(value, posinf=0.0, neginf=0.0) for name, value in told.items()}
+    finite = {name: np.nan_to_num(value, posinf=0.0, neginf=0.0) for name, value in values_of.items()}
     return finite | {
         "limit_acceleration": limits.acceleration,
         "limit_track_shift": limits.track_shift_force,

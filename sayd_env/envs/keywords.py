@@ -23,7 +23,7 @@ RENDER_MODES = ("rgb_array", "human")
 
 
 class Keywords(TypedDict, total=False):
-    """Keywords of `configured`, which says what they are."""
+    """Keywords of `configured`, which documents them."""
 
     damper: str | None
     valves: str | None
@@ -141,7 +141,7 @@ def _sensors(sensors: Any) -> SensorsConfig:
 def _randomisation(
     drawn: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
 ) -> RandomisationConfig:
-    """Distributions of an environment, less those of what a keyword fixes."""
+    """Distributions of an environment without those of what a keyword fixes."""
     fixed: dict[str, Any] = {}
     if speed_kmh is not None:
         fixed["speed_kmh"] = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}

@@ -17,7 +17,7 @@ from sayd_env.config.fault import Fault, parse_faults
 from sayd_env.config.units import Array
 
 PROFILES = {"new": 0.0, "worn": 1.0}
-"""Names for the ends of wear."""
+"""Names of the two ends of wear."""
 NUMBERS = ("speed_kmh", "wear", "friction", "payload", "initial_current")
 """Quantities of an episode that have a distribution of their own, and an option of the same name."""
 LARGEST = 2**63 - 1
@@ -63,7 +63,7 @@ def checked_options(options: Mapping[str, Any] | None) -> EpisodeOptions:
     numbers = {name: checked_number(name, given[name], "options: ") for name in NUMBERS if name in given}
     if "profile" in given:
         if "wear" in numbers:
-            raise ConfigError("options: wear and profile say the same: give one of them")
+            raise ConfigError("options: wear and profile set the same quantity: give one of them")
         numbers["wear"] = _profile(given["profile"])
     return EpisodeOptions(
         numbers=numbers,

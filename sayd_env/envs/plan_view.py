@@ -21,7 +21,7 @@ from sayd_env.physics.multibody import Multibody
 
 Array = npt.NDArray[np.float64]
 
-# Outlines for the eye alone, m: nothing is computed from them.
+# Outlines for drawing only, m.
 CAR_HALF_WIDTH = 1.66
 CAR_END, CAR_BREAK = 2.95, 2.85
 CAR_CORNER = 0.45
@@ -160,7 +160,7 @@ class Placement:
         self.exaggeration = exaggeration
 
     def _of(self, frame: Frame, name: str, view: View, points: Array) -> Array:
-        # How far the train lags behind its schedule is nothing to be exaggerated.
+        # The train's lag behind its nominal position is not exaggerated.
         own, lag = frame.poses[name], frame.poses[self.plan.carbody].x
         moved = displaced(points, self.plan.rest[name], Pose(own.x - lag, own.y, own.yaw), self.exaggeration)
         return view.pixels(moved)

@@ -1,6 +1,6 @@
-"""What a picture of a vehicle shows: its motion, forces and readings, as one value from one direction.
+"""What a picture of a vehicle shows: its motion, forces and readings.
 
-The environment fills a recorder, the recorder makes a `Frame`, whoever draws needs nothing else.
+The environment fills a recorder, the recorder makes a `Frame`, and drawing needs nothing else.
 """
 
 from __future__ import annotations
@@ -128,12 +128,12 @@ class Recorder:
         self.begin()
 
     def begin(self) -> None:
-        """Forget the past: an episode has begun, or the vehicle has been put to another state."""
+        """Clear the history: an episode has begun, or the vehicle has been set to another state."""
         self._count = 0
         self._last = -1
 
     def take(self) -> None:
-        """Keep what the charts show of the last control period; a vehicle that stood still adds nothing."""
+        """Keep what the charts show of the last control period; a vehicle at standstill adds nothing."""
         batch, i = self.batch, self.vehicle
         elapsed = int(batch.elapsed[i])
         if elapsed == self._last or int(batch.vehicles.status[i]) == NOT_FINITE:
@@ -153,7 +153,7 @@ class Recorder:
         return float(self.batch.elapsed[self.vehicle]) * self.batch.config.control_period
 
     def _damper_force(self) -> Array:
-        """Forces that act: a damper that has come off has none, though its hydraulics go on."""
+        """Forces that act: a lost damper has none, although its hydraulics are still computed."""
         vehicles, i = self.batch.vehicles, self.vehicle
         force = vehicles.trace[i, -1, trace.FORCE : trace.FORCE + DAMPERS].copy()
         states = vehicles.state.view(i).sayd

@@ -64,7 +64,7 @@ class Renderer:
     mode : str
         ``rgb_array`` or ``human``.
     caption : str
-        Who drives, for the picture's head.
+        Name of the policy, for the picture's head.
     exaggeration : float
         How many times as large displacements are drawn.
 
@@ -187,7 +187,7 @@ class Renderer:
         self._status(frame)
 
     def _status(self, frame: Frame) -> None:
-        """Say at the upper right whether the vehicle runs, has faults, or has come to its end."""
+        """Show at the upper right whether the vehicle runs, has faults, or has ended."""
         colour, words = GOOD, "running"
         if frame.faults:
             colour, words = REAR, "1 fault" if len(frame.faults) == 1 else f"{len(frame.faults)} faults"
@@ -443,7 +443,7 @@ def force_colour(force: float) -> Colour:
 
 
 def palette() -> Picture:
-    """Colours that a film may need and its first picture may lack, shape (k, 3)."""
+    """Colours of a video that its first picture may lack, shape (k, 3)."""
     signals = (FRONT, REAR, LIMIT, GOOD, INK, SOFT, PUSH, PULL, *BOGIE_FILLS)
     forces = [force_colour(share * LARGEST_FORCE) for share in np.linspace(-1.0, 1.0, 41)]
     # Beside each signal colour its way to white, which is what smooth edges are made of.

@@ -1,4 +1,4 @@
-"""The rollout evaluator: policies run episodes, and everything about them is kept for who judges them."""
+"""The rollout evaluator: policies run episodes, and all signals are kept for assessment."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Policy(Protocol):
-    """What acts: a reference controller, a learned policy, a model of Stable-Baselines3."""
+    """A reference controller, a learned policy, or a model of Stable-Baselines3."""
 
     def predict(
         self,
@@ -36,15 +36,15 @@ class Policy(Protocol):
 
 
 def listens(policy: Policy) -> bool:
-    """Whether a policy has ears for the run-in: a method `listen` beside `predict`."""
+    """Whether a policy takes the observations of the run-in: whether it has a method `listen`."""
     return hasattr(policy, "listen")
 
 
 def first_state(policy: Policy, batch: EpisodeBatch) -> tuple[Any, npt.NDArray[np.bool_]]:
     """State of a policy at step 0, and whether it begins there: what `predict` gets first.
 
-    A policy on a train has been running with it. Where the batch's last reset has kept the run-in, one that
-    listens has taken it in.
+    A policy on a train is already running at step 0: where the batch's last reset has kept the run-in, a
+    policy with a method `listen` gets it.
     """
     state = None
     if batch.heard is not None and listens(policy):

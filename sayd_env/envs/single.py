@@ -24,11 +24,11 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     - ``SAYD/Nominal-v0``: the paper's vehicle at 350 km/h on worn wheels, with sensors without errors.
     - ``SAYD/Randomized-v0``: speed, wear, friction, track, payload, tolerances and sensor errors drawn for
       each episode.
-    - ``SAYD/Faults-v0``: faults of valves, dampers and sensors besides.
+    - ``SAYD/Faults-v0``: also faults of valves, dampers and sensors.
 
     **Action.** A ``Box`` of valve commands V, float32: 0 closes a valve (strongest damping), 1 opens it. The
-    driver makes a current of it after a delay, and the valve's spool follows with its own dynamics and a
-    limited rate, so that what acts is not at once what was asked. A command holds for one control period,
+    driver turns it into a current after a delay, and the valve's spool follows with its own dynamics and a
+    limited rate, so that the acting current lags behind the command. A command holds for one control period,
     10 ms.
 
     | valves    | number | command of                         | closed | open |
@@ -59,7 +59,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     | 32 to 39 | current                   | front/rear, left/right, upper/lower | -    | 0    | 1       |
     | 40       | speed                     | -                                   | m/s  | 0    | 140     |
 
-    With ``observation="features"``, what the paper's controllers work on, computed from the readings:
+    With ``observation="features"``, the inputs of the paper's controllers, computed from the readings:
 
     | number   | quantity           | places, the last changes first      | unit | low | high  |
     | -------- | ------------------ | ----------------------------------- | ---- | --- | ----- |
@@ -78,7 +78,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     rewards of a whole second add up to minus the mean J of that second. The acceleration is filtered on line,
     around the bogie's dominant frequency of the last 500 m.
 
-    **Start.** The vehicle runs over 500 m with the initial command, so that filters and spectra are full.
+    **Start.** The vehicle runs over 500 m with the initial command, so that filters and spectra are settled.
 
     **End.** ``truncated`` after `episode_s` seconds. ``terminated`` where a wheel climbs over its rail, where
     Y/Q of a wheel, in the mean over 2 m, exceeds its limit, or where the numbers do not stay finite
@@ -86,14 +86,14 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     second that remains.
 
     **Episodes.** ``reset(seed=s)`` begins episode 0 of seed s, ``reset()`` the next episode of the same seed.
-    Episode k is drawn from [s, k] alone: it does not depend on how the ones before went.
+    Episode k is drawn from [s, k] alone: it does not depend on those before.
     ``reset(options={...})`` fixes some of ``speed_kmh, wear, profile, friction, payload, initial_current,
     track, track_scale, faults``.
 
     **Info.** Each step ``cost_acceleration`` and ``cost_force`` (the two squares of the cost, unweighted,
     means of the bogies), ``dominant_frequency`` (2, Hz); ``ending`` where the run was terminated. `reset`
-    tells ``seed, episode, speed_kmh, wear, friction, track, faults``. With ``info="full"`` besides, of the
-    end of the period: ``damper_force`` (8, N), ``track_shift_force`` (4, N), ``wheel_lateral_force`` and
+    reports ``seed, episode, speed_kmh, wear, friction, track, faults``. With ``info="full"`` also, at the end
+    of the period: ``damper_force`` (8, N), ``track_shift_force`` (4, N), ``wheel_lateral_force`` and
     ``wheel_vertical_force`` (8, N, on the rails; left and right in turn), ``valve_current`` and
     ``valve_command`` (8), ``hydraulic_flow`` (8, m3/s: what the pistons displace) and ``hydraulic_power``
     (8, W: what they put into the oil), and EN 14363's values of the last 100 m behind the on-line filter,
@@ -195,10 +195,10 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         ConfigError
             An action of another shape, out of range or not finite.
         gymnasium.error.ResetNeeded
-            No episode is under way.
+            No episode is running.
         """
         if self._over[0]:
-            raise ResetNeeded("no episode is under way: call reset before step")
+            raise ResetNeeded("no episode is running: call reset before step")
         values = checked_actions(action, self._shape)
         observation, rewards, terminated, truncated = self._advance(values[None])
         ended, late = bool(terminated[0]), bool(truncated[0])
@@ -218,5 +218,5 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         return self._picture()
 
     def close(self) -> None:
-        """Close the window, if there is one. Closing twice does no harm."""
+        """Close the window, if there is one. Closing it again has no effect."""
         self._close_window()

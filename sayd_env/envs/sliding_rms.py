@@ -1,4 +1,4 @@
-"""EN 14363's values while a vehicle runs: RMS over the last 100 m, behind the on-line filter."""
+"""EN 14363's sliding RMS while a vehicle runs: over the last 100 m, behind the on-line filter."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SlidingRms:
     """
 
     def __init__(self, band: Band, assessment: AssessmentConfig, speed: float, rate: float) -> None:
-        self._sections = np.insert(band.sections, 3, 1.0, axis=2)  # with a0, as SciPy wants it
+        self._sections = np.insert(band.sections, 3, 1.0, axis=2)  # with a0, as SciPy expects
         self._kept = int(band.counts[1])
         self._window = max(1, round(assessment.window_length / speed * rate))
         self._choice = np.full(BOGIES, band.counts[2])

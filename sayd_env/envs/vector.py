@@ -40,9 +40,9 @@ class SaydVectorEnv(
     i the seed s + i, a list gives each its own. `info` has Gymnasium's form: an array for each key, and a
     mask ``_key``.
 
-    Worker processes are hardly worth their messages here. Who wants them nevertheless: `AsyncVectorEnv` runs
-    `SaydEnv` with the contexts ``forkserver`` and ``spawn``; with ``fork`` only as long as the process has
-    not yet stepped several vehicles with several threads, because GNU OpenMP ends a copy that was made after.
+    Worker processes hardly pay for their messages here. If you need them: `AsyncVectorEnv` runs `SaydEnv`
+    with the contexts ``forkserver`` and ``spawn``; with ``fork`` only as long as the process has not yet
+    stepped several vehicles with several threads, because GNU OpenMP ends a copy made after that.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class SaydVectorEnv(
         does; the last observation and info are in ``final_obs`` and ``final_info``. ``Disabled``: the vehicle
         must be reset with ``reset(options={"reset_mask": ...})``. (Or the names of `AutoresetMode`.)
     max_episode_steps : int, optional
-        Truncate after so many steps already. Longer episodes: `episode_s`.
+        Truncate after this many steps; for longer episodes set `episode_s`.
     render_mode : str, optional
         ``rgb_array`` or ``human``: the first vehicle.
 
@@ -181,10 +181,10 @@ class SaydVectorEnv(
         ConfigError
             Actions of another shape, out of range or not finite.
         gymnasium.error.ResetNeeded
-            No episode is under way.
+            No episode is running.
         """
         if not self._begun:
-            raise ResetNeeded("no episode is under way: call reset before step")
+            raise ResetNeeded("no episode is running: call reset before step")
         values = checked_actions(actions, self._shape)
         over = np.flatnonzero(self._over)
         if over.size == 0:
@@ -202,7 +202,7 @@ class SaydVectorEnv(
     def _run(
         self, values: Array, active: Flags | None = None
     ) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
-        """Step the active vehicles; the others have begun just now."""
+        """Step the active vehicles; the others have just begun."""
         observations, rewards, terminated, truncated = self._advance(values, active)
         stepped = np.ones(self.num_envs, dtype=np.bool_)
         if active is not None:

@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """What all vehicles of a batch have in common.
+    """Settings common to all vehicles of a batch.
 
     Raises
     ------
@@ -74,7 +74,7 @@ class LoopSettings:
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """What is wrong with the sensors of one vehicle, beside what their configuration says."""
+    """Errors of one vehicle's sensors, in addition to those of their configuration."""
 
     bias: Array
     """(SIGNALS,) added to the sensors' own, in the signals' units."""
@@ -236,7 +236,7 @@ def loop_constants(
 
 
 def _share(bandwidth: float | None, dt: float) -> float:
-    """Share of the way that a first-order sensor goes in a sample (exact for a value held over it)."""
+    """Share of a step that a first-order sensor covers in a sample (exact for a value held over it)."""
     return 1.0 if bandwidth is None else -math.expm1(-2.0 * math.pi * bandwidth * dt)
 
 

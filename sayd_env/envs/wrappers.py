@@ -25,7 +25,7 @@ Observation = npt.NDArray[np.float32]
 
 
 class _Scaling:
-    """The map of a box to one from -1 to 1."""
+    """The map of a box to the range -1 to 1."""
 
     def __init__(self, space: Any) -> None:
         if not isinstance(space, Box) or not space.is_bounded():

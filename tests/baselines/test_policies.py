@@ -101,7 +101,7 @@ def test_valves_of_their_own_get_their_bogie_s_command(interface, name):
     bogie = commands_of(baselines.make(name, interface()), observations)
     damper = commands_of(baselines.make(name, interface(valves="damper")), observations)
     assert np.array_equal(damper, np.repeat(bogie, 4, axis=2))
-    with pytest.raises(ConfigError, match="controls each bogie by itself, but valves='vehicle'"):
+    with pytest.raises(ConfigError, match="controls each bogie separately, but valves='vehicle'"):
         baselines.make(name, interface(valves="vehicle"))
 
 
@@ -193,7 +193,7 @@ def test_a_file_of_parameters_stands_for_its_controller(interface, tmp_path):
         ("mppt1:0.3", {}, {}, "policy 'mppt1:0.3': only 'constant' takes a value"),
         ("constant:1.3", {}, {}, "policy 'constant:1.3': expected a valve command from 0 to 1"),
         ("constant:", {}, {}, "policy 'constant:': expected a valve command from 0 to 1"),
-        ("constant:0.3", {}, {"current": 0.4}, "current is given behind the colon and as a parameter"),
+        ("constant:0.3", {}, {"current": 0.4}, "current is given after the colon and as a parameter"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_message(interface, name, changes, parameters, message):

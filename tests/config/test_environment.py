@@ -195,7 +195,7 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
         ),
         (
             "randomisation.tolerances.frames.keys=[sayd.valve.delay]",
-            "key 'sayd.valve.delay' stands in two groups, 'frames' and 'valve_delay'",
+            "key 'sayd.valve.delay' is in two groups, 'frames' and 'valve_delay'",
         ),
         (
             "faults.count={law: uniform, low: 0, high: 1}",
@@ -244,7 +244,7 @@ def test_the_file_that_sets_a_bad_value_is_blamed(write: Write):
     [
         ("", "is empty; expected keys and values"),
         ("base: 5\n", "base: found 5; expected the name of an environment, a path or null"),
-        ("base: mine.yaml\n", "base: 'mine.yaml' stands on this file itself"),
+        ("base: mine.yaml\n", "base: 'mine.yaml' refers back to this file"),
         ("base: nominl\n", "unknown env 'nominl', did you mean 'nominal'?"),
         ("base: null\nstudy: nominal\n", "keys are missing: "),
     ],

@@ -146,8 +146,8 @@ def test_a_study_cannot_stand_on_itself(write: Write):
     write("base: ../a/two.yaml\n", "a/one.yaml")
     write("base: ./one.yaml\n", "a/two.yaml")
     own = write("base: study.yaml\n")
-    assert "stands on this file itself" in refused(own)
-    assert "stands on this file itself" in refused(own.parent / "a" / "one.yaml")
+    assert "refers back to this file" in refused(own)
+    assert "refers back to this file" in refused(own.parent / "a" / "one.yaml")
 
 
 def test_the_file_of_a_section_is_blamed_for_what_stands_in_it(write: Write):

@@ -104,7 +104,7 @@ def test_packaged_results_are_those_of_the_packaged_tuning():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("scenarios.0.seed=8001", "scenarios: .*the seed 8001 stands there twice"),
+        ("scenarios.0.seed=8001", "scenarios: .*the seed 8001 is a duplicate"),
         ("scenarios.0.wear=1.5", "scenarios.*wear: found 1.5"),
         ("controllers.mppt2.gains.k_J.low=0.4", "k_J: .*needs low < high"),
         ("controllers.mppt2.gains.k_J.high=1.5", "an end of the ranges is not allowed: .*k_J: found 1.5"),
@@ -114,7 +114,10 @@ def test_packaged_results_are_those_of_the_packaged_tuning():
         ("controllers.mppt2.search=10", "at least one generation: search 10, population 12"),
         ("controllers.mppt2.polish=5", "the local search of 7 gains needs 9 evaluations or none"),
         ("controllers.mppt2.guesses.0.v_min=0.5", "a guess of v_min, 0.5, lies outside its range"),
-        ("controllers.mppt2.gains.threshold_min.share_of=v_mn", "'v_mn' is no gain of its own in this list"),
+        (
+            "controllers.mppt2.gains.threshold_min.share_of=v_mn",
+            "'v_mn' is not an independent gain of this list",
+        ),
         ("controllers.mpt2={gains: {k_J: {low: 0.0, high: 1.0}}, polish: 3}", "unknown controller 'mpt2'"),
     ],
 )

@@ -253,7 +253,7 @@ def test_a_track_file_is_read_again_for_each_episode(tmp_path: Path):
         ({"track_scale": 6}, "track_scale: found 6; expected a number from 0 to 5"),
         ({"profile": "wron"}, "profile: found 'wron', did you mean 'worn'?; expected new or worn"),
         ({"profile": 1}, "profile: found 1; expected new or worn"),
-        ({"profile": "new", "wear": 0.5}, "wear and profile say the same: give one of them"),
+        ({"profile": "new", "wear": 0.5}, "wear and profile set the same quantity: give one of them"),
         ({"track": "chna"}, "unknown track 'chna', did you mean 'china'?; available: "),
         ({"track": None}, "track: found None; expected the name of a track or a path"),
         ({"track": "nowhere.yaml"}, "nowhere.yaml: no such file"),

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any, get_args
 
+import environment_tables
 import numpy as np
 import pytest
 
@@ -17,8 +18,7 @@ from sayd_env.config.distribution import (
 )
 from sayd_env.config.environment import load_environment
 from sayd_env.config.fault import Fault
-from sayd_env.config.sensors import load_sensors
-from sayd_env.envs import tables, vector, wrappers
+from sayd_env.envs import vector, wrappers
 from sayd_env.envs.options import OPTIONS
 from sayd_env.envs.registration import IDS
 from sayd_env.envs.single import SaydEnv
@@ -28,22 +28,20 @@ SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
 ENVIRONMENTS = {name: load_environment(name) for name in IDS.values()}
 
 
-def _made() -> dict[str, str]:
-    return {
-        "action": tables.action_table(),
-        "signals": tables.observation_table(SaydEnv().signals),
-        "features": tables.observation_table(SaydEnv(observation="features").signals),
-        "sensors": tables.sensor_table(load_sensors("realistic")),
-        "options": tables.option_table(),
-        "draws": tables.draw_table(ENVIRONMENTS),
-        "tolerances": tables.tolerance_table(ENVIRONMENTS["randomized"]),
-        "faults": tables.fault_table(ENVIRONMENTS["faults"]),
-    }
+TABLES = environment_tables.tables()
 
 
-@pytest.mark.parametrize("name", _made())
+@pytest.mark.parametrize("name", TABLES)
 def test_tables_are_those_of_the_environments(name: str) -> None:
-    assert f"\n\n{_made()[name]}\n\n" in PAGE, f"docs/environments.md lacks this table:\n{_made()[name]}"
+    assert f"\n\n{TABLES[name]}\n\n" in PAGE, f"docs/environments.md lacks this table:\n{TABLES[name]}"
+
+
+@pytest.mark.parametrize("name", ["action", "signals", "features"])
+def test_the_docstring_shows_what_the_environment_says(name: str) -> None:
+    page = [line.strip() for line in (SaydEnv.__doc__ or "").splitlines()]
+    lines = TABLES[name].splitlines()
+    start = page.index(lines[2]) - 2
+    assert page[start : start + len(lines)] == lines
 
 
 def test_numbers_in_the_text_are_those_of_the_configuration() -> None:
@@ -57,8 +55,8 @@ def test_numbers_in_the_text_are_those_of_the_configuration() -> None:
     assert f"| {1e3 * config.control_period:g} ms (`control_period`)" in words
     assert f"over {config.run_in:g} m with the initial command" in words
     assert f"`history` is k, {config.history} by default" in words
-    assert f"Faults: {tables.told(faults.count)} in an episode" in words
-    assert f"each beginning {tables.told(faults.onset)} s after step 0" in words
+    assert f"Faults: {environment_tables.in_words(faults.count)} in an episode" in words
+    assert f"each beginning {environment_tables.in_words(faults.onset)} s after step 0" in words
 
 
 def test_everything_is_named() -> None:
@@ -87,12 +85,12 @@ def test_info_is_named(damper: str, quick: str) -> None:
         (ChoiceDistribution(law="choice", values=(1, 2)), "1 (50 %), 2 (50 %)"),
     ],
 )
-def test_laws_in_words(law: Any, words: str) -> None:
-    assert tables.told(law) == words
+def test_distributions_in_words(law: Any, words: str) -> None:
+    assert environment_tables.in_words(law) == words
 
 
 def test_a_table_of_no_faults_is_empty() -> None:
-    assert tables.fault_table(ENVIRONMENTS["nominal"]) == ""
+    assert environment_tables.fault_table(ENVIRONMENTS["nominal"]) == ""
 
 
 @pytest.mark.parametrize("snippet", SNIPPETS)

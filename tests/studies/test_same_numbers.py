@@ -1,4 +1,4 @@
-"""What commands print stays the same, to the bit. This guards against change only and shows nothing as right."""
+"""What commands print stays the same, to the bit: this guards against change and shows nothing as right."""
 
 from __future__ import annotations
 

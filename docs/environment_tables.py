@@ -1,4 +1,9 @@
-"""The tables of an environment's documentation page, made from what the environment itself says."""
+"""The tables of docs/environments.md, made from what the environments themselves say.
+
+    python docs/environment_tables.py
+
+prints them, to be put into the page.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +16,13 @@ from sayd_env.config.distribution import (
     FixedDistribution,
     NormalDistribution,
 )
-from sayd_env.config.environment import LIMITS, EnvironmentConfig
+from sayd_env.config.environment import LIMITS, EnvironmentConfig, load_environment
 from sayd_env.config.fault import SensorErrorClass, ValveStuckClass
-from sayd_env.config.sensors import KINDS, UNITS, SensorsConfig
+from sayd_env.config.sensors import KINDS, UNITS, SensorsConfig, load_sensors
 from sayd_env.envs.interface import ACTIONS, BOGIES, DAMPERS, Signal
 from sayd_env.envs.options import NUMBERS
+from sayd_env.envs.registration import IDS
+from sayd_env.envs.single import SaydEnv
 
 LAYOUTS = {
     "bogie": [f"the four valves of the {bogie} bogie" for bogie in BOGIES],
@@ -23,6 +30,21 @@ LAYOUTS = {
     "vehicle": ["all eight valves"],
 }
 """What the numbers of an action command."""
+
+
+def tables() -> dict[str, str]:
+    """All tables of the page, by name."""
+    environments = {name: load_environment(name) for name in IDS.values()}
+    return {
+        "action": action_table(),
+        "signals": observation_table(SaydEnv().signals),
+        "features": observation_table(SaydEnv(observation="features").signals),
+        "sensors": sensor_table(load_sensors("realistic")),
+        "options": option_table(),
+        "draws": draw_table(environments),
+        "tolerances": tolerance_table(environments["randomized"]),
+        "faults": fault_table(environments["faults"]),
+    }
 
 
 def observation_table(signals: Sequence[Signal]) -> str:
@@ -75,7 +97,11 @@ def draw_table(environments: Mapping[str, EnvironmentConfig]) -> str:
     for name in (*NUMBERS, "sensor_bias", "sensor_noise"):
         columns = [getattr(config.randomisation, name) for config in environments.values()]
         rows.append(
-            (name, LIMITS[name].unit, *("the study's" if each is None else told(each) for each in columns))
+            (
+                name,
+                LIMITS[name].unit,
+                *("the study's" if each is None else in_words(each) for each in columns),
+            )
         )
     classes = [config.randomisation.tracks for config in environments.values()]
     for track in dict.fromkeys(entry.name for entries in classes for entry in entries):
@@ -83,7 +109,7 @@ def draw_table(environments: Mapping[str, EnvironmentConfig]) -> str:
         cells = [
             "-"
             if entry is None
-            else f"weight {entry.weight:g}" + (f", {told(entry.scale)}" if entry.scale else "")
+            else f"weight {entry.weight:g}" + (f", {in_words(entry.scale)}" if entry.scale else "")
             for entry in found
         ]
         rows.append((f"track {track}, scale", "-", *cells))
@@ -94,7 +120,7 @@ def tolerance_table(config: EnvironmentConfig) -> str:
     """Table of the factors that an episode draws."""
     groups = config.randomisation.tolerances
     rows = [
-        (name, ", ".join(f"`{key}`" for key in group.keys), told(group.factor))
+        (name, ", ".join(f"`{key}`" for key in group.keys), in_words(group.factor))
         for name, group in groups.items()
     ]
     return _table(("group", "numbers", "factor"), rows)
@@ -110,14 +136,14 @@ def fault_table(config: EnvironmentConfig) -> str:
     for fault in faults.kinds:
         measure = "-"
         if isinstance(fault, ValveStuckClass):
-            measure = f"current {told(fault.current)}"
+            measure = f"current {in_words(fault.current)}"
         elif isinstance(fault, SensorErrorClass):
-            measure = f"{told(fault.share)} of half the range"
+            measure = f"{in_words(fault.share)} of half the range"
         rows.append((fault.kind, f"{100.0 * fault.weight / total:.0f} %", measure))
     return _table(("fault", "share", "measure"), rows)
 
 
-def told(drawn: Distribution) -> str:
+def in_words(drawn: Distribution) -> str:
     """A distribution in words."""
     if isinstance(drawn, FixedDistribution):
         return f"{drawn.value:g}"
@@ -146,3 +172,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         "| " + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) + " |"
         for line in lines
     )
+
+
+if __name__ == "__main__":
+    print("\n\n".join(tables().values()))
