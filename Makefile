@@ -12,10 +12,6 @@ LEARNED = ,ppo,sac
 RUN_JOB = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous$(LEARNED) \
           --profile worn --speeds 300,350,400 --seeds 10
 
-# Compiles the kernels once, so that parallel test processes find them in the cache instead of racing for it.
-SHORT = --speeds 300 --seeds 1 --set assessment.length=600 --json > /dev/null
-WARM_UP = $(BIN)/sayd critical-speed $(SHORT) && $(BIN)/sayd evaluate --policies passive,mppt2 $(SHORT)
-
 # Options for the tests, for example `make test PYTEST_OPTIONS="-k contact"`.
 PYTEST_OPTIONS =
 
@@ -30,7 +26,7 @@ run: $(VENV)/.installed
 	$(RUN_JOB)
 
 test: $(VENV)/.installed $(VENV)/.learning
-	$(WARM_UP)
+	$(BIN)/python tests/warm_up.py
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=20 $(PYTEST_OPTIONS)
 
 # Speed beside an earlier commit, in turn on this machine: some ten minutes with nothing else running.

@@ -38,6 +38,7 @@ FINE = 5e-6
 """The reference's: a sixth of the shortest time constant, of suction valve and chamber, s."""
 
 _njit: Any = numba.njit(error_model="numpy")
+_inline: Any = numba.njit(error_model="numpy", forceinline=True)
 
 
 def parameters(d: SaydDamperConfig) -> Array:
@@ -59,7 +60,7 @@ def parameters(d: SaydDamperConfig) -> Array:
     )
 
 
-@_njit
+@_inline
 def resistance(p: Array, current: float) -> float:
     """R of the throttle's pressure drop R Q^2, Pa s2/m6."""
     discharge, density, closed = p[27], p[28], p[29]
@@ -71,7 +72,7 @@ def resistance(p: Array, current: float) -> float:
     return float(0.5 * density / (discharge * area) ** 2)
 
 
-@_njit
+@_inline
 def valve(p: Array, first: int, drop: float) -> float:
     """Eq. (22) to (24); opening, full, nominal flow and nominal drop stand at p[first]."""
     p_o, p_s, q_n, dp_n = p[first], p[first + 1], p[first + 2], p[first + 3]
@@ -82,7 +83,7 @@ def valve(p: Array, first: int, drop: float) -> float:
     return float(q_n * math.sqrt(drop / dp_n))
 
 
-@_njit
+@_inline
 def series(p: Array, square: float, drop: float) -> float:
     """Flow through two equal check valves and the throttle at a whole pressure drop >= 0."""
     p_o, p_s, q_n, dp_n = p[15], p[16], p[17], p[18]
@@ -95,7 +96,7 @@ def series(p: Array, square: float, drop: float) -> float:
     return float(math.sqrt(drop / (square + 2.0 * dp_n / q_n**2)))
 
 
-@_njit
+@_inline
 def ends(now: Array, then: Array, share: float) -> tuple[float, float, float, float]:
     """x'_1, v'_1, x'_2, v'_2 within a sample: velocities are linear, as the simulator is told them."""
     left = (1.0 - share) * STEP
@@ -105,7 +106,7 @@ def ends(now: Array, then: Array, share: float) -> tuple[float, float, float, fl
     return x1, then[1] - left * rise_1, x2, then[3] - left * rise_2
 
 
-@_njit
+@_inline
 def rates(
     p: Array, square: float, y: State, at: tuple[float, float, float, float], sliding: float
 ) -> tuple[State, float]:
@@ -131,7 +132,7 @@ def rates(
     return (stroke_rate, bend, rod_rate, rod_gain, rise_a, rise_b), held
 
 
-@_njit
+@_inline
 def moved(y: State, h: float, k: State) -> State:
     """y + h k."""
     return (
