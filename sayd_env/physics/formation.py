@@ -9,7 +9,9 @@ depend on that.
 from __future__ import annotations
 
 import hashlib
+import weakref
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,9 +103,26 @@ def kind(plant: Plant) -> tuple[Any, ...]:
     fields = plant._asdict()
     structure = (value.tobytes() for name, value in fields.items() if name.endswith(SHARED))
     lengths = (value.shape for name, value in fields.items() if name not in _OF_ANY_LENGTH)
-    creep = hashlib.blake2b(plant.creep.data, digest_size=16).digest()  # copies of the table are as good
-    common = (*plant.number[[STEP, SUBSTEPS, CREEP_LAW]], plant.wheel[SHEAR_MODULUS * LANES], creep)
-    return *common, *lengths, *structure
+    common = (*plant.number[[STEP, SUBSTEPS, CREEP_LAW]], plant.wheel[SHEAR_MODULUS * LANES])
+    return *common, _digest(plant.creep), *lengths, *structure
+
+
+def _digest(table: Array) -> bytes:
+    """Digest of a creep table: copies of it are as good. Vehicles mostly share one, so it is kept."""
+    key = id(table)
+    known, digest = _DIGESTS.get(key, (None, b""))
+    if known is None or known() is not table:
+        digest = hashlib.blake2b(table.data, digest_size=16).digest()
+        _DIGESTS[key] = weakref.ref(table, partial(_forget, key)), digest
+    return digest
+
+
+def _forget(key: int, _: object) -> None:
+    _DIGESTS.pop(key, None)
+
+
+_DIGESTS: dict[int, tuple[weakref.ref[Array], bytes]] = {}
+"""Weak reference and digest of each creep table that is in use, by its identity."""
 
 
 plant_of = vehicle_from(Plant)
