@@ -18,6 +18,7 @@ from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
+from sayd_env.physics.aligned import aligned, zeros
 from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.geometry import ContactTable, cached_contact_table
 from sayd_env.physics.layout import Arrangement
@@ -208,7 +209,7 @@ class VehicleModel:
         shift, stop = _curves(b.stops)
         return Plant(
             number=self._numbers(speed, track, table, 0 if sayds is None else sayds.substeps),
-            wheel=self._wheels(speed, table),
+            wheel=aligned(self._wheels(speed, table)),
             mass=b.mass,
             damping_diagonal=diagonal,
             mobility=1.0 / (b.mass + 0.5 * h * diagonal),
@@ -231,7 +232,7 @@ class VehicleModel:
             damper_stiffness=maxwell.stiffness,
             stop_shift=shift,
             stop_force=stop,
-            sayd_constant=np.zeros(0) if sayds is None else sayds.constant,
+            sayd_constant=np.zeros(0) if sayds is None else aligned(sayds.constant),
             sayd_table=np.zeros(0) if sayds is None else sayds.table,
             irregularity=track.coefficients.ravel(),
             creep=self.creep_table,
@@ -320,15 +321,15 @@ class VehicleModel:
             sayds = sayd.rest(damper)
             line = np.full(sayd.line_length(damper, self.step(speed)[0]) * LANES, damper.current)
         return State(
-            q=np.zeros(n),
-            v=np.zeros(n),
-            a=np.zeros(n),
-            elongation=np.zeros(m),
-            piston=np.zeros(m),
-            force=np.zeros(m),
-            sayd=sayds,
-            sayd_line=line,
-            clock=np.array([0.0, -float(np.max(self.multibody.wheelset_x))]),
+            q=zeros(n),
+            v=zeros(n),
+            a=zeros(n),
+            elongation=zeros(m),
+            piston=zeros(m),
+            force=zeros(m),
+            sayd=aligned(sayds),
+            sayd_line=aligned(line),
+            clock=aligned(np.array([0.0, -float(np.max(self.multibody.wheelset_x))])),
         )
 
     def work(self, points: int = 0) -> Work:
@@ -340,7 +341,7 @@ class VehicleModel:
         y = at.MOTIONS * WHEELSETS + m + s + (sayd.INPUTS * LANES if semi_active else 0)
         law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
         sizes = (n, x, y, 8 * WHEELSETS, at.ROWS_IN * LANES, at.PATCH_ROWS * LANES, *law, w + points)
-        return Work(*(np.zeros(size) for size in sizes))
+        return Work(*(zeros(size) for size in sizes))
 
 
 @lru_cache(maxsize=64)
