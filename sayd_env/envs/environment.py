@@ -128,7 +128,7 @@ class Environment:
             else:
                 chosen.append((int(self.np_random.integers(SEEDS)), 0))
         episodes = [draw_episode(self.config, seed, number, options) for seed, number in chosen]
-        rows = self.batch.reset(which, episodes, log=self._full)
+        rows = self.batch.reset(which, episodes, log=self._full, whole_track=False)
         for i, (seed, number), before in zip(which, chosen, rows, strict=True):
             self._seeds[i], self._numbers[i], self._over[i] = seed, number, False
             if self._full:

@@ -162,6 +162,7 @@ class EpisodeBatch:
         *,
         log: bool = False,
         listen: bool = False,
+        whole_track: bool = True,
     ) -> list[Array]:
         """Begin episodes: build the vehicles and run them in.
 
@@ -175,6 +176,8 @@ class EpisodeBatch:
             Return the true signals of the run-in, as `VehicleBatch.run_in` does.
         listen : bool
             Keep the observations of the run-in in `heard`.
+        whole_track : bool
+            Make the track for an assessed run. False: so far as the episode goes by its configuration.
 
         Raises
         ------
@@ -182,7 +185,10 @@ class EpisodeBatch:
             An episode that cannot be, such as a speed beyond the vehicle's.
         """
         models = [self._model_of(episode) for episode in episodes]
-        built = [self._vehicle(model, episode) for model, episode in zip(models, episodes, strict=True)]
+        built = [
+            self._vehicle(model, episode, whole_track)
+            for model, episode in zip(models, episodes, strict=True)
+        ]
         if self._vehicles is None:
             if sorted(which) != list(range(self.count)):
                 raise ConfigError("the first reset must be one of all vehicles")
@@ -216,11 +222,11 @@ class EpisodeBatch:
         assert self.heard is not None  # the reset has made it
         self.heard.observations[period] = np.nan_to_num(self._newest())
 
-    def _vehicle(self, model: VehicleModel, episode: Episode) -> Vehicle:
+    def _vehicle(self, model: VehicleModel, episode: Episode, whole_track: bool) -> Vehicle:
         return make_vehicle(
             model,
             episode.speed,
-            self._track(model, episode),
+            self._track(model, episode, whole_track),
             self.config.sensors,
             self.settings,
             band_constants=self._band,
@@ -233,13 +239,14 @@ class EpisodeBatch:
         scenario = episode_scenario(self.scenario, episode)
         return self._model if scenario is self.scenario else VehicleModel(scenario)
 
-    def _track(self, model: VehicleModel, episode: Episode) -> TrackRealisation:
-        """The episode's track: as long as an assessed run, so that its length does not change it."""
+    def _track(self, model: VehicleModel, episode: Episode, whole: bool) -> TrackRealisation:
+        """The episode's track: of an assessed run, so that the episode's length does not change it."""
         assessment = model.scenario.assessment
         assessed = assessment.run_in + (assessment.length or 0.0)
         needed = self.config.run_in + episode.speed * (self.config.episode_s + self.config.control_period)
         length = assessed * max(1, math.ceil(needed / assessed)) + RUN_OUT
-        return realise(model.scenario.track.irregularity, length, episode.track_seed)
+        covered = length if whole else needed + RUN_OUT
+        return realise(model.scenario.track.irregularity, length, episode.track_seed, covered=covered)
 
     def _noise(self, episode: Episode) -> np.random.Generator | None:
         """Source of the noise of an episode's sensors, if any of them has or gets some."""

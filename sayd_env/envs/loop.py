@@ -194,21 +194,64 @@ def count_cost(row: Array, loop: Loop, memory: LoopState, per_second: float, ter
 @kernel(allocates=False)
 def sense(loop: Loop, memory: LoopState, noise: Array, sample: int) -> None:
     """Make the sensors' readings of this sample, and add them to the period's sums."""
-    count = memory.counter[0]
     noisy = noise.shape[0] > 0
-    for k in range(SIGNALS):
-        memory.filtered[k] += loop.share[k] * (memory.true[k] - memory.filtered[k])
-        value = memory.gain[k] * memory.filtered[k] + memory.bias[k]
-        if noisy:
-            value += loop.noise[k] * noise[sample, k]
-        value = max(loop.low[k], min(loop.high[k], value))
-        quantum = loop.resolution[k]
-        if quantum > 0.0:
-            value = math.floor(value / quantum + 0.5) * quantum
-            value = max(loop.low[k], min(loop.high[k], value))
-        fresh = memory.frozen[k] == 0.0 and count % int(loop.hold[k]) == 0
-        memory.reading[k] = value if fresh else memory.reading[k]
-        memory.total[k] += memory.reading[k]
+    _read(
+        float(memory.counter[0]),
+        noisy,
+        noise[sample] if noisy else memory.true,
+        loop.noise,
+        loop.share,
+        loop.low,
+        loop.high,
+        loop.resolution,
+        loop.hold,
+        memory.gain,
+        memory.bias,
+        memory.frozen,
+        memory.true,
+        memory.filtered,
+        memory.reading,
+        memory.total,
+    )
+
+
+@kernel(distinct=True, allocates=False)
+def _read(
+    count: float,
+    noisy: bool,
+    random: Array,
+    spread: Array,
+    share: Array,
+    low: Array,
+    high: Array,
+    resolution: Array,
+    hold: Array,
+    gain: Array,
+    bias: Array,
+    frozen: Array,
+    true: Array,
+    filtered: Array,
+    reading: Array,
+    total: Array,
+) -> None:
+    """Readings of all sensors; without branches, so that they become vector instructions."""
+    for k in range(true.shape[0]):
+        behind = filtered[k] + share[k] * (true[k] - filtered[k])
+        filtered[k] = behind
+        value = gain[k] * behind + bias[k]
+        value += spread[k] * random[k] if noisy else -0.0  # adding this leaves all numbers as they are
+        least, most, last = low[k], high[k], reading[k]
+        value = value if value < most else most
+        value = value if value > least else least
+        quantum = resolution[k]
+        whole = np.floor(value / (quantum if quantum > 0.0 else 1.0) + 0.5) * quantum
+        whole = whole if whole < most else most
+        whole = whole if whole > least else least
+        value = whole if quantum > 0.0 else value
+        held = count - np.floor(count / hold[k]) * hold[k] + frozen[k]
+        last = value if held == 0.0 else last
+        reading[k] = last
+        total[k] += last
 
 
 @kernel(allocates=False)

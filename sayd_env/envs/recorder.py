@@ -22,7 +22,8 @@ from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE, NOT_FINITE, RUNNING
 from sayd_env.envs.trace import DAMPERS
 from sayd_env.physics import sayd
-from sayd_env.physics.multibody import Instance, Multibody
+from sayd_env.physics.layout import Instance
+from sayd_env.physics.multibody import Multibody
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import VehicleModel
 

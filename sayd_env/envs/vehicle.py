@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from sayd_env.envs import loop as places
 from sayd_env.envs.loop import RAIL_FORCES, SIGNALS, Loop, LoopState
 from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS
 from sayd_env.physics import sayd
+from sayd_env.physics.layout import Arrangement, displacement
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation
@@ -167,7 +169,7 @@ def make_vehicle(
             band_constants, settings.sample_rate, assessment, speed, channels=POINTS, groups=places.BOGIES
         )
 
-    points = np.vstack([longitudinal_rows(model), body_rows(model)])
+    points = point_rows(model.multibody.arrangement, model.scenario.vehicle.floor_height)
     return Vehicle(
         track=track,
         plant=model.plant(speed, track, points=points),
@@ -245,29 +247,36 @@ def sensors_by_signal(sensors: SensorsConfig) -> list[SensorConfig]:
     return [sensors.of(signal) for signal in SENSED]
 
 
-def longitudinal_rows(model: VehicleModel) -> Array:
+@lru_cache(maxsize=64)
+def point_rows(design: Arrangement, floor_height: float | None) -> Array:
+    """Rows that give the motion of the frames and of the carbody's floor, shape (4 + BODY_ROWS, n).
+
+    Vehicles of one design share them.
+    """
+    return np.vstack([longitudinal_rows(design), body_rows(design, floor_height)])
+
+
+def longitudinal_rows(design: Arrangement) -> Array:
     """Rows that give the longitudinal motion of the frames at the dampers' mounts, shape (4, n).
 
     Front and rear bogie, left and right side; each the mean of the side's two mounts.
     """
-    ends = np.array([bogie for _, bogie, _ in model.multibody.yaw_dampers])
+    ends = np.array([bogie for _, bogie, _ in design.yaw_dampers])
     return np.ascontiguousarray(ends.reshape(4, 2, -1).mean(axis=1))
 
 
-def body_rows(model: VehicleModel) -> Array:
+def body_rows(design: Arrangement, floor_height: float | None) -> Array:
     """Rows that give the motion of the carbody's floor along x, y and z, shape (BODY_ROWS, n).
 
     Above the front bogie, mid-way and above the rear bogie; zeros where the vehicle does not say how high its
     floor is.
     """
-    body, height = model.multibody, model.scenario.vehicle.floor_height
-    if height is None or "carbody" not in body.instances:
-        return np.zeros((BODY_ROWS, body.n))
-    pivots = body.wheelset_x.reshape(places.BOGIES, -1).mean(axis=1)
+    n, carbody = design.layout.n, design.instances.get("carbody")
+    if floor_height is None or carbody is None:
+        return np.zeros((BODY_ROWS, n))
+    pivots = design.wheelset_x.reshape(places.BOGIES, -1).mean(axis=1)
     stations = (pivots[0], float(pivots.mean()), pivots[1])
-    return np.array(
-        [body.point("carbody", np.array([x, 0.0, height]), axis) for x in stations for axis in np.eye(3)]
-    )
+    return np.vstack([displacement(carbody, np.array([x, 0.0, floor_height]), n) for x in stations])
 
 
 def loop_state(settings: LoopSettings, run_in: int, bias: Array, averaging: float) -> LoopState:

@@ -31,6 +31,7 @@ from sayd_env.envs.loop import (
 )
 from sayd_env.envs.trace import DAMPERS, TRACE
 from sayd_env.envs.vehicle import LoopSettings, Vehicle
+from sayd_env.physics.aligned import copied
 from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.formation import Formation
 from sayd_env.physics.kernel import specialised
@@ -108,7 +109,7 @@ class VehicleBatch:
         self.formation = Formation(
             [vehicle.plant for vehicle in vehicles],
             [vehicle.state for vehicle in vehicles],
-            [_copied(vehicle.work) for vehicle in vehicles],  # other environments may have the same vehicles
+            [copied(vehicle.work) for vehicle in vehicles],  # other environments may have the same vehicles
         )
         self.loop = RaggedBatch(Loop, [vehicle.loop for vehicle in vehicles])
         self.memory = RaggedBatch(LoopState, [vehicle.memory for vehicle in vehicles])
@@ -138,7 +139,7 @@ class VehicleBatch:
     def put(self, i: int, vehicle: Vehicle) -> None:
         """Replace vehicle i; `run_in` must follow before it is stepped."""
         self._place(i, vehicle)
-        self.formation.put(i, vehicle.plant, vehicle.state, _copied(vehicle.work))
+        self.formation.put(i, vehicle.plant, vehicle.state, copied(vehicle.work))
         for name in ON_BOARD:
             getattr(self, name).put(i, getattr(vehicle, name))
         self.status[i] = RUNNING
@@ -173,7 +174,7 @@ class VehicleBatch:
         vehicle = self._vehicles[i]
         return VehicleState(
             built=replace(vehicle, noise=None),
-            fields={name: _copied(getattr(self, name).view(i)) for name in CHANGING},
+            fields={name: copied(getattr(self, name).view(i)) for name in CHANGING},
             stiffness=self.formation.plant.view(i).damper_stiffness.copy(),
             noise=None if vehicle.noise is None else copy.deepcopy(vehicle.noise.bit_generator.state),
             results={name: getattr(self, name)[i].copy() for name in RESULTS},
@@ -187,11 +188,11 @@ class VehicleBatch:
             noise.bit_generator.state = copy.deepcopy(saved.noise)
         vehicle = saved.built
         if self._vehicles[i].plant is not vehicle.plant:  # another vehicle or another track
-            self.formation.put(i, vehicle.plant, vehicle.state, _copied(vehicle.work))
+            self.formation.put(i, vehicle.plant, vehicle.state, copied(vehicle.work))
         self._put_stiffness(i, saved.stiffness)
         self._place(i, replace(vehicle, noise=noise))
         for name, fields in saved.fields.items():
-            getattr(self, name).put(i, _copied(fields))
+            getattr(self, name).put(i, copied(fields))
         for name, value in saved.results.items():
             getattr(self, name)[i] = value
 
@@ -221,13 +222,17 @@ class VehicleBatch:
         rows = self._no_log
         if log:
             rows = np.zeros((len(self), int(periods.max()) * self.settings.samples, LOG))
+        # Run-ins differ in length: a group takes as long as its longest one.
+        formation = self.formation.only(sorted(which, key=lambda i: -int(periods[i])))
         if hear is None:
-            self._run(periods, self._silent, rows)
+            self._run(periods, self._silent, rows, formation)
         else:
-            self._run_in_aloud(periods, rows, hear)
+            self._run_in_aloud(periods, rows, hear, formation)
         return [rows[i, : periods[i] * self.settings.samples if log else 0] for i in which]
 
-    def _run_in_aloud(self, periods: Index, rows: Array, hear: Callable[[int], None]) -> None:
+    def _run_in_aloud(
+        self, periods: Index, rows: Array, hear: Callable[[int], None], formation: Formation
+    ) -> None:
         """Run vehicles in, one control period in a call."""
         samples, longest = self.settings.samples, int(periods.max())
         log = np.zeros((len(self), samples, LOG)) if rows.size else self._no_log
@@ -235,7 +240,7 @@ class VehicleBatch:
             own = p - (longest - periods)  # each vehicle's own number of the period
             active = (own >= 0) & (periods > 0) & (self.status == RUNNING)
             log.fill(0.0)
-            self._run(active.astype(np.int64), self._silent, log)
+            self._run(active.astype(np.int64), self._silent, log, formation)
             for i in np.flatnonzero(active) if rows.size else ():
                 rows[i, own[i] * samples : (own[i] + 1) * samples] = log[i]
             hear(p)
@@ -275,7 +280,8 @@ class VehicleBatch:
                 if vehicle.noise is not None and runs:
                     vehicle.noise.standard_normal(out=noise)
         noise = self._noise if self._noisy else self._silent
-        self._run(running.astype(np.int64), noise, self._no_log if log is None else log)
+        rows = self._no_log if log is None else log
+        self._run(running.astype(np.int64), noise, rows, self.formation)
 
     def _check_log(self, log: Array) -> None:
         shape = (len(self), self.settings.samples, LOG)
@@ -284,7 +290,7 @@ class VehicleBatch:
                 f"log: found {log.dtype} of shape {log.shape}; expected contiguous float64 of shape {shape}"
             )
 
-    def _run(self, periods: Index, noise: Array, log: Array) -> None:
+    def _run(self, periods: Index, noise: Array, log: Array, formation: Formation) -> None:
         period = Period(
             self.command,
             noise,
@@ -296,11 +302,11 @@ class VehicleBatch:
             log,
             self.status,
         )
-        units = self.formation.units(periods > 0)  # first: it may arrange the vehicles anew
+        units = formation.units(periods > 0)  # first: it may arrange the vehicles anew
         on_board = OnBoard(*(getattr(self, name).table for name in ON_BOARD))
         arguments = (
             units,
-            *self.formation.arguments(),
+            *formation.arguments(),
             self._substeps,
             periods,
             on_board,
@@ -333,8 +339,3 @@ class VehicleBatch:
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_compiled": None}
-
-
-def _copied(fields: Any) -> Any:
-    """A named tuple whose arrays are copies."""
-    return fields._make(np.copy(value) if isinstance(value, np.ndarray) else value for value in fields)

@@ -9,13 +9,16 @@ depend on that.
 from __future__ import annotations
 
 import hashlib
+import weakref
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sayd_env.physics import sayd
+from sayd_env.physics.aligned import zeros
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import (
     CREEP_LAW,
@@ -52,7 +55,10 @@ _OF_ANY_LENGTH = ("table", "sayd_table", "irregularity")
 
 def interleaved(vehicles: Sequence[Array]) -> Array:
     """Arrays (..., k) of W vehicles as one of (..., k * W)."""
-    return np.ascontiguousarray(np.stack(vehicles, axis=-1).reshape(*vehicles[0].shape[:-1], -1))
+    *rows, count = vehicles[0].shape
+    together = zeros(*rows, count, len(vehicles))
+    np.stack(vehicles, axis=-1, out=together)
+    return together.reshape(*rows, -1)
 
 
 def side_by_side(plants: Sequence[Plant]) -> Plant:
@@ -101,9 +107,26 @@ def kind(plant: Plant) -> tuple[Any, ...]:
     fields = plant._asdict()
     structure = (value.tobytes() for name, value in fields.items() if name.endswith(SHARED))
     lengths = (value.shape for name, value in fields.items() if name not in _OF_ANY_LENGTH)
-    creep = hashlib.blake2b(plant.creep.data, digest_size=16).digest()  # copies of the table are as good
-    common = (*plant.number[[STEP, SUBSTEPS, CREEP_LAW]], plant.wheel[SHEAR_MODULUS * LANES], creep)
-    return *common, *lengths, *structure
+    common = (*plant.number[[STEP, SUBSTEPS, CREEP_LAW]], plant.wheel[SHEAR_MODULUS * LANES])
+    return *common, _digest(plant.creep), *lengths, *structure
+
+
+def _digest(table: Array) -> bytes:
+    """Digest of a creep table: copies of it are as good. Vehicles mostly share one, so it is kept."""
+    key = id(table)
+    known, digest = _DIGESTS.get(key, (None, b""))
+    if known is None or known() is not table:
+        digest = hashlib.blake2b(table.data, digest_size=16).digest()
+        _DIGESTS[key] = weakref.ref(table, partial(_forget, key)), digest
+    return digest
+
+
+def _forget(key: int, _: object) -> None:
+    _DIGESTS.pop(key, None)
+
+
+_DIGESTS: dict[int, tuple[weakref.ref[Array], bytes]] = {}
+"""Weak reference and digest of each creep table that is in use, by its identity."""
 
 
 plant_of = vehicle_from(Plant)
@@ -246,15 +269,33 @@ class Formation:
             self._group_work.table,
         )
 
-    def _arrange(self) -> None:
-        """Form groups of vehicles of one kind, in the order of the batch."""
+    def only(self, vehicles: Sequence[int]) -> Formation:
+        """Some of these vehicles in groups of their own: for a call in which the others stand still.
+
+        Parameters
+        ----------
+        vehicles : sequence of int
+            Neighbours in this order run side by side: those that run equally long should be neighbours.
+
+        Returns
+        -------
+        Formation
+            Of the same arrays, good until a vehicle is replaced.
+        """
+        some = object.__new__(Formation)
+        some.plant, some.state, some.work, some._kinds = self.plant, self.state, self.work, self._kinds
+        some._arrange(vehicles)
+        return some
+
+    def _arrange(self, vehicles: Sequence[int] | None = None) -> None:
+        """Form groups of vehicles of one kind, in this order, by default that of the batch."""
         by_kind: dict[Any, list[int]] = {}
-        for i, key in enumerate(self._kinds):
-            by_kind.setdefault(key, []).append(i)
+        for i in range(len(self)) if vehicles is None else vehicles:
+            by_kind.setdefault(self._kinds[i], []).append(i)
         teams, alone = [], []
-        for vehicles in by_kind.values():
-            for first in range(0, len(vehicles), WIDTH):
-                team = vehicles[first : first + WIDTH]
+        for alike in by_kind.values():
+            for first in range(0, len(alike), WIDTH):
+                team = alike[first : first + WIDTH]
                 if len(team) >= FEWEST:
                     teams.append(team)
                 else:
@@ -289,4 +330,4 @@ def _units(groups: Sequence[int] | range, members: Sequence[Any], alone: Sequenc
 def _room(batch: RaggedBatch[Any], team: Sequence[int]) -> Any:
     """Memory for a group: each field as long as the longest member's, for all lanes."""
     views = [batch.view(i) for i in team]
-    return type(views[0])(*(np.zeros(max(map(len, column)) * WIDTH) for column in zip(*views, strict=True)))
+    return type(views[0])(*(zeros(max(map(len, column)) * WIDTH) for column in zip(*views, strict=True)))

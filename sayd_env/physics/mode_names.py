@@ -8,7 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.physics.multibody import AXES, Instance, Multibody
+from sayd_env.physics.layout import AXES, Instance
+from sayd_env.physics.multibody import Multibody
 
 Complex = npt.NDArray[np.complex128]
 

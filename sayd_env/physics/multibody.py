@@ -8,9 +8,8 @@ degrees of freedom with the generalised force -g F.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -19,17 +18,16 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from sayd_env.config import ConfigError
 from sayd_env.config.track import SectionConfig
-from sayd_env.config.vehicle import (
-    DOFS,
-    GROUND,
-    Attachment,
-    Body,
-    Bush,
-    Damper,
-    Stop,
-    Torsion,
-    VehicleConfig,
-    YawDamper,
+from sayd_env.config.vehicle import Bush, Damper, Stop, Torsion, VehicleConfig
+from sayd_env.physics.layout import (
+    Arrangement,
+    Instance,
+    Layout,
+    Place,
+    arrange,
+    displacement,
+    frame_of,
+    layout,
 )
 
 Array = npt.NDArray[np.float64]
@@ -37,18 +35,6 @@ Index = npt.NDArray[np.int64]
 GRAVITY = 9.81
 """Acceleration of gravity (m/s2), the value behind the paper's axle load."""
 _ROUNDING = 1e-14  # of a matrix's largest entry
-AXES = {"x": 0, "y": 1, "z": 2, "roll": 0, "pitch": 1, "yaw": 2}
-
-
-@dataclass(frozen=True)
-class Instance:
-    """One body of the assembled model: where it stands and which unknowns move it."""
-
-    name: str
-    body: Body
-    position: Array
-    columns: dict[str, int]
-    carrier: Instance | None = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +82,8 @@ class Multibody:
     """Frame and its wheelsets (kg), the m_b of EN 14363."""
     total_mass: float
     instances: dict[str, Instance] = field(repr=False)
+    arrangement: Arrangement = field(repr=False)
+    """What it shares with all vehicles of its design: the same object."""
 
     @property
     def n(self) -> int:
@@ -104,7 +92,7 @@ class Multibody:
 
     def point(self, name: str, position: Array, direction: Array) -> Array:
         """Row that gives the displacement of a body's point along a direction, shape (n,)."""
-        return _displacement(self.instances[name], position, self.n).T @ direction
+        return displacement(self.instances[name], position, self.n).T @ direction
 
 
 def assemble(vehicle: VehicleConfig, section: SectionConfig | None) -> Multibody:
@@ -123,251 +111,111 @@ def assemble(vehicle: VehicleConfig, section: SectionConfig | None) -> Multibody
     ConfigError
         The vehicle's elements do not fit together (a weight that nothing carries, for example).
     """
-    instances = _instantiate(vehicle)
-    wheelsets = [i for i in instances.values() if i.body.role == "wheelset"]
-    n = 1 + max(max(i.columns.values()) for i in instances.values() if i.columns)
-    sections = {}
-    if section is not None:
-        sections = {f"track.{w.name}": n + 3 * k for k, w in enumerate(wheelsets)}
-        n += 3 * len(wheelsets)
+    plan = layout(vehicle, section is not None)
+    mass = _masses(vehicle, section)[plan.mass]
+    springs, dashpots = _linear_numbers(vehicle, section)
+    weight = _weight(plan, mass)
+    force, loads = _statics(vehicle.name, plan, springs, weight)
+    stiffness = _without_rounding(plan.linear.added_up(springs, plan.n, (plan.gravity, force)))
+    damping = _without_rounding(plan.linear.added_up(dashpots, plan.n))
 
-    builder = _Builder(vehicle, instances, n)
-    for element in vehicle.elements:
-        builder.add(element)
-    mass = _mass(instances, n)
-    if section is not None:
-        for first in sections.values():
-            builder.add_section(first, section)
-            mass[first : first + 3] = section.mass, section.mass, section.roll_inertia
-    loads = builder.add_gravity(wheelsets)
-    names = _dof_names(instances, sections, n)
-    stiffness, damping = _without_rounding(builder.stiffness), _without_rounding(builder.damping)
-
-    order = _compact_order(stiffness, damping)
-    rank = np.argsort(order)
-    instances = {k: _renumbered(i, rank) for k, i in instances.items()}
-    dofs = np.array([[instances[w.name].columns.get(d, -1) for d in DOFS] for w in wheelsets])
-    frames = [i for i in instances.values() if i.body.role == "frame"]
-    shuffle = np.ix_(order, order)
+    own = arrange(plan, _compact_order(stiffness, damping))
+    shuffle = np.ix_(own.order, own.order)
+    instances = own.instances_of(vehicle)
     return Multibody(
-        dof_names=tuple(names[i] for i in order),
-        mass=mass[order],
+        dof_names=own.dof_names,
+        mass=mass[own.order],
         damping=damping[shuffle],
         stiffness=stiffness[shuffle],
-        gyroscopic=_gyroscopic(instances, n),
-        dampers=tuple(_permuted(e, order) for e in builder.dampers),
-        stops=tuple(_permuted(e, order) for e in builder.stops),
-        yaw_dampers=tuple((name, a[order], b[order]) for name, a, b in builder.yaw_dampers),
-        wheelset_dofs=dofs,
-        section_dofs=np.array([rank[first : first + 3] for first in sections.values()]).reshape(-1, 3),
-        wheelset_x=np.array([w.position[0] for w in wheelsets]),
+        gyroscopic=_gyroscopic(instances, plan.n),
+        dampers=_force_elements(vehicle, own.dampers),
+        stops=_force_elements(vehicle, own.stops),
+        yaw_dampers=own.yaw_dampers,
+        wheelset_dofs=own.wheelset_dofs,
+        section_dofs=own.section_dofs,
+        wheelset_x=own.wheelset_x,
         wheel_load=loads,
-        measuring_points=_measuring_points(vehicle, instances, frames, n),
-        bogie_mass=_bogie_mass(wheelsets, frames),
+        measuring_points=own.measuring_points,
+        bogie_mass=_bogie_mass(instances),
         total_mass=sum(i.body.mass for i in instances.values()),
         instances=instances,
+        arrangement=own,
     )
 
 
-def _members(vehicle: VehicleConfig, per: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Array, Array]]:
-    """Every combination of the sets' members: names, origin and sign of the local frame."""
-    for combination in itertools.product(*(vehicle.sets[s].items() for s in per)):
-        origin = np.sum([m.origin for _, m in combination], axis=0) if combination else np.zeros(3)
-        sign = np.prod([m.sign for _, m in combination], axis=0) if combination else np.ones(3)
-        yield tuple(name for name, _ in combination), origin, sign
+def _masses(vehicle: VehicleConfig, section: SectionConfig | None) -> Array:
+    """Masses and moments of inertia of all bodies, six each, and two of a track section (`Layout.mass`)."""
+    numbers = [n for body in vehicle.bodies for n in (body.mass, body.mass, body.mass, *body.inertia)]
+    if section is not None:
+        numbers += [section.mass, section.roll_inertia]
+    return np.array(numbers)
 
 
-def _instantiate(vehicle: VehicleConfig) -> dict[str, Instance]:
-    instances: dict[str, Instance] = {}
-    column = itertools.count()
-    depth = {body.name: len(body.per) for body in vehicle.bodies}
-    for body in sorted(vehicle.bodies, key=lambda b: b.role == "hinged"):  # carriers first
-        for members, origin, sign in _members(vehicle, body.per):
-            name = ".".join((body.name, *members))
-            carrier = None
-            if body.carrier is not None:
-                carrier = instances[".".join((body.carrier, *members[: depth[body.carrier]]))]
-            columns: dict[str, int] = {dof: next(column) for dof in body.dofs}
-            instances[name] = Instance(name, body, origin + sign * np.array(body.position), columns, carrier)
-    return instances
-
-
-def _displacement(instance: Instance, position: Array, n: int) -> Array:
-    """Map from the unknowns to the displacement of a point of a body, shape (3, n)."""
-    rows = np.zeros((3, n))
-    if instance.carrier is not None:
-        # Carried along by its carrier's translation, roll and yaw; its pitch is its own.
-        rows += _displacement(instance.carrier, instance.position, n)
-        arm = position - instance.position
-        carried = {d: c for d, c in instance.carrier.columns.items() if d in ("roll", "yaw")}
-        _add_rotation(rows, carried, arm)
-        _add_rotation(rows, instance.columns, arm)
-        pitch = instance.carrier.columns.get("pitch")
-        if pitch is not None:  # the hinge is on the carrier's axle: its own pitch moves nothing
-            rows[:, pitch] = 0.0
-        return rows
-    for dof, row in (("x", 0), ("y", 1), ("z", 2)):
-        if dof in instance.columns:
-            rows[row, instance.columns[dof]] = 1.0
-    _add_rotation(rows, instance.columns, position - instance.position)
-    return rows
-
-
-def _add_rotation(rows: Array, columns: dict[str, int], arm: Array) -> None:
-    """Add theta x arm for the rotations among the columns."""
-    x, y, z = arm
-    for dof, turned in (("roll", (0.0, -z, y)), ("pitch", (z, 0.0, -x)), ("yaw", (-y, x, 0.0))):
-        if dof in columns:
-            rows[:, columns[dof]] += turned
-
-
-def _rotation(instance: Instance, axis: str, n: int) -> Array:
-    row = np.zeros(n)
-    if axis in instance.columns:
-        row[instance.columns[axis]] = 1.0
-    elif instance.carrier is not None and axis in instance.carrier.columns:
-        row[instance.carrier.columns[axis]] = 1.0
-    return row
-
-
-class _Builder:
-    """Collects the elements' contributions."""
-
-    def __init__(self, vehicle: VehicleConfig, instances: dict[str, Instance], n: int) -> None:
-        self.vehicle = vehicle
-        self.instances = instances
-        self.n = n
-        self.stiffness = np.zeros((n, n))
-        self.damping = np.zeros((n, n))
-        self.dampers: list[ForceElement] = []
-        self.stops: list[ForceElement] = []
-        self.yaw_dampers: list[tuple[str, Array, Array]] = []
-        self.carriers: list[tuple[Array, float, Instance | None, Array, Instance | None, Array]] = []
-        self.depth = {body.name: len(body.per) for body in vehicle.bodies}
-
-    def add(self, element: Bush | Torsion | Damper | Stop | YawDamper) -> None:
-        for members, origin, sign in _members(self.vehicle, element.per):
-            name = ".".join((element.name, *members))
-            a, at = self._end(element.a, members, origin, sign)
-            b, bt = self._end(element.b, members, origin, sign)
-            if isinstance(element, Torsion):
-                g = self._rotate(b, element.axis) - self._rotate(a, element.axis)
-                self._add_linear(g, element.stiffness, element.damping)
-                continue
-            move = self._move(b, bt) - self._move(a, at)
-            if isinstance(element, Bush):
-                for axis in range(3):
-                    self._add_linear(move[axis], element.stiffness[axis], element.damping[axis])
-                if element.carries_weight:
-                    self.carriers.append((move[2], element.stiffness[2], a, at, b, bt))
-            elif isinstance(element, YawDamper):
-                self.yaw_dampers.append((name, self._move(a, at)[0], self._move(b, bt)[0]))
-            elif isinstance(element, Damper):
-                curve = np.array(element.curve)
-                g = move[AXES[element.axis]]
-                self.dampers.append(ForceElement(name, g, curve, element.series_stiffness))
-            else:
-                self.stops.append(ForceElement(name, move[AXES[element.axis]], np.array(element.curve)))
-
-    def add_section(self, first: int, section: SectionConfig) -> None:
-        """Springs and dampers of a track section (y, z, roll) against the ground."""
+def _linear_numbers(vehicle: VehicleConfig, section: SectionConfig | None) -> tuple[Array, Array]:
+    """Stiffness and damping of what is linear, in the order of the elements, then of a track section."""
+    stiffness: list[float] = []
+    damping: list[float] = []
+    for element in vehicle.elements:
+        if isinstance(element, Bush):
+            stiffness += element.stiffness
+            damping += element.damping
+        elif isinstance(element, Torsion):
+            stiffness.append(element.stiffness)
+            damping.append(element.damping)
+    if section is not None:
         arm = section.seat_half_spacing
-        k = (
-            section.lateral_stiffness,
-            2 * section.vertical_stiffness,
-            2 * section.vertical_stiffness * arm**2,
+        k, c = 2 * section.vertical_stiffness, 2 * section.vertical_damping
+        stiffness += (section.lateral_stiffness, k, k * arm**2)
+        damping += (section.lateral_damping, c, c * arm**2)
+    return np.array(stiffness), np.array(damping)
+
+
+def _weight(plan: Layout, mass: Array) -> Array:
+    """Weight on each unknown, N."""
+    weight = np.zeros(plan.n)
+    heavy = [i.columns["z"] for i in plan.instances.values() if "z" in i.columns]
+    weight[heavy] = -GRAVITY * mass[heavy]
+    return weight
+
+
+def _statics(name: str, plan: Layout, springs: Array, weight: Array) -> tuple[Array, Array]:
+    """Static force of each carrier on its end b, upwards, and load of a wheel of each wheelset, N.
+
+    Raises
+    ------
+    ConfigError
+        A weight that no spring carries.
+    """
+    vertical = plan.vertical.added_up(springs, plan.n)
+    wheelsets = [plan.instances[name].columns.get("z") for name in plan.wheelsets]
+    support = [z for z in wheelsets if z is not None]
+    stiff = 1e3 * max(float(np.max(np.diag(vertical))), 1.0)
+    vertical[support, support] += stiff
+    rows = np.flatnonzero(np.any(vertical != 0.0, axis=1) | (weight != 0.0))
+    settled = np.zeros(plan.n)
+    if len(rows):
+        settled[rows] = np.linalg.lstsq(vertical[np.ix_(rows, rows)], weight[rows], rcond=1e-12)[0]
+    if not np.allclose(vertical @ settled, weight, atol=1e-6 * np.max(np.abs(weight))):
+        raise ConfigError(
+            f"{name}: the static weight is not carried; mark the springs that carry it with "
+            "carries_weight: true"
         )
-        c = (section.lateral_damping, 2 * section.vertical_damping, 2 * section.vertical_damping * arm**2)
-        for i in range(3):
-            self.stiffness[first + i, first + i] += k[i]
-            self.damping[first + i, first + i] += c[i]
-
-    def add_gravity(self, wheelsets: list[Instance]) -> Array:
-        """Static loads, their gravity (geometric) stiffness, and the wheel loads (N).
-
-        A weight-carrying spring's static force P acts at its ends, which move with their bodies, so a
-        rotation theta of a body changes the moment about its centre by (theta x r) x P (pendulum terms). The
-        force follows the mean rotation of both ends: a body on a canted base slides down by m g theta / k.
-        """
-        weight = np.zeros(self.n)
-        vertical = np.zeros((self.n, self.n))
-        for i in self.instances.values():
-            if "z" in i.columns:
-                weight[i.columns["z"]] = -GRAVITY * i.body.mass
-        for g, k, *_ in self.carriers:
-            place = np.flatnonzero(g)
-            vertical[np.ix_(place, place)] += k * np.outer(g[place], g[place])
-        support = [w.columns["z"] for w in wheelsets if "z" in w.columns]
-        stiff = 1e3 * max(float(np.max(np.diag(vertical))), 1.0)
-        vertical[support, support] += stiff
-        rows = np.flatnonzero(np.any(vertical != 0.0, axis=1) | (weight != 0.0))
-        settled = np.zeros(self.n)
-        if len(rows):
-            settled[rows] = np.linalg.lstsq(vertical[np.ix_(rows, rows)], weight[rows], rcond=1e-12)[0]
-        if not np.allclose(vertical @ settled, weight, atol=1e-6 * np.max(np.abs(weight))):
-            raise ConfigError(
-                f"{self.vehicle.name}: the static weight is not carried; "
-                "mark the springs that carry it with carries_weight: true"
-            )
-        for g, k, a, at, b, bt in self.carriers:
-            force = -k * float(g @ settled)  # on b, upwards; the opposite on a
-            self._add_geometric(b, bt, force)
-            self._add_geometric(a, at, -force)
-            self._add_following(a, at, b, bt, force)
-        sinking = [settled[w.columns["z"]] if "z" in w.columns else 0.0 for w in wheelsets]
-        return -0.5 * stiff * np.array(sinking)
-
-    def _add_geometric(self, instance: Instance | None, position: Array, force: float) -> None:
-        if instance is None or instance.carrier is not None:
-            return  # a spring on a hinged part stands at its hinge: no lever
-        x, y, z = position - instance.position
-        moment = {  # (theta x r) x P for P along z
-            "roll": {"roll": -z * force, "yaw": x * force},
-            "pitch": {"pitch": -z * force, "yaw": y * force},
-        }
-        for row, entries in moment.items():
-            for column, value in entries.items():
-                if row in instance.columns and column in instance.columns:
-                    self.stiffness[instance.columns[row], instance.columns[column]] -= value
-
-    def _add_following(
-        self, a: Instance | None, at: Array, b: Instance | None, bt: Array, force: float
-    ) -> None:
-        """Turn the force with the mean rotation: potential P (roll dy - pitch dx), d from a's end to b's."""
-        roll = 0.5 * (self._rotate(a, "roll") + self._rotate(b, "roll"))
-        pitch = 0.5 * (self._rotate(a, "pitch") + self._rotate(b, "pitch"))
-        dx, dy, _ = self._move(b, bt) - self._move(a, at)
-        half = np.outer(roll, dy) - np.outer(pitch, dx)
-        self.stiffness += force * (half + half.T)
-
-    def _end(
-        self, end: Attachment, members: tuple[str, ...], origin: Array, sign: Array
-    ) -> tuple[Instance | None, Array]:
-        position = origin + sign * np.array(end.at)
-        if end.body == GROUND:
-            return None, position
-        return self.instances[".".join((end.body, *members[: self.depth[end.body]]))], position
-
-    def _move(self, instance: Instance | None, position: Array) -> Array:
-        return np.zeros((3, self.n)) if instance is None else _displacement(instance, position, self.n)
-
-    def _rotate(self, instance: Instance | None, axis: str) -> Array:
-        return np.zeros(self.n) if instance is None else _rotation(instance, axis, self.n)
-
-    def _add_linear(self, g: Array, stiffness: float, damping: float) -> None:
-        place = np.flatnonzero(g)
-        block, outer = np.ix_(place, place), np.outer(g[place], g[place])
-        self.stiffness[block] += stiffness * outer
-        self.damping[block] += damping * outer
+    force = [-springs[carrier.number] * float(carrier.connection @ settled) for carrier in plan.carriers]
+    sinking = [0.0 if z is None else settled[z] for z in wheelsets]
+    return np.array(force), -0.5 * stiff * np.array(sinking)
 
 
-def _mass(instances: dict[str, Instance], n: int) -> Array:
-    mass = np.zeros(n)
-    for i in instances.values():
-        values: dict[str, float] = dict(zip(DOFS, (*(3 * [i.body.mass]), *i.body.inertia), strict=True))
-        for dof, column in i.columns.items():
-            mass[column] = values[dof]
-    return mass
+def _force_elements(vehicle: VehicleConfig, places: tuple[Place, ...]) -> tuple[ForceElement, ...]:
+    """Elements of a law of their own, each with its curve."""
+    laws = {place.element: _law(vehicle, place.element) for place in places}
+    return tuple(ForceElement(place.name, place.connection, *laws[place.element]) for place in places)
+
+
+def _law(vehicle: VehicleConfig, place: int) -> tuple[Array, float]:
+    """Curve and series stiffness of a damper or a stop."""
+    element = vehicle.elements[place]
+    assert isinstance(element, Damper | Stop)  # the layout has chosen it as one
+    return np.array(element.curve), element.series_stiffness if isinstance(element, Damper) else 0.0
 
 
 def _gyroscopic(instances: dict[str, Instance], n: int) -> Array:
@@ -381,16 +229,6 @@ def _gyroscopic(instances: dict[str, Instance], n: int) -> Array:
     return matrix
 
 
-def _dof_names(instances: dict[str, Instance], sections: dict[str, int], n: int) -> list[str]:
-    names = [""] * n
-    for i in instances.values():
-        for dof, column in i.columns.items():
-            names[column] = f"{i.name}.{dof}"
-    for name, first in sections.items():
-        names[first : first + 3] = [f"{name}.{dof}" for dof in ("y", "z", "roll")]
-    return names
-
-
 def _without_rounding(matrix: Array) -> Array:
     """The matrix with zeros for what rounding leaves of sums that cancel.
 
@@ -402,36 +240,20 @@ def _without_rounding(matrix: Array) -> Array:
 
 def _compact_order(*matrices: Array) -> Index:
     """Order of the unknowns that keeps the non-zero rows of each column close together."""
-    pattern = csr_matrix(sum(np.abs(m) for m in matrices) != 0.0)
-    return np.asarray(reverse_cuthill_mckee(pattern, symmetric_mode=True), dtype=np.int64)
+    pattern = sum(np.abs(m) for m in matrices) != 0.0
+    return _order_of(np.asarray(pattern).tobytes(), len(matrices[0]))
 
 
-def _renumbered(instance: Instance, rank: Index) -> Instance:
-    columns = {dof: int(rank[c]) for dof, c in instance.columns.items()}
-    carrier = None if instance.carrier is None else _renumbered(instance.carrier, rank)
-    return Instance(instance.name, instance.body, instance.position, columns, carrier)
+@lru_cache(maxsize=64)
+def _order_of(pattern: bytes, n: int) -> Index:
+    matrix = csr_matrix(np.frombuffer(pattern, dtype=np.bool_).reshape(n, n))
+    return np.asarray(reverse_cuthill_mckee(matrix, symmetric_mode=True), dtype=np.int64)
 
 
-def _permuted(element: ForceElement, order: Index) -> ForceElement:
-    return ForceElement(element.name, element.connection[order], element.curve, element.series_stiffness)
-
-
-def _frame_of(wheelset: Instance, frames: list[Instance]) -> Instance | None:
-    return min(frames, key=lambda f: abs(f.position[0] - wheelset.position[0]), default=None)
-
-
-def _measuring_points(
-    vehicle: VehicleConfig, instances: dict[str, Instance], frames: list[Instance], n: int
-) -> tuple[tuple[str, Array], ...]:
-    points = []
-    for w in (i for i in instances.values() if i.body.role == "wheelset"):
-        position = np.array([w.position[0], 0.0, vehicle.measuring_height])
-        points.append((w.name, _displacement(_frame_of(w, frames) or w, position, n)[1]))
-    return tuple(points)
-
-
-def _bogie_mass(wheelsets: list[Instance], frames: list[Instance]) -> float:
+def _bogie_mass(instances: dict[str, Instance]) -> float:
+    wheelsets = [i for i in instances.values() if i.body.role == "wheelset"]
+    frames = [i for i in instances.values() if i.body.role == "frame"]
     if not frames:
         return wheelsets[0].body.mass
-    own = [w.body.mass for w in wheelsets if _frame_of(w, frames) is frames[0]]
+    own = [w.body.mass for w in wheelsets if frame_of(w, frames) is frames[0]]
     return frames[0].body.mass + sum(own)

@@ -16,7 +16,6 @@ import numpy.typing as npt
 from llvmlite import ir
 from numba.core import cgutils, errors, types
 from numba.extending import intrinsic
-from scipy.sparse import csr_matrix
 
 from sayd_env.physics.kernel import kernel
 
@@ -47,10 +46,10 @@ class Rows(NamedTuple):
 
 def sparse_rows(matrix: Array) -> Rows:
     """Rows of a matrix (r, c)."""
-    found = csr_matrix(matrix != 0.0)
-    row = np.repeat(np.arange(found.shape[0]), np.diff(found.indptr))
-    value = np.ascontiguousarray(matrix[row, found.indices])
-    return Rows(found.indptr.astype(np.uint32), found.indices.astype(np.uint32), value)
+    row, column = np.nonzero(matrix)
+    start = np.zeros(len(matrix) + 1, dtype=np.uint32)
+    np.cumsum(np.bincount(row, minlength=len(matrix)), out=start[1:])
+    return Rows(start, column.astype(np.uint32), matrix[row, column])
 
 
 def _check_flat(**arrays: tuple[Any, Any]) -> None:

@@ -18,11 +18,13 @@ from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
+from sayd_env.physics.aligned import aligned, zeros
 from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.geometry import ContactTable, cached_contact_table
+from sayd_env.physics.layout import Arrangement
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
-from sayd_env.physics.profiles import rail_profile, wheel_profile
+from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
 from sayd_env.physics.rows import Rows, sparse_rows
 from sayd_env.physics.step import advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
@@ -200,14 +202,14 @@ class VehicleModel:
         np.fill_diagonal(damping, 0.0)
         maxwell = damper_curves(self.dampers, h)
         sayds = self._sayds(h)
-        motion = self._motion_rows()
+        motion = _motion_rows(b.arrangement, self.scenario.vehicle.wheel_radius, self._semi_active)
         force = sparse_rows(self._force_matrix(damping))
         frames = np.array([g for _, g in b.measuring_points]).reshape(-1, b.n)
         measure = sparse_rows(frames if points is None else np.vstack([frames, points]))
         shift, stop = _curves(b.stops)
         return Plant(
             number=self._numbers(speed, track, table, 0 if sayds is None else sayds.substeps),
-            wheel=self._wheels(speed, table),
+            wheel=aligned(self._wheels(speed, table)),
             mass=b.mass,
             damping_diagonal=diagonal,
             mobility=1.0 / (b.mass + 0.5 * h * diagonal),
@@ -230,7 +232,7 @@ class VehicleModel:
             damper_stiffness=maxwell.stiffness,
             stop_shift=shift,
             stop_force=stop,
-            sayd_constant=np.zeros(0) if sayds is None else sayds.constant,
+            sayd_constant=np.zeros(0) if sayds is None else aligned(sayds.constant),
             sayd_table=np.zeros(0) if sayds is None else sayds.table,
             irregularity=track.coefficients.ravel(),
             creep=self.creep_table,
@@ -269,33 +271,6 @@ class VehicleModel:
         load[self.multibody.wheelset_dofs[:, 2]] -= 2.0 * self.multibody.wheel_load
         load[self.multibody.section_dofs[:, 1]] += 2.0 * self.multibody.wheel_load
         return load
-
-    def _motion_rows(self) -> Rows:
-        """Rows of `Work.y` over the motion in `Work.x`: displacements, predicted and present velocities."""
-        b, n, radius = self.multibody, self.multibody.n, self.scenario.vehicle.wheel_radius
-        motions = np.zeros((at.MOTIONS, WHEELSETS, 3 * n))
-        for j, (wheelset, section) in enumerate(zip(b.wheelset_dofs, b.section_dofs, strict=True)):
-            x, y, z, roll, pitch, yaw = wheelset
-            section_y, section_z, section_roll = section
-            for first, offset, height, turn, plane in (
-                (0, at.M_OFFSET, at.M_HEIGHT, at.M_ROLL, at.M_PLANE),
-                (n, at.M_BOTTOM, at.M_RISE, at.M_ROLL_RATE, at.M_PLANE_RATE),
-            ):
-                motions[offset, j, first + np.array([y, roll, section_y])] = 1.0, radius, -1.0
-                motions[height, j, first + np.array([z, section_z])] = 1.0, -1.0
-                motions[turn, j, first + roll] = motions[plane, j, first + section_roll] = 1.0
-            motions[at.M_YAW, j, yaw] = motions[at.M_YAW_RATE, j, n + yaw] = 1.0
-            motions[at.M_SLIP_X, j, n + x] = motions[at.M_SPIN_RATE, j, n + pitch] = 1.0
-        elongations = [e.connection for e in (*self.dampers, *b.stops)]
-        rows = [motions.reshape(-1, 3 * n), np.pad(np.reshape(elongations, (-1, n)), ((0, 0), (0, 2 * n)))]
-        if self._semi_active:
-            ends = np.zeros((sayd.INPUTS, LANES, 3 * n))
-            for k, (_, *pair) in enumerate(b.yaw_dampers):
-                for row, end in zip((sayd.END_1, sayd.END_2), pair, strict=True):
-                    for part in range(3):  # position, velocity and old velocity stand one behind another
-                        ends[row + part, k, part * n : (part + 1) * n] = end
-            rows.append(ends.reshape(-1, 3 * n))
-        return sparse_rows(np.vstack(rows))
 
     def _force_matrix(self, damping: Array) -> Array:
         """Generalised forces over `Work.x`, from the damping matrix without its diagonal."""
@@ -346,15 +321,15 @@ class VehicleModel:
             sayds = sayd.rest(damper)
             line = np.full(sayd.line_length(damper, self.step(speed)[0]) * LANES, damper.current)
         return State(
-            q=np.zeros(n),
-            v=np.zeros(n),
-            a=np.zeros(n),
-            elongation=np.zeros(m),
-            piston=np.zeros(m),
-            force=np.zeros(m),
-            sayd=sayds,
-            sayd_line=line,
-            clock=np.array([0.0, -float(np.max(self.multibody.wheelset_x))]),
+            q=zeros(n),
+            v=zeros(n),
+            a=zeros(n),
+            elongation=zeros(m),
+            piston=zeros(m),
+            force=zeros(m),
+            sayd=aligned(sayds),
+            sayd_line=aligned(line),
+            clock=aligned(np.array([0.0, -float(np.max(self.multibody.wheelset_x))])),
         )
 
     def work(self, points: int = 0) -> Work:
@@ -366,7 +341,40 @@ class VehicleModel:
         y = at.MOTIONS * WHEELSETS + m + s + (sayd.INPUTS * LANES if semi_active else 0)
         law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
         sizes = (n, x, y, 8 * WHEELSETS, at.ROWS_IN * LANES, at.PATCH_ROWS * LANES, *law, w + points)
-        return Work(*(np.zeros(size) for size in sizes))
+        return Work(*(zeros(size) for size in sizes))
+
+
+@lru_cache(maxsize=64)
+def _motion_rows(design: Arrangement, radius: float, semi_active: bool) -> Rows:
+    """Rows of `Work.y` over the motion in `Work.x`: displacements, predicted and present velocities.
+
+    Vehicles of one design share them.
+    """
+    n = design.layout.n
+    motions = np.zeros((at.MOTIONS, WHEELSETS, 3 * n))
+    for j, (wheelset, section) in enumerate(zip(design.wheelset_dofs, design.section_dofs, strict=True)):
+        x, y, z, roll, pitch, yaw = wheelset
+        section_y, section_z, section_roll = section
+        for first, offset, height, turn, plane in (
+            (0, at.M_OFFSET, at.M_HEIGHT, at.M_ROLL, at.M_PLANE),
+            (n, at.M_BOTTOM, at.M_RISE, at.M_ROLL_RATE, at.M_PLANE_RATE),
+        ):
+            motions[offset, j, first + np.array([y, roll, section_y])] = 1.0, radius, -1.0
+            motions[height, j, first + np.array([z, section_z])] = 1.0, -1.0
+            motions[turn, j, first + roll] = motions[plane, j, first + section_roll] = 1.0
+        motions[at.M_YAW, j, yaw] = motions[at.M_YAW_RATE, j, n + yaw] = 1.0
+        motions[at.M_SLIP_X, j, n + x] = motions[at.M_SPIN_RATE, j, n + pitch] = 1.0
+    yaw_dampers = [] if semi_active else [bogie - car for _, bogie, car in design.yaw_dampers]
+    elongations = [*yaw_dampers, *(place.connection for place in (*design.dampers, *design.stops))]
+    rows = [motions.reshape(-1, 3 * n), np.pad(np.reshape(elongations, (-1, n)), ((0, 0), (0, 2 * n)))]
+    if semi_active:
+        ends = np.zeros((sayd.INPUTS, LANES, 3 * n))
+        for k, (_, *pair) in enumerate(design.yaw_dampers):
+            for row, end in zip((sayd.END_1, sayd.END_2), pair, strict=True):
+                for part in range(3):  # position, velocity and old velocity stand one behind another
+                    ends[row + part, k, part * n : (part + 1) * n] = end
+        rows.append(ends.reshape(-1, 3 * n))
+    return sparse_rows(np.vstack(rows))
 
 
 class Simulator:
@@ -531,8 +539,12 @@ def _contact_table(
     load: float,
 ) -> ContactTable:
     """Contact table of wheels on rails; many vehicles of a study share it."""
-    profiles = wheel_profile(wheel, wear), rail_profile(rail)
-    return cached_contact_table(*profiles, gauge, contact, radius, load)
+    return cached_contact_table(wheel_profile(wheel, wear), _rail(rail), gauge, contact, radius, load)
+
+
+@lru_cache(maxsize=8)
+def _rail(config: RailProfileConfig) -> Profile:
+    return rail_profile(config)
 
 
 def checked_currents(currents: npt.ArrayLike, count: int) -> Array:
@@ -590,9 +602,16 @@ def _slopes(x: Array, y: Array) -> Array:
 def _curves(elements: tuple[ForceElement, ...]) -> tuple[Array, Array]:
     """Piecewise-linear curves on a common number of points: the last segment goes on."""
     count = max((len(e.curve) for e in elements), default=2)
-    x, y = np.zeros((count, len(elements))), np.zeros((count, len(elements)))
-    for k, element in enumerate(elements):
-        points = element.curve
-        more = np.arange(1, count - len(points) + 1)[:, None] * (points[-1] - points[-2])
-        x[:, k], y[:, k] = np.vstack([points, points[-1] + more]).T
-    return x, y
+    longer: dict[int, Array] = {}  # elements of one kind share their curve
+    for element in elements:
+        if id(element.curve) not in longer:
+            longer[id(element.curve)] = _longer(element.curve, count)
+    points = np.array([longer[id(e.curve)] for e in elements]).reshape(-1, count, 2)
+    x, y = np.moveaxis(points, (0, 1, 2), (2, 1, 0))
+    return np.ascontiguousarray(x), np.ascontiguousarray(y)
+
+
+def _longer(points: Array, count: int) -> Array:
+    """A curve on so many points, shape (count, 2)."""
+    more = np.arange(1, count - len(points) + 1)[:, None] * (points[-1] - points[-2])
+    return np.vstack([points, points[-1] + more])

@@ -12,6 +12,7 @@ wants to check a cost needs just the signal and the moments at which f_0 moved.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -228,9 +229,11 @@ def _length(constants: Band, rate: float, assessment: AssessmentConfig, speed: f
     return max(2, math.floor(blocks + 1e-9))
 
 
+@lru_cache(maxsize=512)
 def _window(length: int) -> Array:
     window: Array = get_window("hann", length)
     window *= math.sqrt(2) / window.sum()
+    window.flags.writeable = False  # one for all states
     return window
 
 
@@ -245,7 +248,7 @@ def _filtered(sections: Array, filters: Array, value: float) -> float:
     return value
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def push(band: Band, state: BandState, sample: Array, out: Array) -> None:
     """Take one sample of every channel: filter it, and keep it for the next `retune`.
 

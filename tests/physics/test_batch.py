@@ -394,6 +394,25 @@ def test_a_changed_vehicle_s_group_alone_is_formed_anew(fleet: Fleet) -> None:
     assert np.any(signals[WIDTH] != signals[0])
 
 
+def test_some_vehicles_in_groups_of_their_own(fleet: Fleet) -> None:
+    """In the order asked for, across the groups of all; the others stand still."""
+    simulators = fleet.vehicles(2 * [0, 2, 4, 6, 8, 9, 12, 14])
+    batch = formation(simulators)
+    chosen = [15, 3, 9, 1, 11, 6, 13, 4, 0]
+    some = batch.only(chosen)
+    active = np.isin(np.arange(len(simulators)), chosen)
+    units = some.units(active)
+    assert units.members.tolist() == [chosen[:WIDTH]]
+    assert units.alone.tolist() == chosen[WIDTH:]
+    signals = advance(some, substeps(simulators), active)
+    for k, simulator in enumerate(fleet.vehicles(2 * [0, 2, 4, 6, 8, 9, 12, 14])):
+        assert np.any(signals[k]) == active[k]
+        if active[k]:
+            own, state = alone(simulator)
+            np.testing.assert_array_equal(signals[k], own)
+            assert_same_state(simulators[k].state, state)
+
+
 def test_a_vehicle_of_another_kind_needs_new_groups(fleet: Fleet) -> None:
     simulators = fleet.vehicles([0, 2, 4, 6, 8, 9, 12, 14])
     batch = formation(simulators)

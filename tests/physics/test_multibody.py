@@ -13,6 +13,7 @@ from sayd_env.config import ConfigError, apply_overrides, read_config, validate
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.track import SectionConfig, read_track
 from sayd_env.config.vehicle import VehicleConfig
+from sayd_env.physics import layout
 from sayd_env.physics.multibody import Multibody, assemble
 from sayd_env.physics.simulator import VehicleModel
 
@@ -318,3 +319,23 @@ def test_a_wheelset_on_rails_moves_in_all_directions() -> None:
     scenario = load_scenario(overrides=["vehicle.bodies.wheelset.dofs=[x, y, z, roll, yaw]"])
     with pytest.raises(ConfigError, match="needs all six degrees of freedom"):
         VehicleModel(scenario)
+
+
+def test_vehicles_of_one_design_share_its_layout_and_nothing_else() -> None:
+    """Whatever was assembled before: numbers are each vehicle's own."""
+    stiffer = ("elements.arm_joint.stiffness=[60e6,7e6,20e6]", "bodies.carbody.mass=45000.0")
+    emu, after = assembled(raw("emu")), assembled(raw("emu"), *stiffer)
+    assert after.arrangement is emu.arrangement
+    layout._layout.cache_clear()
+    fresh = assembled(raw("emu"), *stiffer)
+    for name in ("mass", "stiffness", "damping", "gyroscopic", "wheel_load"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(fresh, name))
+        assert np.any(getattr(after, name) != getattr(emu, name)) == (name not in ("damping", "gyroscopic"))
+    assert after.instances["carbody"].body.mass == 45000.0
+    assert emu.instances["carbody"].body.mass != 45000.0
+
+
+def test_another_place_of_an_element_is_another_design(emu: Multibody) -> None:
+    moved = assembled(raw("emu"), "elements.traction_rod.a.at=[0.0, 0.0, 0.519]")
+    assert moved.arrangement is not emu.arrangement
+    assert np.any(moved.stiffness != emu.stiffness)

@@ -187,3 +187,14 @@ def test_bad_arguments(change: dict[str, float], message: str) -> None:
     arguments: dict[str, float] = {"length": 500.0, "seed": 0}
     with pytest.raises(ConfigError, match=message):
         realise(german(), **(arguments | change))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["german_low", "china", "defect"])
+def test_a_table_that_covers_less_is_the_same_track(name: str) -> None:
+    """Bit for bit, up to where it ends: how long an episode is changes nothing of it."""
+    irregularity = read_track(name).irregularity
+    whole, part = realise(irregularity, 1500.0, 3), realise(irregularity, 1500.0, 3, covered=400.3)
+    assert len(part.coefficients) < 0.35 * len(whole.coefficients)
+    assert part.length == 400.3
+    x = np.linspace(-4.0, 400.3, 5000)
+    np.testing.assert_array_equal(part.evaluate(x), whole.evaluate(x))

@@ -36,8 +36,9 @@ with its load, and forces that are the gradient of one potential and do no net w
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -260,7 +261,6 @@ def cached_contact_table(
         table = contact_table(wheel, rail, gauge, config, r0, load)
         return np.concatenate([getattr(table, name) for name in own])
 
-    sources = (Path(source).read_bytes() for source in (__file__, hertz.__file__, kalker.__file__))
     numbers = (
         gauge,
         r0,
@@ -272,10 +272,17 @@ def cached_contact_table(
         config.model_dump(),
     )
     shapes = (values.tobytes() for profile in (wheel, rail) for values in (profile.y, profile.z))
-    flat = cached_array("contact", (repr(numbers).encode(), *shapes, *sources), len(own) * nodes, make)
+    flat = cached_array("contact", (repr(numbers).encode(), *shapes, _sources()), len(own) * nodes, make)
     columns = dict(zip(own, flat.reshape(len(own), nodes), strict=True))
     first = -config.half_nodes * config.table_step
     return ContactTable(dy_min=first, step=config.table_step, load=load, **columns)
+
+
+@cache
+def _sources() -> bytes:
+    """Digest of the sources that make a table."""
+    sources = (Path(source).read_bytes() for source in (__file__, hertz.__file__, kalker.__file__))
+    return hashlib.sha256(b"".join(sources)).digest()
 
 
 def rigid_contact(

@@ -31,6 +31,8 @@ GRID_STEP = 0.25
 _POINTS_A_WAVE = 8
 # Grid points beyond both ends of the run. The influence of the ends on the spline falls by 0.27 a point.
 _MARGIN = 16
+# More of them behind what a shortened table has to cover: the end's influence on it is then 1e-36.
+_SETTLED = 64
 # 128 MB of coefficients; 1000 km at the usual step.
 _MAX_POINTS = 4_000_000
 
@@ -71,6 +73,7 @@ def realise(
     seed: int,
     fade_in: float = FADE_IN,
     grid_step: float = GRID_STEP,
+    covered: float | None = None,
 ) -> TrackRealisation:
     """Irregularities from position 0 to `length`.
 
@@ -89,6 +92,8 @@ def realise(
         not faded, being smooth itself.
     grid_step : float
         Distance of the spline's samples (m).
+    covered : float, optional
+        Length (m) that the table needs to cover, for a run that ends before `length`: so far it is the same.
 
     Raises
     ------
@@ -101,6 +106,10 @@ def realise(
     points = math.ceil(length / grid_step) + 1 + 2 * _MARGIN
     x = grid_step * np.arange(-_MARGIN, points - _MARGIN, dtype=np.float64)
     samples = _samples(config, x, length, seed)
+    if covered is not None and covered < length:
+        length = covered
+        points = min(points, math.ceil(length / grid_step) + 1 + 2 * _MARGIN + _SETTLED)
+        x, samples = x[:points], samples[:points]
     if fade_in > 0.0 and not isinstance(config, DefectConfig):
         samples *= _smooth_step(x / fade_in)[:, None]
     return TrackRealisation(float(x[0]), grid_step, length, interpolation_coefficients(samples))

@@ -77,16 +77,22 @@ def random_irregularity(config: SpectrumConfig, points: int, step: float, seed: 
     period = max(points * step, _PERIODS_OF_LONGEST_WAVE * config.wavelength_max)
     n = next_fast_len(int(np.ceil(period / step)) + 1, real=True)
     df = 1.0 / (n * step)
-    f = df * np.arange(n // 2 + 1)
     low, high = 1.0 / config.wavelength_max, 1.0 / config.wavelength_min
+    f = df * np.arange(n // 2 + 1)
+    (inside,) = np.nonzero((f + 0.5 * df > low) & (f - 0.5 * df < high))
+    band = slice(int(inside[0]), int(inside[-1]) + 1)
+    f = f[band]
     width = np.clip(f + 0.5 * df, low, high) - np.clip(f - 0.5 * df, low, high)
     amplitude = np.sqrt(2.0 * _density(config, np.clip(f, low, high)) * width[:, None])
-    phase = np.stack([_phases(seed, channel, len(f)) for channel in range(len(CHANNELS))], axis=1)
-    series: Array = irfft(0.5 * n * amplitude * np.exp(1j * phase), n=n, axis=0)
+    phase = np.stack([_phases(seed, channel, band.stop) for channel in range(len(CHANNELS))], axis=1)
+    spectrum = np.zeros((n // 2 + 1, len(CHANNELS)), dtype=np.complex128)
+    spectrum[band] = 0.5 * n * amplitude * np.exp(1j * phase[band])
+    series: Array = irfft(spectrum, n=n, axis=0)
     return series[:points]
 
 
 def _phases(seed: int, channel: int, count: int) -> Array:
+    """Phases of the first bins; those of a bin do not depend on how many there are."""
     stream = np.random.SeedSequence(seed, spawn_key=(_STREAM, channel))
     return np.random.default_rng(stream).uniform(0.0, 2.0 * np.pi, count)
 
