@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -101,16 +102,26 @@ def _nth(place: int) -> tuple[str, str]:
     return MARKERS[place % len(MARKERS)], LINES[place % len(LINES)]
 
 
-@contextmanager
-def without_backend() -> Iterator[None]:
-    """Import Matplotlib inside: no picture of ours needs the windows that MPLBACKEND asks for.
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue of a colour, 0 to 255."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
-    Matplotlib cannot be imported where that variable names what is not installed, as in a process that a
-    notebook has started.
+
+@contextmanager
+def plain_matplotlib() -> Iterator[None]:
+    """Matplotlib as it comes: no window, none of the reader's settings, and a ``$`` that starts no formula.
+
+    Import it inside. It cannot be imported where MPLBACKEND names what is not installed, as in a process that
+    a notebook has started, and no picture of ours needs a backend.
     """
     asked = os.environ.pop("MPLBACKEND", None)
     try:
-        yield
+        import matplotlib as mpl  # noqa: PLC0415 - slow to import, and --json needs none
     finally:
         if asked is not None:
             os.environ["MPLBACKEND"] = asked
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", mpl.MatplotlibDeprecationWarning)  # of settings that we do not use
+        settings = {key: mpl.rcParamsDefault[key] for key in mpl.rcParamsDefault if "backend" not in key}
+    with mpl.rc_context({**settings, "text.parse_math": False}):
+        yield
