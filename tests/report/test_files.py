@@ -19,11 +19,11 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from sayd_env.config import ConfigError, Model, StudyError
+from sayd_env.config.software import git_state
 from sayd_env.report.files import (
     ResultDirectory,
     csv_bytes,
     document,
-    git_state,
 )
 
 
@@ -49,7 +49,7 @@ class Sine:
 
         return {"sine": draw}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         console.print("a sine")
 
 
