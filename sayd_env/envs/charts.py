@@ -79,13 +79,14 @@ class Charts:
 
             whole = len(charts) * (width + gap) - gap
             figure = Figure(figsize=(whole / DPI, height / DPI), dpi=DPI, facecolor="none")
-            self._canvas = FigureCanvasAgg(figure)
+            canvas: Any = FigureCanvasAgg(figure)  # Matplotlib leaves its methods untyped
             self._panels = []
             for number, chart in enumerate(charts):
                 left, inner = number * (width + gap) + LEFT, width - LEFT - RIGHT
                 box = (left / whole, BOTTOM / height, inner / whole, (height - TOP - BOTTOM) / height)
                 self._panels.append(_Panel(figure.add_axes(box), chart))
-            self._canvas.draw()
+            canvas.draw()
+        self._canvas = canvas
         self._ground: Any = None
 
     def draw(self, frame: Frame) -> npt.NDArray[np.uint8]:
@@ -145,7 +146,8 @@ class _Panel:
         if (float(ticks[-1]), limit) == self.shown:
             return False
         self.shown = (float(ticks[-1]), limit)
-        self.axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+        with plain_matplotlib():  # there may be new ticks
+            self.axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
         self.axes.set_ylim(0.0, ticks[-1])
         if limit > 0.0:
             self.limit.set_ydata([limit, limit])

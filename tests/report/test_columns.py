@@ -76,7 +76,7 @@ def test_printed_values_have_unit_scale_and_digits():
         (12808.2, "12,808"),
         (np.int64(2_000_000), "2,000,000"),
         (1000, "1000"),
-        (-math.inf, "inf"),
+        (-math.inf, "-inf"),
         ("bell \x07 and [bold]", "bell \ufffd and [bold]"),
     ],
 )
