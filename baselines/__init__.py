@@ -9,8 +9,8 @@
 >>> action.shape
 (2,)
 
-They use sensor signals only; one policy serves one vehicle or many. `make` also makes other policies, learned ones
-and those of one's own code, where their loader is registered.
+They use sensor signals only; one policy serves one vehicle or many. `make` also makes other policies, learned
+ones and those of one's own code, where their loader is registered.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from sayd_env.agents.policy_file import read_policy
 from sayd_env.agents.pretrained import FOLDER, groups
 from sayd_env.agents.pretrained.curves import PICTURE, draw
 from sayd_env.config import DataError
-from sayd_env.config.palette import without_backend
+from sayd_env.config.palette import plain_matplotlib
 from sayd_env.config.storage import write_file
 
 README = "README.md"
@@ -141,12 +141,13 @@ def picture() -> bytes:
     DataError
         A curve that is damaged.
     """
-    with without_backend():
+    stream = io.BytesIO()
+    with plain_matplotlib():
         from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and only this program needs it
 
-    figure, stream = Figure(layout="constrained"), io.BytesIO()
-    draw(figure)
-    figure.savefig(stream, format="png", dpi=110)
+        figure = Figure(layout="constrained")
+        draw(figure)
+        figure.savefig(stream, format="png", dpi=110)
     return stream.getvalue()
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from typing import Any
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
-GREY = "#7F7F7F"
+GREY = "#606060"
 """Beside the eight: what the others are compared with."""
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, GREY)
 """Of things without a colour of their own; yellow is too light for a line."""
@@ -101,16 +102,26 @@ def _nth(place: int) -> tuple[str, str]:
     return MARKERS[place % len(MARKERS)], LINES[place % len(LINES)]
 
 
-@contextmanager
-def without_backend() -> Iterator[None]:
-    """Import Matplotlib inside: no picture of ours needs the windows that MPLBACKEND asks for.
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue of a colour, 0 to 255."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
-    Matplotlib cannot be imported where that variable names what is not installed, as in a process that a
-    notebook has started.
+
+@contextmanager
+def plain_matplotlib() -> Iterator[None]:
+    """Matplotlib as it comes: no window, none of the reader's settings, and a ``$`` that starts no formula.
+
+    Import it inside. It cannot be imported where MPLBACKEND names what is not installed, as in a process that
+    a notebook has started, and no picture of ours needs a backend.
     """
     asked = os.environ.pop("MPLBACKEND", None)
     try:
-        yield
+        import matplotlib as mpl  # noqa: PLC0415 - slow to import, and --json needs none
     finally:
         if asked is not None:
             os.environ["MPLBACKEND"] = asked
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", mpl.MatplotlibDeprecationWarning)  # of settings that we do not use
+        settings = {key: mpl.rcParamsDefault[key] for key in mpl.rcParamsDefault if "backend" not in key}
+    with mpl.rc_context({**settings, "text.parse_math": False}):
+        yield

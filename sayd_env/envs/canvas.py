@@ -11,12 +11,13 @@ import time
 from pathlib import Path
 from typing import Any, Literal
 
-import matplotlib
 import numpy as np
 import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
-Array = npt.NDArray[np.float64]
+from sayd_env.config.palette import plain_matplotlib
+from sayd_env.config.units import Array
+
 Picture = npt.NDArray[np.uint8]
 Colour = tuple[int, int, int]
 Align = Literal["left", "middle", "right"]
@@ -112,22 +113,6 @@ class Canvas:
             thick = max(1, round(FINENESS * width))
             self.pygame.draw.lines(self._fine, colour, False, (FINENESS * points).tolist(), thick)
 
-    def dashes(
-        self,
-        start: tuple[float, float],
-        end: tuple[float, float],
-        colour: Colour,
-        *,
-        width: float = 1.0,
-        dash: float = 6.0,
-    ) -> None:
-        """Draw a dashed straight line."""
-        first, way = np.array(start), np.array(end) - np.array(start)
-        length = float(np.hypot(*way))
-        for begin in np.arange(0.0, length, 2.0 * dash):
-            stop = min(begin + dash, length)
-            self.line(np.array([first + way * begin / length, first + way * stop / length]), colour, width)
-
     def disc(self, centre: tuple[float, float], radius: float, colour: Colour) -> None:
         """Draw a filled circle."""
         place = (FINENESS * centre[0], FINENESS * centre[1])
@@ -150,12 +135,21 @@ class Canvas:
         self._words.append((image, (round(left), round(place[1] - 0.5 * height))))
         return float(width)
 
+    def image(self, pixels: Picture, place: tuple[float, float]) -> None:
+        """Put an image (height, width, 4) on top of all shapes, with its upper left corner at a place."""
+        height, width, _ = pixels.shape
+        picture = self.pygame.image.frombuffer(pixels, (width, height), "RGBA")
+        self._words.append((picture, place))
+
     def _text(self, words: str, size: int, colour: Colour, bold: bool) -> Any:
         font = self._fonts.get((size, bold))
         if font is None:
             # Matplotlib brings this typeface along, so that pictures look alike everywhere.
             name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-            path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name
+            with plain_matplotlib():
+                import matplotlib as mpl  # noqa: PLC0415 - see there
+
+            path = Path(mpl.get_data_path()) / "fonts" / "ttf" / name
             font = self._fonts[size, bold] = self.pygame.font.Font(str(path), size)
         return font.render(words, True, colour)
 

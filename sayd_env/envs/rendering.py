@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.envs.canvas import Align, Canvas, Colour, Picture, Window
+from sayd_env.config import palette
+from sayd_env.config.palette import rgb
+from sayd_env.config.units import Array
+from sayd_env.envs.canvas import Canvas, Colour, Picture, Window
+from sayd_env.envs.charts import ACCELERATION, COST, FORCE, VALVE, Charts
 from sayd_env.envs.loop import BOGIES
 from sayd_env.envs.plan_view import CYLINDER, PAIR_OFFSET, RAIL_HEAD, ROD, Placement, View, make_plan
-from sayd_env.envs.recorder import AHEAD, BEHIND, WINDOW, Frame, Recorder
+from sayd_env.envs.recorder import AHEAD, BEHIND, Frame, Recorder
 from sayd_env.envs.trace import DAMPERS
-
-Array = npt.NDArray[np.float64]
 
 WIDTH, HEIGHT = 1280, 720
 EXAGGERATION = 20.0
@@ -28,10 +28,10 @@ PANEL: Colour = (255, 255, 255)
 INK: Colour = (24, 32, 44)
 SOFT: Colour = (104, 116, 132)
 FAINT: Colour = (222, 227, 233)
-FRONT: Colour = (32, 98, 196)
-REAR: Colour = (214, 108, 18)
-LIMIT: Colour = (196, 36, 44)
-GOOD: Colour = (30, 132, 84)
+FRONT: Colour = rgb(palette.FRONT)
+REAR: Colour = rgb(palette.REAR)
+BAD: Colour = (196, 36, 44)
+GOOD: Colour = rgb(palette.GREEN)
 CAR: Colour = (233, 238, 245)
 CAR_EDGE: Colour = (128, 144, 166)
 RAIL: Colour = (142, 148, 158)
@@ -47,6 +47,8 @@ Box = tuple[float, float, float, float]
 VEHICLE: Box = (16, 70, 1248, 388)
 STRIP: Box = (16, 466, 1248, 62)
 CHARTS: tuple[Box, Box, Box] = ((16, 536, 408, 172), (436, 536, 408, 172), (856, 536, 408, 172))
+CHART_SIZE = (408, 172, 12)
+"""Width, height and gap of the charts."""
 ROAD: Box = (17, 96, 1246, 361)
 SCALE = 95.0
 """Pixels in a metre of the vehicle."""
@@ -95,6 +97,8 @@ class Renderer:
         self.caption = caption
         self.placement = Placement(plan, views, exaggeration)
         self.canvas = Canvas(WIDTH, HEIGHT)
+        last = COST if scenario.damper.type == "passive" else VALVE
+        self.charts = Charts((ACCELERATION, FORCE, last), *CHART_SIZE)
         self.window = Window((WIDTH, HEIGHT), "Semi-active yaw dampers") if mode == "human" else None
         self._ground()
 
@@ -160,8 +164,7 @@ class Renderer:
         self._head(frame)
         self._vehicle(frame)
         self._track(frame)
-        for box, chart in zip(CHARTS, charts(frame), strict=True):
-            self._chart(box, frame.time, chart)
+        self.canvas.image(self.charts.draw(frame), CHARTS[0][:2])
 
     def _head(self, frame: Frame) -> None:
         canvas = self.canvas
@@ -192,7 +195,7 @@ class Renderer:
         if frame.faults:
             colour, words = REAR, "1 fault" if len(frame.faults) == 1 else f"{len(frame.faults)} faults"
         if frame.ending is not None:
-            colour, words = LIMIT, frame.ending.partition(":")[0]
+            colour, words = BAD, frame.ending.partition(":")[0]
         width = self.canvas.text(words, (WIDTH - 30, 36), 13, PANEL, align="right", bold=True)
         self.canvas.box((WIDTH - 44 - width, 22, width + 28, 28), colour, radius=14)
 
@@ -226,7 +229,7 @@ class Renderer:
         if frame.faults:
             words = ", ".join(frame.faults[:3]) + (", …" if len(frame.faults) > 3 else "")
             middle = (ROAD[0] + 0.5 * ROAD[2], ROAD[1] + ROAD[3] - 12)
-            canvas.text(words, middle, 12, LIMIT, align="middle")
+            canvas.text(words, middle, 12, BAD, align="middle")
 
     def _centre(self, frame: Frame, bogie: int) -> None:
         """Mark the frame's centre, where it is at rest and where it is."""
@@ -258,11 +261,11 @@ class Renderer:
         words = f"{round(force * 1e-3, 1) + 0.0:+.1f} kN".replace("-", "\u2212")
         canvas.text(words, (middle_x + GAUGE_X + GAUGE_LENGTH + 74, y), 13, INK, align="right")
         if fault is not None:
-            canvas.text(fault, (middle_x - GAUGE_X - 46, y), 12, LIMIT, align="right", bold=True)
+            canvas.text(fault, (middle_x - GAUGE_X - 46, y), 12, BAD, align="right", bold=True)
             for turn in ((1.0, 1.0), (1.0, -1.0)):
                 arm = 9.0 * np.array(turn)
                 middle = 0.5 * (bogie_end + car_end)
-                canvas.line(np.array([middle - arm, middle + arm]), LIMIT, 3.0)
+                canvas.line(np.array([middle - arm, middle + arm]), BAD, 3.0)
 
     def _bar(self, frame: Frame, k: int, x: float, y: float, colour: Colour) -> None:
         height = 1.15 * PAIR_OFFSET * SCALE
@@ -308,129 +311,6 @@ class Renderer:
                 canvas.disc((float(spot[0]), float(spot[1])), 4.5, BOGIE_COLOURS[bogie])
         canvas.clip(None)
 
-    def _chart(self, box: Box, now: float, chart: Chart) -> None:
-        canvas = self.canvas
-        left, top, width, height = box
-        plot = (left + 44, top + 30, width - 58, height - 52)
-        title = canvas.text(chart.title, (left + 12, top + 14), 13, INK, bold=True)
-        canvas.text(chart.unit, (left + 18 + title, top + 14), 12, SOFT)
-        right = left + width - 12
-        for values, colour in zip(chart.values.T[::-1], chart.colours[::-1], strict=True):
-            if len(values):
-                number = f"{values[-1] * chart.per_unit:.{chart.digits}f}"
-                right -= canvas.text(number, (right, top + 14), 13, colour, align="right", bold=True) + 10
-        largest = float(chart.values.max(initial=0.0)) * chart.per_unit
-        ceiling, tick = axis(max(largest, 1.25 * chart.limit * chart.per_unit, chart.least))
-        for value in np.arange(0.0, ceiling * (1.0 + 1e-9), tick):
-            y = plot[1] + plot[3] * (1.0 - value / ceiling)
-            canvas.box((plot[0], y - 0.5, plot[2], 1), FAINT)
-            canvas.text(f"{value:g}", (plot[0] - 6, y), 10, SOFT, align="right")
-        for ago in (10, 5, 0):
-            x = plot[0] + plot[2] * (1.0 - ago / WINDOW)
-            aligned: Align = "right" if ago == 0 else "middle"
-            label = f"\u2212{ago} s" if ago else "now"
-            canvas.text(label, (x, top + height - 11), 10, SOFT, align=aligned)
-
-        def place(values: Array) -> Array:
-            across = plot[0] + plot[2] * (1.0 - (now - chart.times) / WINDOW)
-            return np.column_stack([across, plot[1] + plot[3] * (1.0 - values * chart.per_unit / ceiling)])
-
-        if chart.limit > 0.0:
-            y = plot[1] + plot[3] * (1.0 - chart.limit * chart.per_unit / ceiling)
-            canvas.dashes((plot[0], y), (plot[0] + plot[2], y), LIMIT, width=1.5)
-            canvas.text(chart.limit_name, (plot[0] + 6, y - 9), 10, LIMIT)
-        canvas.clip((plot[0], plot[1] - 2, plot[2] + 2, plot[3] + 4))
-        thin = max(1, len(chart.times) // 500)
-        for values, colour in zip(chart.values.T, chart.colours, strict=True):
-            canvas.line(place(values)[::-1][::thin], colour, 2.0)
-        canvas.clip(None)
-
-
-class Chart:
-    """A quantity over the last seconds.
-
-    Parameters
-    ----------
-    title, unit : str
-    times : ndarray, shape (t,)
-        s after step 0.
-    values : ndarray, shape (t, lines)
-        SI.
-    colours : sequence of Colour
-        One for each line.
-    per_unit : float
-        Factor from SI to the unit.
-    limit : float
-        SI; 0 for none.
-    limit_name : str
-    least : float
-        The axis reaches at least this far, in the unit.
-    digits : int
-        Of the newest value, behind the point.
-    """
-
-    def __init__(
-        self,
-        title: str,
-        unit: str,
-        times: Array,
-        values: Array,
-        colours: Sequence[Colour],
-        *,
-        per_unit: float = 1.0,
-        limit: float = 0.0,
-        limit_name: str = "",
-        least: float = 0.0,
-        digits: int = 2,
-    ) -> None:
-        self.title = title
-        self.unit = unit
-        self.times = times
-        self.values = values
-        self.colours = colours
-        self.per_unit = per_unit
-        self.limit = limit
-        self.limit_name = limit_name
-        self.least = least
-        self.digits = digits
-
-
-def charts(frame: Frame) -> tuple[Chart, Chart, Chart]:
-    """Acceleration and force with their limits, and the valves (J for passive dampers)."""
-    times = frame.times
-    acceleration = Chart(
-        "Frame acceleration, RMS of 1 s",
-        "m/s²",
-        times,
-        frame.acceleration,
-        BOGIE_COLOURS,
-        limit=frame.acceleration_limit,
-        limit_name=f"limit {frame.acceleration_limit:.2f}",
-    )
-    force = Chart(
-        "Damper force, RMS of 1 s",
-        "kN",
-        times,
-        frame.force,
-        BOGIE_COLOURS,
-        per_unit=1e-3,
-        limit=frame.force_reference,
-        limit_name=f"F max {frame.force_reference * 1e-3:g}",
-    )
-    if frame.valve is None:
-        last = Chart("Cost J of the last second", "", times, frame.cost[:, None], (INK,), least=0.1, digits=3)
-    else:
-        last = Chart("Valve opening, mean of a bogie", "", times, frame.valve, BOGIE_COLOURS, least=1.0)
-    return acceleration, force, last
-
-
-def axis(largest: float) -> tuple[float, float]:
-    """End of an axis from 0 that holds a value, and the distance of its ticks, a round number."""
-    decade = 10.0 ** math.floor(math.log10(max(largest, 1e-12)))
-    ticks = (step * decade for step in (0.2, 0.25, 0.5, 1.0, 2.0, 2.5))
-    tick = next(step for step in ticks if 5.0 * step >= largest - 1e-12)
-    return tick * math.ceil(largest / tick - 1e-9), tick
-
 
 def force_colour(force: float) -> Colour:
     """Colour of a damper force (N): blue pushes, red pulls, grey is nothing."""
@@ -442,9 +322,9 @@ def force_colour(force: float) -> Colour:
     return red, green, blue
 
 
-def palette() -> Picture:
+def colours() -> Picture:
     """Colours of a video that its first picture may lack, shape (k, 3)."""
-    signals = (FRONT, REAR, LIMIT, GOOD, INK, SOFT, PUSH, PULL, *BOGIE_FILLS)
+    signals = (FRONT, REAR, BAD, GOOD, INK, SOFT, PUSH, PULL, *BOGIE_FILLS)
     forces = [force_colour(share * LARGEST_FORCE) for share in np.linspace(-1.0, 1.0, 41)]
     # Beside each signal colour its way to white, which is what smooth edges are made of.
     edges = [

@@ -65,9 +65,9 @@ class Column:
         if not _is_number(value):
             return "".join(c if c.isprintable() else "\ufffd" for c in str(value))
         if math.isinf(value):
-            return self.infinite
+            return self.infinite if value > 0 else f"-{self.infinite}"
         if isinstance(value, int | np.integer) and self.scale == 1.0 and self.digits is None:
-            return f"{value:,}" if abs(value) >= _LONG else str(value)
+            return f"{value:,}" if abs(int(value)) >= _LONG else str(value)
         return self._number(self.scale * float(value))
 
     def _number(self, value: float) -> str:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import io
 import math
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from sayd_env.config.palette import LIMIT, Style, without_backend
+from sayd_env.config.palette import LIMIT, Style, plain_matplotlib
 from sayd_env.config.units import Array
 
 if TYPE_CHECKING:
@@ -36,15 +35,10 @@ UNKNOWN = "\ufffd"
 
 def png_bytes(draw: Plot, dpi: float = DPI) -> bytes:
     """Draw into a fresh figure and return it as PNG."""
-    with without_backend():
-        import matplotlib as mpl  # noqa: PLC0415 - slow to import, and --json needs none
-        from matplotlib.figure import Figure  # noqa: PLC0415
-
     image = io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", mpl.MatplotlibDeprecationWarning)  # of settings that we do not use
-        settings = {key: mpl.rcParamsDefault[key] for key in mpl.rcParamsDefault if "backend" not in key}
-    with mpl.rc_context(settings | {"text.parse_math": False}):
+    with plain_matplotlib():
+        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and --json needs none
+
         figure = Figure(figsize=SIZE, layout="constrained")
         draw(figure)
         _replace_unknown(figure)

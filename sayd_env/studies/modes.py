@@ -33,8 +33,7 @@ SPEEDS = tuple(np.arange(100.0, 501.0, 20.0) / KMH)
 
 _SPACING = 10.0 / KMH  # m/s; modes of speeds this near to each other are told apart by their shapes
 _SHOWN_MODES = 8
-_SHOWN_SPEEDS = 3
-_WIDE_SPEEDS = 6
+_SHOWN_SPEEDS, _NARROW_SPEEDS = 5, 3
 _SHOWN_FREQUENCY = 20.0  # Hz; above it stand the modes of wheelsets and track, which do not decide stability
 
 
@@ -71,18 +70,21 @@ class ModesResult:
         return {"root_locus": self._draw}
 
     def summary(self, console: Console, wide: bool = False) -> None:
-        """Print the least damped modes and the linear critical speed; with `wide` at more speeds."""
-        count = _WIDE_SPEEDS if wide else _SHOWN_SPEEDS
-        few = np.unique(np.linspace(0, len(self.asked) - 1, count).round().astype(int))
+        """Print the least damped modes and the linear critical speed."""
+        few = np.unique(np.linspace(0, len(self.asked) - 1, _SHOWN_SPEEDS).round().astype(int))
         speeds = {f"{self.locus.speeds[s] * KMH:.0f}": s for s in self.asked[few]}
-        rows = [
-            {"name": self.locus.names[b]} | {kmh: self._words(s, b) for kmh, s in speeds.items()}
+        rows: list[dict[str, str | None]] = [
+            {"name": self.locus.names[b], **{kmh: self._words(s, b) for kmh, s in speeds.items()}}
             for b in self._least_damped()[:_SHOWN_MODES]
+        ]
+        columns = [
+            Column(kmh, f"{kmh} km/h", bad=_is_unstable, wide=len(speeds) > _NARROW_SPEEDS and i % 2 == 1)
+            for i, kmh in enumerate(speeds)
         ]
         print_table(
             console,
             f"least damped modes below {_SHOWN_FREQUENCY:g} Hz: frequency (Hz), damping ratio",
-            [Column("name", "mode"), *(Column(kmh, f"{kmh} km/h", bad=_is_unstable) for kmh in speeds)],
+            [Column("name", "mode"), *columns],
             rows,
             wide=wide,
         )

@@ -195,9 +195,9 @@ def render(
     first = recorder.frame()
     result = RenderResult(film, episode.speed, seed, first.wear, first.friction)
     pictures = _pictures(film, result, batch, policy, recorder, renderer, progress)
-    from sayd_env.envs.rendering import palette  # noqa: PLC0415 - the renderer has loaded it
+    from sayd_env.envs.rendering import colours  # noqa: PLC0415 - the renderer has loaded it
 
-    write_film(film.file, pictures, film.fps, palette())
+    write_film(film.file, pictures, film.fps, colours())
     return result
 
 

@@ -27,8 +27,9 @@ from sayd_env.envs.single import SaydEnv
 pytest.importorskip("pygame")
 
 from sayd_env.envs import rendering
+from sayd_env.envs.charts import ACCELERATION, FORCE, VALVE, Charts
 from sayd_env.envs.plan_view import View, displaced, rectangle
-from sayd_env.envs.rendering import FRONT, HEIGHT, REAR, SCALE, WIDTH, Renderer, axis, force_colour
+from sayd_env.envs.rendering import FRONT, HEIGHT, REAR, SCALE, WIDTH, Renderer, force_colour
 
 HALF = np.full(2, 0.5, dtype=np.float32)
 Picture = npt.NDArray[np.uint8]
@@ -266,10 +267,7 @@ def test_faults_are_marked_when_they_happen(quick: str) -> None:
         picture(renderer, frame),
         picture(renderer, replace(frame, faults=(), damper_faults={})),
     )
-    red = (
-        np.all(with_faults == rendering.LIMIT, axis=2).sum()
-        - np.all(without == rendering.LIMIT, axis=2).sum()
-    )
+    red = np.all(with_faults == rendering.BAD, axis=2).sum() - np.all(without == rendering.BAD, axis=2).sum()
     assert red > 200
 
 
@@ -278,7 +276,7 @@ def test_an_ending_is_shown(quick: str) -> None:
     renderer, frame = Renderer(recorder), recorder.frame()
     assert frame.ending is None
     ended = picture(renderer, replace(frame, ending="derailment: a wheel has climbed over its rail"))
-    assert tuple(ended[25, WIDTH - 50]) == rendering.LIMIT
+    assert tuple(ended[25, WIDTH - 50]) == rendering.BAD
     assert tuple(picture(renderer, frame)[25, WIDTH - 50]) == rendering.GOOD
 
 
@@ -312,12 +310,36 @@ def test_valve_bars_show_what_acts_and_what_is_asked(quick: str) -> None:
     np.testing.assert_allclose(frame.opening, 0.25, atol=0.15)
 
 
-@pytest.mark.parametrize(
-    ("largest", "expected"),
-    [(12.0, (12.5, 2.5)), (1.0, (1.0, 0.2)), (6.8, (8.0, 2.0)), (0.1, (0.1, 0.02)), (15.0, (15.0, 5.0))],
-)
-def test_axes_end_at_round_numbers(largest: float, expected: tuple[float, float]) -> None:
-    assert axis(largest) == pytest.approx(expected)
+def test_the_charts_are_matplotlib_s(quick: str) -> None:
+    """A line has the frame's values in the chart's unit over the time before now, an axis ends above them."""
+    recorder = watched(quick, 30)
+    frame = recorder.frame()
+    charts = Charts((ACCELERATION, FORCE, VALVE), 408, 172, 12)
+    image = charts.draw(frame)
+    assert image.shape == (172, 3 * 408 + 2 * 12, 4)
+    for panel, values in zip(
+        charts._panels, (frame.acceleration, 1e-3 * frame.force, frame.valve), strict=True
+    ):
+        assert values is not None
+        for line, column in zip(panel.lines, values.T, strict=True):
+            np.testing.assert_allclose(line.get_xdata(), frame.times - frame.time)
+            np.testing.assert_allclose(line.get_ydata(), column)
+        assert panel.axes.get_ylim()[1] >= values.max()
+    limits = [panel.limit.get_ydata()[0] for panel in charts._panels]
+    np.testing.assert_allclose(limits[:2], [frame.acceleration_limit, 1e-3 * frame.force_reference])
+
+
+def test_what_moves_in_a_chart_leaves_no_trace(quick: str) -> None:
+    """Lines that are drawn on top of kept axes give the same picture as charts that begin anew."""
+    recorder = watched(quick, 20)
+    charts = Charts((ACCELERATION, FORCE, VALVE), 408, 172, 12)
+    charts.draw(recorder.frame())
+    for _ in range(30):
+        recorder.batch.step(HALF[None])
+        recorder.take()
+    frame = recorder.frame()
+    anew = Charts((ACCELERATION, FORCE, VALVE), 408, 172, 12)
+    np.testing.assert_array_equal(charts.draw(frame), anew.draw(frame))
 
 
 def test_force_colours() -> None:

@@ -49,7 +49,7 @@ class Sine:
 
         return {"sine": draw}
 
-    def summary(self, console: Console) -> None:
+    def summary(self, console: Console, wide: bool = False) -> None:
         console.print("a sine")
 
 

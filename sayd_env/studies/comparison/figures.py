@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -107,7 +107,7 @@ def _bounds(result: Comparison, axes: Axes) -> None:
         xlabel="conditions, from easy to hard",
         ylabel="ratio",
     )
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.locator_params(axis="x", integer=True)
 
 
 def _controlled(result: Comparison) -> dict[str, Score]:
@@ -137,5 +137,5 @@ def _draw_estimate(axes: Axes, found: Estimate, place: float, name: str, scale: 
     style = policy_style(name)
     # A resampled interval need not hold the number itself.
     around = np.maximum([[found.value - found.low], [found.high - found.value]], 0.0)
-    shown = {"fmt": style.marker, "color": style.colour, "capsize": 4}
+    shown: dict[str, Any] = {"fmt": style.marker, "color": style.colour, "capsize": 4}
     axes.errorbar(scale * found.value, place, xerr=scale * around, **shown)

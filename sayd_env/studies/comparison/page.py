@@ -19,12 +19,21 @@ BEST_CONSTANT = "best constant each"
 OFFLINE = Variant("offline", 1.0)
 
 
-def _estimate(name: str, *about: Any, wide: bool = False) -> tuple[Column, Column, Column]:
-    """Columns of an estimate and the ends of its interval, printed only where `about` has a heading."""
-    ends = [Column(f"{name}_low", "from", *about[1:]), Column(f"{name}_high", "to", *about[1:])]
-    if not about or wide:
-        ends = [Column(end.name) for end in ends]
-    return Column(name, *about, wide=wide), ends[0], ends[1]
+def _estimate(
+    name: str,
+    header: str = "",
+    unit: str = "",
+    scale: float = 1.0,
+    digits: int | None = None,
+    *,
+    wide: bool = False,
+) -> tuple[Column, ...]:
+    """Columns of an estimate and of the ends of its interval, which are not printed where it is `wide`."""
+    ends = {"low": "from", "high": "to"} if header and not wide else {"low": "", "high": ""}
+    return (
+        Column(name, header, unit, scale, digits, wide=wide),
+        *(Column(f"{name}_{end}", words, unit, scale, digits) for end, words in ends.items()),
+    )
 
 
 _COSTS = (
