@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import decimate, welch
 
-from sayd_env.config import ConfigError, DataError, StudyError
+from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.control import load_controller
 from sayd_env.config.environment import EnvironmentConfig
@@ -109,88 +109,8 @@ def assessed_controlled(runs: list[Run]) -> list[ControlledRun]:
     ]
 
 
-def controlled_run_from(
-    policy: str,
-    speed: float,
-    seed: int,
-    initial_current: float,
-    *,
-    acceleration: Array,
-    track_shift: Array,
-    damper_force: Array,
-    command: npt.NDArray[np.floating[Any]],
-    control_period: float,
-    settings: AssessmentConfig,
-) -> ControlledRun:
-    """Assess the signals of one run.
-
-    Parameters
-    ----------
-    policy : str
-        Name of the controller.
-    speed : float
-        m/s.
-    seed : int
-        Seed of the track.
-    initial_current : float
-        Valve current of the run-in.
-    acceleration, track_shift : ndarray, shape (t, w)
-        Lateral acceleration of the bogie frame (m/s2) and track shift force (N) at the w wheelsets, sampled
-        at ``settings.sample_rate``, from the start of the run-in to the end of the assessed length or later.
-    damper_force : ndarray, shape (t, d)
-        Forces of the yaw dampers (N), in the order of `Multibody.yaw_dampers`.
-    command : ndarray, shape (steps, b)
-        Commands of the bogies, 0 to 1; the first one acts from the end of the run-in. Those given behind the
-        assessed length are left out.
-    control_period : float
-        How long a command holds (s).
-    settings : AssessmentConfig
-        The procedure.
-
-    Raises
-    ------
-    DataError
-        Signals that are too short or not finite, or of unequal length; commands that are too few, or no
-        numbers from 0 to 1.
-    """
-    rate, samples = settings.sample_rate, len(acceleration)
-    if not len(track_shift) == len(damper_force) == samples:
-        raise DataError(
-            f"{samples} samples of the acceleration, {len(track_shift)} of the track shift force, "
-            f"{len(damper_force)} of the damper force: expected as many of each"
-        )
-    if not np.isfinite(damper_force).all():
-        raise DataError("the damper force holds a value that is not a number")
-    assessed = assessed_run(acceleration, track_shift, speed, seed, settings)
-    distance = distance_run(speed, rate, samples)
-    first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
-    force = damper_force[first:last]
-    trace, trace_period = _trace(damper_force[first:, min(_REAR_DAMPER, damper_force.shape[1] - 1)], rate)
-    return ControlledRun(
-        **vars(assessed),
-        policy=policy,
-        initial_current=initial_current,
-        force_rms=float(np.sqrt(np.mean(force**2))),
-        force_peak=float(np.max(np.abs(force))),
-        force_power_high=high_frequency_power(force, rate),
-        command=_commands(command, int((last - first) / rate / control_period + 1e-6)),
-        control_period=control_period,
-        force_trace=trace,
-        trace_period=trace_period,
-    )
-
-
 def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig) -> ControlledRun:
-    """Assess a rollout whose policy commands each bogie.
-
-    Parameters
-    ----------
-    policy : str
-        Name of the controller.
-    rollout : Rollout
-        Run-in and at least the assessed length.
-    settings : AssessmentConfig
-        The procedure.
+    """Assess a rollout whose policy commands each bogie, over run-in and at least the assessed length.
 
     Raises
     ------
@@ -198,31 +118,38 @@ def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig)
         The run ended early.
     ConfigError
         The environment's run-in is not the assessment's.
+    DataError
+        Signals that are too short or not finite.
     """
-    episode, rate = rollout.episode, rollout.sample_rate
+    episode, rate, period = rollout.episode, rollout.sample_rate, rollout.control_period
     if rollout.ending is not None:
-        raise StudyError(
-            f"the run of '{policy}' at {episode.speed * KMH:g} km/h, seed {episode.seed}, ended: "
-            f"{rollout.ending}"
-        )
+        where = f"at {episode.speed * KMH:g} km/h, seed {episode.seed}"
+        raise StudyError(f"the run of '{policy}' {where}, ended: {rollout.ending}")
     late = rollout.run_in / rate - settings.run_in / episode.speed
-    if not -1.5 / rate < late < rollout.control_period + 1.5 / rate:  # a whole number of periods
+    if not -1.5 / rate < late < period + 1.5 / rate:  # a whole number of periods
         raise ConfigError(
             f"assessment.run_in: found {settings.run_in:g} m, while the environment runs in for "
             f"{rollout.run_in / rate * episode.speed:.0f} m; expected the same"
         )
     signals = rollout.true
-    return controlled_run_from(
-        policy,
-        episode.speed,
-        episode.seed,
-        episode.initial_current,
-        acceleration=signals[:, LOG_ACCELERATION:LOG_TRACK_SHIFT],
-        track_shift=signals[:, LOG_TRACK_SHIFT:LOG_FORCE],
-        damper_force=signals[:, LOG_FORCE:LOG_HYDRAULIC],
-        command=rollout.actions,
-        control_period=rollout.control_period,
-        settings=settings,
+    acceleration = signals[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]
+    track_shift = signals[:, LOG_TRACK_SHIFT:LOG_FORCE]
+    assessed = assessed_run(acceleration, track_shift, episode.speed, episode.seed, settings)
+    distance = distance_run(episode.speed, rate, len(signals))
+    first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
+    force = signals[first:last, LOG_FORCE:LOG_HYDRAULIC]
+    trace, trace_period = _trace(signals[first:, LOG_FORCE + _REAR_DAMPER], rate)
+    return ControlledRun(
+        **vars(assessed),
+        policy=policy,
+        initial_current=episode.initial_current,
+        force_rms=float(np.sqrt(np.mean(force**2))),
+        force_peak=float(np.max(np.abs(force))),
+        force_power_high=high_frequency_power(force, rate),
+        command=rollout.actions[: int((last - first) / rate / period + 1e-6)],
+        control_period=period,
+        force_trace=trace,
+        trace_period=trace_period,
     )
 
 
@@ -253,15 +180,6 @@ def _trace(force: Array, sample_rate: float) -> tuple[Single, float]:
     step = max(round(sample_rate / _TRACE_RATE), 1)
     thinned = decimate(start, step, ftype="fir") if step > 1 else start
     return np.asarray(thinned, dtype=np.float32), step / sample_rate
-
-
-def _commands(command: npt.NDArray[np.floating[Any]], steps: int) -> Single:
-    if command.ndim != 2 or len(command) < steps:
-        raise DataError(f"commands of shape {command.shape}; the assessed length needs ({steps}, bogies)")
-    kept = np.asarray(command[:steps], dtype=np.float32)
-    if not ((kept >= 0.0) & (kept <= 1.0)).all():
-        raise DataError("a command is not a number from 0 to 1")
-    return kept
 
 
 class ControlledRuns:
@@ -346,30 +264,17 @@ class ControlledRuns:
 
 
 _DAMPER_HEADER = (
-    "policy",
-    "initial_current",
-    "speed_kmh",
-    "seed",
-    "force_rms_n",
-    "force_peak_n",
-    "force_power_above_10_hz_n2",
-    "command_front_mean",
-    "command_rear_mean",
+    *("policy", "initial_current", "speed_kmh", "seed"),
+    *("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2"),
+    *("command_front_mean", "command_rear_mean"),
 )
 
 
 def _damper_row(run: ControlledRun) -> list[Any]:
     forces = (run.force_rms, run.force_peak, run.force_power_high)
     commands = run.command.mean(axis=0, dtype=np.float64)
-    return [
-        run.policy,
-        run.initial_current,
-        run.speed * KMH,
-        run.seed,
-        *forces,
-        commands[FRONT],
-        commands[REAR],
-    ]
+    where = (run.policy, run.initial_current, run.speed * KMH, run.seed)
+    return [*where, *forces, commands[FRONT], commands[REAR]]
 
 
 def _kmh(speed: float) -> float:
