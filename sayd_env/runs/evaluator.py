@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -121,14 +121,12 @@ class PolicyEvaluator:
             if policy.needs.get("damper") == "passive":
                 config, scenario = configured(**self._environment, damper="passive")
             config = policy.environment(config)
-            whole = _Piece(config, scenario, self._cases, self._current, self._workers)
-            count = 1 if self._executor is None else min(self._workers or 1, len(self._cases))
+            alone = self._executor is None
+            count, threads = (1, self._workers) if alone else (min(self._workers or 1, len(self._cases)), 1)
             ends = [len(self._cases) * i // count for i in range(count + 1)]
-            self._pieces[key] = (
-                [whole]
-                if count == 1
-                else [replace(whole, cases=self._cases[a:b], threads=1) for a, b in pairwise(ends)]
-            )
+            self._pieces[key] = [
+                _Piece(config, scenario, self._cases[a:b], self._current, threads) for a, b in pairwise(ends)
+            ]
         return self._pieces[key]
 
 
