@@ -1,10 +1,10 @@
-"""Tuning: the search finds a known optimum, evaluations are not lost, and J is the rollout evaluator's."""
+"""Tuning: the search finds a known optimum and evaluations are not lost."""
 
 from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +12,17 @@ import numpy as np
 import pytest
 
 from sayd_env.cli import main
+from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
-from sayd_env.config.tuning import ControllerTuning, load_tuning
-from sayd_env.envs.draw import draw_episode
+from sayd_env.config.errors import Interrupted
+from sayd_env.config.tuning import ControllerTuning, TuningConfig, load_tuning
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
-from sayd_env.envs.rollout import roll_out
-from sayd_env.runs.cache import RunCache
-from sayd_env.runs.context import RunContext
 from sayd_env.runs.evaluator import Costs
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning import tune as module
 from sayd_env.studies.tuning.search import minimise
-from sayd_env.studies.tuning.tune import TuneResult, tune
+from sayd_env.studies.tuning.tune import tune
 
 TINY = (
     "episode_s=2.0",
@@ -90,18 +88,18 @@ class Bowl:
     made = 0
     stop: int | None = None
 
-    def __init__(self, environment: str, cases: Sequence[Any], **settings: Any) -> None:
-        self.asked = environment, cases, settings
+    def __init__(self, environment: str, cases: Sequence[Mapping[str, Any]], **_: Any) -> None:
+        self.environment, self.cases = environment, cases
 
     def inputs(self) -> tuple[Any, ...]:
-        return self.asked
+        return self.environment, list(self.cases)
 
     def costs(self, policy: PolicySpec) -> Costs:
         if Bowl.stop == Bowl.made:
             raise KeyboardInterrupt
         Bowl.made += 1
         current = policy.parameters.get("current", 0.0)
-        return Costs(0.02 + (current - 0.45) ** 2 + 0.1 * np.arange(len(self.asked[1])), 0)
+        return Costs(0.02 + (current - 0.45) ** 2 + 0.1 * np.arange(len(self.cases)), 0)
 
 
 @pytest.fixture
@@ -113,24 +111,19 @@ def bowl(monkeypatch: pytest.MonkeyPatch) -> type[Bowl]:
 
 
 def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_path: Path):
-    settings = load_tuning()
-
-    def again() -> tuple[TuneResult, int]:
-        cache = RunCache(tmp_path)
-        return tune("constant", settings, context=RunContext(cache=cache)), cache.reused
-
+    settings, table = load_tuning(), tmp_path / "evaluations.csv"
     whole = tune("constant", settings)
     needed, bowl.made = bowl.made, 0
     bowl.stop = 9
-    with pytest.raises(KeyboardInterrupt):
-        again()
-    assert len(list(tmp_path.glob("*/*.npz"))) == 9
+    with pytest.raises(Interrupted, match=r"9 evaluations are kept in .*evaluations\.csv; the same command"):
+        tune("constant", settings, table=table)
+    assert len(table.read_text().splitlines()) == 1 + 9
     bowl.stop = None
-    result, reused = again()
+    result = tune("constant", settings, table=table)
     assert bowl.made == needed  # none of the nine again
-    assert reused == 9
+    assert result.reused == 9
     assert result.evaluations == whole.evaluations
-    assert again()[0].best == result.best
+    assert tune("constant", settings, table=table).best == result.best
     assert bowl.made == needed
     assert result.best.gains["current"] == pytest.approx(0.45, abs=1e-4)
     # Mean over 24 scenarios of 0.1 k is 1.15; the least J is 0.02.
@@ -138,21 +131,37 @@ def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_pa
     assert result.before.mean == pytest.approx(1.17 + 0.45**2, abs=1e-9)
 
 
-def test_progress_counts_every_evaluation_once(bowl: type[Bowl]):
-    told: list[tuple[float, float]] = []
-    context = RunContext(progress=lambda done, total, what="": told.append((done, total)))
-    result = tune("constant", load_tuning(), context=context)
-    total = len(result.references) + load_tuning().of("constant").polish
-    assert told == [(done, total) for done in range(1, len(told) + 1)]
-    assert len(told) >= len(result.evaluations) == bowl.made
-
-
 def test_evaluations_on_other_scenarios_are_made_anew(bowl: type[Bowl], tmp_path: Path):
-    tune("constant", load_tuning(), context=RunContext(cache=RunCache(tmp_path)))
+    table = tmp_path / "evaluations.csv"
+    tune("constant", load_tuning(), table=table)
     needed, bowl.made = bowl.made, 0
-    cache = RunCache(tmp_path)
-    tune("constant", load_tuning(overrides=["episode_s=10.0"]), context=RunContext(cache=cache))
-    assert (bowl.made, cache.reused) == (needed, 0)
+    other = tune("constant", load_tuning(overrides=["episode_s=10.0"]), table=table)
+    assert (bowl.made, other.reused) == (needed, 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a,b\n1,2\n", "is no table of evaluations; choose another --out or remove it"),
+        ("", "is no table of evaluations"),
+        ("inputs,policy,stage,derailed\n" + 200_000 * "x" + "\n", "is no table of evaluations"),
+    ],
+)
+def test_a_table_of_something_else_is_refused(bowl: type[Bowl], tmp_path: Path, text: str, message: str):
+    table = tmp_path / "evaluations.csv"
+    table.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        tune("constant", load_tuning(), table=table)
+    assert table.read_text() == text
+
+
+def test_a_damaged_row_is_named(bowl: type[Bowl], tmp_path: Path):
+    table = tmp_path / "evaluations.csv"
+    tune("constant", load_tuning(), table=table)
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([*lines[:3], lines[3].rpartition(",")[0] + ",x"]))
+    with pytest.raises(ConfigError, match="line 4: is no evaluation; remove the line"):
+        tune("constant", load_tuning(), table=table)
 
 
 def test_the_file_of_parameters_is_the_controller_with_other_gains(bowl: type[Bowl], tmp_path: Path):
@@ -168,23 +177,6 @@ def test_the_file_of_parameters_is_the_controller_with_other_gains(bowl: type[Bo
     assert about["J_before"] == pytest.approx(0.17 + 0.45**2, rel=1e-5)  # mean of 0, 0.1, 0.2, 0.3: 0.15
 
 
-def test_j_is_that_of_rollouts_of_the_scenarios():
-    """The same episodes by `roll_out`: J of the parts, weighted."""
-    settings = load_tuning(overrides=TINY)
-    found = tune("constant", settings).best
-    config, scenario = configured("training", episode_s=2.0)
-    batch = EpisodeBatch(config, 2, scenario=scenario, num_threads=1)
-    episodes = [
-        draw_episode(config, s.seed, 0, s.model_dump(exclude={"seed"}) | {"initial_current": 0.0})
-        for s in settings.scenarios
-    ]
-    spec = PolicySpec("constant", found.gains)
-    runs = roll_out(batch, spec.make(batch), episodes, [200, 200])
-    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
-    assert found.derailed == 0
-    assert found.costs == pytest.approx([np.dot(weights, run.cost(2.0)) for run in runs], rel=1e-9)
-
-
 def test_a_tuning_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """Two evaluations, golden sections of 0.3 to 0.6 from either end: the better one wins and can be used."""
     arguments = [text for change in TINY for text in ("--set", change)]
@@ -197,7 +189,6 @@ def test_a_tuning_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFi
         "scenarios.csv",
         "tune.png",
         "constant-tuned.yaml",
-        "runs",
     }
     assert content["evaluations"] == 2
     golden = (3.0 - 5.0**0.5) / 2.0
