@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sayd_env.agents.config import load_train
 
 from sayd_env import baselines
+from sayd_env.agents.config import load_train
 from sayd_env.config.environment import load_environment
 from sayd_env.envs.cost import episode_cost
 from sayd_env.envs.draw import draw_episode

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from sayd_env.cli import main
-from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
-from sayd_env.config.errors import Interrupted
-from sayd_env.config.tuning import ControllerTuning, TuningConfig, load_tuning
+from sayd_env.config.tuning import ControllerTuning, load_tuning
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
+from sayd_env.runs.cache import RunCache
+from sayd_env.runs.context import RunContext
 from sayd_env.runs.evaluator import Costs
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning import tune as module
@@ -88,11 +88,11 @@ class Bowl:
     made = 0
     stop: int | None = None
 
-    def __init__(self, environment: str, cases: Sequence[Mapping[str, Any]], **_: Any) -> None:
-        self.environment, self.cases = environment, cases
+    def __init__(self, environment: str, cases: Sequence[Mapping[str, Any]], **options: Any) -> None:
+        self.environment, self.cases, self.episode_s = environment, cases, options["episode_s"]
 
     def inputs(self) -> tuple[Any, ...]:
-        return self.environment, list(self.cases)
+        return self.environment, list(self.cases), self.episode_s
 
     def costs(self, policy: PolicySpec) -> Costs:
         if Bowl.stop == Bowl.made:
@@ -111,20 +111,18 @@ def bowl(monkeypatch: pytest.MonkeyPatch) -> type[Bowl]:
 
 
 def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_path: Path):
-    settings, table = load_tuning(), tmp_path / "evaluations.csv"
+    settings = load_tuning()
     whole = tune("constant", settings)
     needed, bowl.made = bowl.made, 0
     bowl.stop = 9
-    with pytest.raises(Interrupted, match=r"9 evaluations are kept in .*evaluations\.csv; the same command"):
-        tune("constant", settings, table=table)
-    assert len(table.read_text().splitlines()) == 1 + 9
+    with pytest.raises(KeyboardInterrupt):
+        tune("constant", settings, context=RunContext(cache=RunCache(tmp_path)))
     bowl.stop = None
-    result = tune("constant", settings, table=table)
+    cache = RunCache(tmp_path)
+    result = tune("constant", settings, context=RunContext(cache=cache))
     assert bowl.made == needed  # none of the nine again
-    assert result.reused == 9
+    assert cache.reused == 9
     assert result.evaluations == whole.evaluations
-    assert tune("constant", settings, table=table).best == result.best
-    assert bowl.made == needed
     assert result.best.gains["current"] == pytest.approx(0.45, abs=1e-4)
     # Mean over 24 scenarios of 0.1 k is 1.15; the least J is 0.02.
     assert result.best.mean == pytest.approx(1.17, abs=1e-6)
@@ -132,36 +130,11 @@ def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_pa
 
 
 def test_evaluations_on_other_scenarios_are_made_anew(bowl: type[Bowl], tmp_path: Path):
-    table = tmp_path / "evaluations.csv"
-    tune("constant", load_tuning(), table=table)
+    tune("constant", load_tuning(), context=RunContext(cache=RunCache(tmp_path)))
     needed, bowl.made = bowl.made, 0
-    other = tune("constant", load_tuning(overrides=["episode_s=10.0"]), table=table)
-    assert (bowl.made, other.reused) == (needed, 0)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("a,b\n1,2\n", "is no table of evaluations; choose another --out or remove it"),
-        ("", "is no table of evaluations"),
-        ("inputs,policy,stage,derailed\n" + 200_000 * "x" + "\n", "is no table of evaluations"),
-    ],
-)
-def test_a_table_of_something_else_is_refused(bowl: type[Bowl], tmp_path: Path, text: str, message: str):
-    table = tmp_path / "evaluations.csv"
-    table.write_text(text)
-    with pytest.raises(ConfigError, match=message):
-        tune("constant", load_tuning(), table=table)
-    assert table.read_text() == text
-
-
-def test_a_damaged_row_is_named(bowl: type[Bowl], tmp_path: Path):
-    table = tmp_path / "evaluations.csv"
-    tune("constant", load_tuning(), table=table)
-    lines = table.read_text().splitlines()
-    table.write_text("\n".join([*lines[:3], lines[3].rpartition(",")[0] + ",x"]))
-    with pytest.raises(ConfigError, match="line 4: is no evaluation; remove the line"):
-        tune("constant", load_tuning(), table=table)
+    cache = RunCache(tmp_path)
+    tune("constant", load_tuning(overrides=["episode_s=10.0"]), context=RunContext(cache=cache))
+    assert (bowl.made, cache.reused) == (needed, 0)
 
 
 def test_the_file_of_parameters_is_the_controller_with_other_gains(bowl: type[Bowl], tmp_path: Path):
@@ -189,6 +162,7 @@ def test_a_tuning_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFi
         "scenarios.csv",
         "tune.png",
         "constant-tuned.yaml",
+        "runs",
     }
     assert content["evaluations"] == 2
     golden = (3.0 - 5.0**0.5) / 2.0
@@ -235,7 +209,7 @@ def test_bad_input_is_one_message(
 
 
 def test_a_packaged_file_is_never_written(capsys: pytest.CaptureFixture[str]):
-    packaged = Path(__file__).parents[2] / "configs" / "control" / "mppt2-tuned.yaml"
+    packaged = Path(__file__).parents[3] / "configs" / "control" / "mppt2-tuned.yaml"
     before = packaged.read_bytes()
     assert main(["tune", "mppt2", "--quick", "-o", str(packaged), "--json"]) == 2
     assert "lies among the packaged files" in capsys.readouterr().err
