@@ -52,24 +52,6 @@ class Encoding(ABC):
         self.interface = interface
         self.clip = clip
         self.output = output
-        self._shape = interface.shape
-
-    def rows(self, observation: npt.ArrayLike) -> tuple[Observation, bool]:
-        """Observations of N vehicles, shape (N, *obs), and whether it is a single one.
-
-        Raises
-        ------
-        ConfigError
-            Another shape.
-        """
-        values = np.asarray(observation, dtype=np.float32)
-        single = values.ndim == len(self._shape)
-        if values.ndim > len(self._shape) + 1 or values.shape[-len(self._shape) :] != self._shape:
-            raise ConfigError(
-                f"found an observation of shape {values.shape}; expected {self._shape} of a vehicle, or "
-                f"(N, {', '.join(map(str, self._shape))}) of N"
-            )
-        return (values[None] if single else values), single
 
     @abstractmethod
     def encode(self, observations: Observation) -> Observation:

@@ -134,13 +134,12 @@ class OnnxRunner:
         ConfigError
             An observation of another shape, or a model that gives no valve commands.
         """
-        values = np.asarray(observation, dtype=np.float32)
-        if values.shape[-len(self.interface.shape) :] != self.interface.shape:
-            raise ConfigError(f"{self._source}: found an observation of shape {values.shape}")
+        values, single = self.interface.rows(observation, self._source)
         # Row by row: the bits of a vehicle's commands must not depend on how many are side by side.
-        rows = [self._command(row) for row in values.reshape(-1, 1, *self._shape)]
-        actions = np.concatenate(rows) if rows else np.zeros((0, self.interface.actions), np.float32)
-        return (actions[0] if values.ndim == len(self.interface.shape) else actions), None
+        actions = np.concatenate(
+            [self._command(row) for row in values.astype(np.float32).reshape(-1, 1, *self._shape)]
+        )
+        return (actions[0] if single else actions), None
 
     def _command(self, row: Observation) -> Observation:
         try:

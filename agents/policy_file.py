@@ -312,7 +312,8 @@ class LearnedPolicy:
         ConfigError
             An observation of another shape.
         """
-        rows, single = self.encoding.rows(observation)
+        values, single = self.interface.rows(observation, self.name)
+        rows = values.astype(np.float32)
         commands = self.encoding.decode(self.outputs(self.encoding.encode(rows)), rows)
         return (commands[0] if single else commands), None
 

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from sayd_env.config import ConfigError, Model
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
-from sayd_env.envs.options import number_array
 
 Array = npt.NDArray[np.float64]
 Action = npt.NDArray[np.float32]
@@ -50,7 +49,6 @@ class Policy(ABC, Generic[Parameters, State]):
             self._columns = np.array([interface.index(sensor) for sensor in sensors], dtype=np.intp)
         except ConfigError as error:
             raise ConfigError(f"{name}: {error}") from None
-        self._shape = interface.shape
 
     def predict(
         self,
@@ -100,17 +98,8 @@ class Policy(ABC, Generic[Parameters, State]):
 
     def _rows(self, observation: npt.ArrayLike) -> tuple[Array, bool]:
         """Return the newest readings of the sensors, one row a vehicle, and whether it is a single one."""
-        values = number_array(f"{self.name}: observation", observation, self._shape)
-        depth = len(self._shape)
-        single = values.ndim == depth
-        if values.shape[-depth:] != self._shape or values.ndim > depth + 1:
-            raise ConfigError(
-                f"{self.name}: found an observation of shape {values.shape}; "
-                f"expected {self._shape}, or (N, {', '.join(map(str, self._shape))}) of N vehicles"
-            )
-        if self.interface.observation == "history":
-            values = values[..., -1, :]
-        newest = values.reshape(-1, self._shape[-1])
+        values, single = self.interface.rows(observation, self.name)
+        newest = values[:, -1] if self.interface.observation == "history" else values
         if not np.isfinite(newest).all():
             vehicle, place = np.argwhere(~np.isfinite(newest))[0]
             raise ConfigError(

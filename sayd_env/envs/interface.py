@@ -15,6 +15,8 @@ from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.control import OnlineConfig
 from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
 from sayd_env.config.explain import shown
+from sayd_env.config.units import Array
+from sayd_env.envs.options import number_array
 
 BOGIES = ("front", "rear")
 POINTS = ("leading", "trailing")
@@ -82,6 +84,24 @@ class Interface:
         """Shape of one observation."""
         width = len(self.signals)
         return (self.history, width) if self.observation == "history" else (width,)
+
+    def rows(self, observation: npt.ArrayLike, source: str) -> tuple[Array, bool]:
+        """Observations of N vehicles, shape (N, *shape), and whether it was that of a single one.
+
+        Raises
+        ------
+        ConfigError
+            Another shape, or no numbers; the message begins with the source.
+        """
+        shape = self.shape
+        values = number_array(f"{source}: observation", observation, shape)
+        single = values.ndim == len(shape)
+        if values.ndim > len(shape) + 1 or values.shape[-len(shape) :] != shape:
+            raise ConfigError(
+                f"{source}: found an observation of shape {values.shape}; expected {shape}, or "
+                f"(N, {', '.join(map(str, shape))}) of N vehicles"
+            )
+        return (values[None] if single else values), single
 
     @property
     def keywords(self) -> dict[str, Any]:

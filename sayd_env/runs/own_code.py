@@ -138,8 +138,8 @@ class CheckedPolicy:
             found = self._policy.predict(observation, state, episode_start, deterministic=deterministic)
         if not isinstance(found, tuple) or len(found) != 2:
             raise ConfigError(f"{self.name}: predict returned {shown(found)}; expected (action, state)")
-        many = np.ndim(observation) > len(self.interface.shape)
-        shape = (*np.shape(observation)[:1], self.interface.actions) if many else (self.interface.actions,)
+        rows, single = self.interface.rows(observation, self.name)
+        shape = (self.interface.actions,) if single else (len(rows), self.interface.actions)
         try:
             return checked_actions(found[0], shape).astype(np.float32), found[1]
         except ConfigError as error:
