@@ -1,10 +1,10 @@
-"""Tuning: the search finds a known optimum and evaluations are not lost."""
+"""Tuning: the search finds a known optimum, evaluations are not lost, and J is the rollout evaluator's."""
 
 from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,17 @@ import pytest
 from sayd_env.cli import main
 from sayd_env.config.control import load_controller
 from sayd_env.config.tuning import ControllerTuning, load_tuning
+from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
+from sayd_env.envs.rollout import roll_out
 from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.evaluator import Costs
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning import tune as module
 from sayd_env.studies.tuning.search import minimise
-from sayd_env.studies.tuning.tune import tune
+from sayd_env.studies.tuning.tune import TuneResult, tune
 
 TINY = (
     "episode_s=2.0",
@@ -88,18 +90,18 @@ class Bowl:
     made = 0
     stop: int | None = None
 
-    def __init__(self, environment: str, cases: Sequence[Mapping[str, Any]], **options: Any) -> None:
-        self.environment, self.cases, self.episode_s = environment, cases, options["episode_s"]
+    def __init__(self, environment: str, cases: Sequence[Any], **settings: Any) -> None:
+        self.asked = environment, cases, settings
 
     def inputs(self) -> tuple[Any, ...]:
-        return self.environment, list(self.cases), self.episode_s
+        return self.asked
 
     def costs(self, policy: PolicySpec) -> Costs:
         if Bowl.stop == Bowl.made:
             raise KeyboardInterrupt
         Bowl.made += 1
         current = policy.parameters.get("current", 0.0)
-        return Costs(0.02 + (current - 0.45) ** 2 + 0.1 * np.arange(len(self.cases)), 0)
+        return Costs(0.02 + (current - 0.45) ** 2 + 0.1 * np.arange(len(self.asked[1])), 0)
 
 
 @pytest.fixture
@@ -112,21 +114,37 @@ def bowl(monkeypatch: pytest.MonkeyPatch) -> type[Bowl]:
 
 def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_path: Path):
     settings = load_tuning()
+
+    def again() -> tuple[TuneResult, int]:
+        cache = RunCache(tmp_path)
+        return tune("constant", settings, context=RunContext(cache=cache)), cache.reused
+
     whole = tune("constant", settings)
     needed, bowl.made = bowl.made, 0
     bowl.stop = 9
     with pytest.raises(KeyboardInterrupt):
-        tune("constant", settings, context=RunContext(cache=RunCache(tmp_path)))
+        again()
+    assert len(list(tmp_path.glob("*/*.npz"))) == 9
     bowl.stop = None
-    cache = RunCache(tmp_path)
-    result = tune("constant", settings, context=RunContext(cache=cache))
+    result, reused = again()
     assert bowl.made == needed  # none of the nine again
-    assert cache.reused == 9
+    assert reused == 9
     assert result.evaluations == whole.evaluations
+    assert again()[0].best == result.best
+    assert bowl.made == needed
     assert result.best.gains["current"] == pytest.approx(0.45, abs=1e-4)
     # Mean over 24 scenarios of 0.1 k is 1.15; the least J is 0.02.
     assert result.best.mean == pytest.approx(1.17, abs=1e-6)
     assert result.before.mean == pytest.approx(1.17 + 0.45**2, abs=1e-9)
+
+
+def test_progress_counts_every_evaluation_once(bowl: type[Bowl]):
+    told: list[tuple[float, float]] = []
+    context = RunContext(progress=lambda done, total, what="": told.append((done, total)))
+    result = tune("constant", load_tuning(), context=context)
+    total = len(result.references) + load_tuning().of("constant").polish
+    assert told == [(done, total) for done in range(1, len(told) + 1)]
+    assert len(told) >= len(result.evaluations) == bowl.made
 
 
 def test_evaluations_on_other_scenarios_are_made_anew(bowl: type[Bowl], tmp_path: Path):
@@ -148,6 +166,23 @@ def test_the_file_of_parameters_is_the_controller_with_other_gains(bowl: type[Bo
     assert about["scenarios"] == "4 of mine.yaml, 12 s, seeds 8005 to 8023"
     assert about["evaluations"] == len(result.tried)
     assert about["J_before"] == pytest.approx(0.17 + 0.45**2, rel=1e-5)  # mean of 0, 0.1, 0.2, 0.3: 0.15
+
+
+def test_j_is_that_of_rollouts_of_the_scenarios():
+    """The same episodes by `roll_out`: J of the parts, weighted."""
+    settings = load_tuning(overrides=TINY)
+    found = tune("constant", settings).best
+    config, scenario = configured("training", episode_s=2.0)
+    batch = EpisodeBatch(config, 2, scenario=scenario, num_threads=1)
+    episodes = [
+        draw_episode(config, s.seed, 0, s.model_dump(exclude={"seed"}) | {"initial_current": 0.0})
+        for s in settings.scenarios
+    ]
+    spec = PolicySpec("constant", found.gains)
+    runs = roll_out(batch, spec.make(batch), episodes, [200, 200])
+    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
+    assert found.derailed == 0
+    assert found.costs == pytest.approx([np.dot(weights, run.cost(2.0)) for run in runs], rel=1e-9)
 
 
 def test_a_tuning_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -209,7 +244,7 @@ def test_bad_input_is_one_message(
 
 
 def test_a_packaged_file_is_never_written(capsys: pytest.CaptureFixture[str]):
-    packaged = Path(__file__).parents[3] / "configs" / "control" / "mppt2-tuned.yaml"
+    packaged = Path(__file__).parents[2] / "configs" / "control" / "mppt2-tuned.yaml"
     before = packaged.read_bytes()
     assert main(["tune", "mppt2", "--quick", "-o", str(packaged), "--json"]) == 2
     assert "lies among the packaged files" in capsys.readouterr().err
