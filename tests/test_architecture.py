@@ -115,10 +115,11 @@ def test_learning_knows_nothing_of_runs_and_studies():
 
 
 def test_there_are_no_circles_of_modules():
-    """A package's own module, which gives out what its modules define, counts as one that imports them."""
-    graph: dict[str, set[str]] = {name: set() for name in modules()}
+    """Imports in functions count. The whole package's own module, which Python loads first, is left out."""
+    graph: dict[str, set[str]] = {name: set() for name in modules() if name != ROOT}
     for each in imports():
-        graph[each.module].add(reached(each))
+        if each.module in graph and reached(each) in graph:
+            graph[each.module].add(reached(each))
     assert [" -> ".join(circle) for circle in circles(graph)] == []
 
 
