@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.baselines.policy import Array, Policy
+from sayd_env.baselines.policy import Policy
 from sayd_env.config import ConfigError
 from sayd_env.config.control import ConstantConfig, PassiveControlConfig
 from sayd_env.config.damper import PassiveDamperConfig
+from sayd_env.config.units import Array
 from sayd_env.envs.interface import Interface
 
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sayd_env.baselines.policy import Array
 from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.sayd import fed_pressure, steady_force, to_tank
 from sayd_env.physics.throttle import (

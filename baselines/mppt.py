@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sayd_env.baselines.extremum_seeking import ExtremumSeeking
-from sayd_env.baselines.policy import Array
 from sayd_env.config.control import MpptConfig
+from sayd_env.config.units import Array
 
 
 class Mppt(ExtremumSeeking[MpptConfig]):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from sayd_env.baselines.extremum_seeking import ExtremumSeeking
-from sayd_env.baselines.policy import Array
 from sayd_env.config.control import PerturbObserveConfig
+from sayd_env.config.units import Array
 
 
 class PerturbAndObserve(ExtremumSeeking[PerturbObserveConfig]):

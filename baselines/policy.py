@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, Model
+from sayd_env.config.units import Array
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
 
-Array = npt.NDArray[np.float64]
 Action = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 Parameters = TypeVar("Parameters", bound=Model)

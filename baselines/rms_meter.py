@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sayd_env.baselines.policy import Array, Flags, of_all_dampers, of_both
+from sayd_env.baselines.policy import Flags, of_all_dampers, of_both
 from sayd_env.config import ConfigError
 from sayd_env.config.control import BogieCostConfig
 from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.units import Array
 from sayd_env.envs.interface import Interface
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import Index

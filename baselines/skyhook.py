@@ -11,10 +11,11 @@ import numpy.typing as npt
 from scipy.signal import cont2discrete
 
 from sayd_env.baselines.inverse_damper import InverseDamper
-from sayd_env.baselines.policy import Array, BogiePolicy, of_all_dampers
+from sayd_env.baselines.policy import BogiePolicy, of_all_dampers
 from sayd_env.config import ConfigError
 from sayd_env.config.control import SkyhookConfig
 from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.units import Array
 from sayd_env.envs.interface import BOGIES, Interface
 from sayd_env.physics.kernel import kernel
 

@@ -14,8 +14,7 @@ from pydantic import Field, model_validator
 from scipy.special import ndtr, ndtri
 
 from sayd_env.config.base import Model, Number, is_multiple
-
-Array = npt.NDArray[np.float64]
+from sayd_env.config.units import Array
 
 
 class FixedDistribution(Model):

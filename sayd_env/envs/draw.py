@@ -18,7 +18,6 @@ from operator import itemgetter
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import ConfigError, validate
 from sayd_env.config.distribution import chosen
@@ -37,9 +36,9 @@ from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS, SIGNALS, SensorConfig, SensorsConfig
 from sayd_env.config.track import IrregularityConfig, read_track
+from sayd_env.config.units import Array
 from sayd_env.envs.options import NUMBERS, EpisodeOptions, checked_options, whole_number
 
-Array = npt.NDArray[np.float64]
 Component = Literal["scenario", "sensors", "faults", "noise", "spare"]
 STREAMS: Mapping[Component, int] = {"scenario": 1, "sensors": 2, "faults": 3, "noise": 4, "spare": 5}
 """Spawn keys of the components' random streams."""

@@ -14,6 +14,7 @@ from gymnasium import spaces
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.explain import shown
+from sayd_env.config.units import Array
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, Flags, Observation
 from sayd_env.envs.info import vehicle_info
@@ -22,8 +23,6 @@ from sayd_env.envs.keywords import INFOS, RENDER_MODES, Keywords, checked_choice
 from sayd_env.envs.loop import LOG
 from sayd_env.envs.recorder import Recorder
 from sayd_env.envs.sliding_rms import SlidingRms
-
-Array = npt.NDArray[np.float64]
 
 SEEDS = 2**31
 """Seeds that are drawn, where none is given, are below it."""

@@ -24,6 +24,7 @@ from sayd_env.config.fault import SensorNoisy
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import SIGNALS as SENSED
 from sayd_env.config.sensors import UNITS
+from sayd_env.config.units import Array
 from sayd_env.envs.cost import termination_charge
 from sayd_env.envs.draw import Episode, episode_scenario
 from sayd_env.envs.faults import FaultSchedule
@@ -47,7 +48,6 @@ from sayd_env.physics.simulator import RUN_OUT, VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 from sayd_env.stability import Limits
 
-Array = npt.NDArray[np.float64]
 Observation = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 

@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from sayd_env.config.units import Array
 from sayd_env.envs import trace
 from sayd_env.envs.cost import squares
 from sayd_env.envs.episode_batch import EpisodeBatch
@@ -23,8 +23,6 @@ from sayd_env.envs.loop import (
 from sayd_env.envs.sliding_rms import SlidingRms
 from sayd_env.envs.trace import DAMPERS, POINTS
 from sayd_env.physics.plant import LANES
-
-Array = npt.NDArray[np.float64]
 
 
 def cost_terms(batch: EpisodeBatch) -> tuple[Array, Array]:

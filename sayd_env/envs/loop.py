@@ -17,6 +17,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config.units import Array
 from sayd_env.envs import trace
 from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS, command_valves, trace_period
 from sayd_env.physics.formation import References, Units, interleave, plant_of, put_back, state_of, work_of
@@ -27,7 +28,6 @@ from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
 from sayd_env.stability.online import Band, BandState, push, replay, retune
 from sayd_env.stability.sliding import slide
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 BOGIES = 2

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
+from sayd_env.config.units import Array
 from sayd_env.config.vehicle import Attachment, VehicleConfig, YawDamper
 from sayd_env.envs.loop import BOGIES
 from sayd_env.envs.recorder import Frame, Pose
 from sayd_env.envs.trace import DAMPERS
 from sayd_env.physics.multibody import Multibody
-
-Array = npt.NDArray[np.float64]
 
 # Outlines for drawing only, m.
 CAR_HALF_WIDTH = 1.66

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config.fault import DamperLost, Fault, PowerLost, ValveStuck
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS as DAMPER_NAMES
 from sayd_env.config.track import NoIrregularityConfig, SpectrumConfig
+from sayd_env.config.units import Array
 from sayd_env.envs import trace
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch
@@ -26,8 +26,6 @@ from sayd_env.physics.layout import Instance
 from sayd_env.physics.multibody import Multibody
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import VehicleModel
-
-Array = npt.NDArray[np.float64]
 
 WINDOW = 10.0
 """Time that a frame looks back, s."""

@@ -13,13 +13,12 @@ import numpy.typing as npt
 from sayd_env.config import StudyError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import Array
 from sayd_env.envs.cost import EpisodeCost, episode_cost, mean_squares
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
 from sayd_env.envs.loop import LOG, RUNNING, TERMS
 from sayd_env.physics.simulator import RUN_OUT
-
-Array = npt.NDArray[np.float64]
 
 
 class Policy(Protocol):

@@ -7,11 +7,11 @@ import numpy.typing as npt
 from scipy.signal import sosfilt
 
 from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.config.units import Array
 from sayd_env.envs.loop import BOGIES, LOG_ACCELERATION, LOG_FILTERED, LOG_TRACK_SHIFT
 from sayd_env.envs.trace import POINTS
 from sayd_env.stability.online import Band
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import LANES, Array, Index, Plant, State, Work
+from sayd_env.physics.plant import LANES, Index, Plant, State, Work
 from sayd_env.physics.plant import SPEED as PLANT_SPEED
 from sayd_env.physics.rows import Lanes
 from sayd_env.physics.step import largest_shift, measure, record, record_wheels, steps

@@ -15,14 +15,13 @@ from gymnasium.vector.utils import batch_space
 
 from sayd_env.config import ConfigError
 from sayd_env.config.explain import shown
+from sayd_env.config.units import Array
 from sayd_env.envs.environment import KEYWORDS as OF_ONE
 from sayd_env.envs.environment import Environment, EnvironmentState, action_box, observation_box
 from sayd_env.envs.episode_batch import Flags, Observation, checked_actions
 from sayd_env.envs.info import cost_terms, ending_info, episode_info, step_info
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import LARGEST, whole_number
-
-Array = npt.NDArray[np.float64]
 
 OWN_KEYWORDS = ("num_envs", "num_threads", "autoreset_mode", "max_episode_steps")
 KEYWORDS = (*OF_ONE, *OWN_KEYWORDS)

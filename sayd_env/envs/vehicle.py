@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import ConfigError
 from sayd_env.config.control import OnlineConfig
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.sensors import SIGNALS as SENSED
 from sayd_env.config.sensors import SensorConfig, SensorsConfig
+from sayd_env.config.units import Array
 from sayd_env.envs import loop as places
 from sayd_env.envs.loop import RAIL_FORCES, SIGNALS, Loop, LoopState
 from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS
@@ -24,8 +24,6 @@ from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation
 from sayd_env.stability import Limits, limits
 from sayd_env.stability.online import Band, BandState, band, band_state
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

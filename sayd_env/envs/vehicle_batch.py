@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError
+from sayd_env.config.units import Array
 from sayd_env.envs.loop import (
     FEATURES,
     LOG,
@@ -39,7 +40,6 @@ from sayd_env.physics.plant import State
 from sayd_env.physics.ragged import RaggedBatch
 from sayd_env.stability.online import Band, BandState
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 

@@ -17,10 +17,10 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.wrappers import FrameStackObservation as HistoryStack
 
 from sayd_env.config import ConfigError
+from sayd_env.config.units import Array
 
 __all__ = ["HistoryStack", "NormalizeSignals", "NormalizeVectorSignals"]
 
-Array = npt.NDArray[np.float64]
 Observation = npt.NDArray[np.float32]
 
 

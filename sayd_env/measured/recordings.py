@@ -14,7 +14,7 @@ import numpy as np
 
 from sayd_env.config import DataError, nearest, read_text
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.stability.signals import Array
+from sayd_env.config.units import Array
 
 
 class Quantity(enum.Enum):

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from sayd_env.config.errors import DataError
 from sayd_env.config.loader import nearest, read_text
 from sayd_env.config.track import CHANNELS
-
-Array = NDArray[np.float64]
+from sayd_env.config.units import Array
 
 POSITION = "x_m"
 COLUMNS = tuple(f"{channel}_mm" for channel in CHANNELS)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from sayd_env.config.units import Array
 
 LINE = 64
 """Bytes in a cache line."""

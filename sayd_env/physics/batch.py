@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.units import Array
 from sayd_env.physics.formation import (
     Formation,
     References,
@@ -31,7 +32,6 @@ from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
 from sayd_env.physics.simulator import Simulator
 from sayd_env.physics.step import largest_shift, measure, record, steps
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 

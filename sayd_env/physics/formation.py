@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics.aligned import zeros
 from sayd_env.physics.kernel import kernel
@@ -30,7 +31,6 @@ from sayd_env.physics.plant import (
     SUBSTEPS,
     TABLE_BASE,
     WHEEL_ROWS,
-    Array,
     Index,
     Plant,
     State,

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config.units import Array
 from sayd_env.config.vehicle import (
     DOFS,
     GROUND,
@@ -29,7 +30,6 @@ from sayd_env.config.vehicle import (
     YawDamper,
 )
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 AXES = {"x": 0, "y": 1, "z": 2, "roll": 0, "pitch": 1, "yaw": 2}
 SECTION_DOFS = ("y", "z", "roll")

@@ -24,6 +24,7 @@ from scipy.optimize import brentq, linear_sum_assignment
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
+from sayd_env.config.units import Array
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
 from sayd_env.physics.mode_names import describe, numbered
@@ -32,7 +33,6 @@ from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.step import rates
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 
-Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 Index = npt.NDArray[np.int64]
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
+from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import LANES, Plant, State, Work
@@ -20,8 +18,6 @@ from sayd_env.physics.step import (
     stops,
     wheels,
 )
-
-Array = npt.NDArray[np.float64]
 
 PARTS = ("track", "contact", "suspension", "dampers")
 """Parts that `repeat` knows, in the order of a step; integration is what else a step does. The suspension

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from sayd_env.physics.ragged import Array, Index, Matrix
+from sayd_env.config.units import Array
+from sayd_env.physics.ragged import Index, Matrix
 from sayd_env.physics.rows import Column
 
 __all__ = ["Array", "Index"]

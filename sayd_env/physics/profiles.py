@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import Akima1DInterpolator, CubicSpline
 from scipy.optimize import brentq
 from scipy.signal import savgol_filter
@@ -24,9 +23,8 @@ from sayd_env.config.profile import (
     Shape,
     WheelProfileConfig,
 )
+from sayd_env.config.units import Array
 from sayd_env.measured.profiles import read_profile_file
-
-Array = NDArray[np.float64]
 
 SAMPLING = 5e-5
 """Lateral distance of the samples (m): a flange arc of 13 mm is resolved to 0.1 um."""

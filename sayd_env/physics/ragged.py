@@ -30,8 +30,8 @@ from numba.extending import intrinsic
 from numba.np import arrayobj, numpy_support
 
 from sayd_env.config import ConfigError
+from sayd_env.config.units import Array
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 Matrix = Annotated[Array, 2]
 """An array of two dimensions, where a named tuple says `Array` for one."""

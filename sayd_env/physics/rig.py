@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import StudyError
 from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.units import Array
 from sayd_env.config.vehicle import MaxwellLaw
 from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
@@ -18,8 +18,6 @@ from sayd_env.physics.plant import LANES
 from sayd_env.physics.rows import SINGLE
 from sayd_env.physics.simulator import DamperCurves, damper_curves
 from sayd_env.physics.step import step_dampers
-
-Array = npt.NDArray[np.float64]
 
 _MAX_CYCLES = 1000
 _STEADY = 1e-9  # change of the force from cycle to cycle over its peak

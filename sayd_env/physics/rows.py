@@ -17,9 +17,9 @@ from llvmlite import ir
 from numba.core import cgutils, errors, types
 from numba.extending import intrinsic
 
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
 
-Array = npt.NDArray[np.float64]
 Column = npt.NDArray[np.uint32]
 Lanes = tuple[int, ...]
 """A tuple whose length is the number of vehicles side by side: compiled code knows it as a constant."""

@@ -32,6 +32,7 @@ import numpy.typing as npt
 from scipy.optimize import elementwise
 
 from sayd_env.config.damper import SaydDamperConfig, SpringValve, ValveDynamics
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.throttle import (
@@ -45,8 +46,6 @@ from sayd_env.physics.throttle import (
     spring_valve_flow,
     table_start,
 )
-
-Array = npt.NDArray[np.float64]
 
 # Rows of the constants.
 (

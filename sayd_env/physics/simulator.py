@@ -16,6 +16,7 @@ from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import Array
 from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.aligned import aligned, zeros
@@ -28,8 +29,6 @@ from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
 from sayd_env.physics.rows import Rows, sparse_rows
 from sayd_env.physics.step import advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
-
-Array = npt.NDArray[np.float64]
 
 FASTEST = 50.0
 """No part of a vehicle moves faster against the running train (m/s, rad/s): beyond it, numbers do."""

@@ -24,11 +24,12 @@ from __future__ import annotations
 
 import math
 
+from sayd_env.config.units import Array
 from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import LANES, WHEELSETS, Array, Plant, State, Work
+from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
 from sayd_env.physics.rows import SINGLE, Lanes, add_product, multiply
 from sayd_env.physics.track.spline import CHANNELS, spline_weights, weighted_rows
 

@@ -25,9 +25,8 @@ from sayd_env.config.damper import (
     TableThrottle,
     Throttle,
 )
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
-
-Array = npt.NDArray[np.float64]
 
 CURRENTS = 129
 """Nodes over the current of the compiled table: see `table_currents`."""

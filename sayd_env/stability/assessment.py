@@ -9,14 +9,8 @@ import numpy as np
 
 from sayd_env.config import DataError
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.stability.signals import (
-    Array,
-    band_pass,
-    distance_run,
-    dominant_frequency,
-    end_of,
-    sliding_rms,
-)
+from sayd_env.config.units import Array
+from sayd_env.stability.signals import band_pass, distance_run, dominant_frequency, end_of, sliding_rms
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from sayd_env.config import DataError, nearest
-from sayd_env.stability.signals import Array
+from sayd_env.config.units import Array
 
 BLOCK = 5.0
 """Time of one weighted RMS value, s."""

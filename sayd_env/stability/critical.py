@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sayd_env.config import DataError
-from sayd_env.stability.signals import Array
+from sayd_env.config.units import Array
 
 
 class Crossing(enum.Enum):

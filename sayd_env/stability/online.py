@@ -21,8 +21,9 @@ from scipy.signal import butter, get_window
 from sayd_env.config import ConfigError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.control import OnlineConfig
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.ragged import Array, Cube, Index, IndexMatrix, Matrix
+from sayd_env.physics.ragged import Cube, Index, IndexMatrix, Matrix
 
 CHUNK = 16
 """Block means that the spectrum takes at once, their phases from a table; a multiple of four."""

@@ -9,14 +9,12 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import ZoomFFT, butter, get_window, sosfiltfilt
 
 from sayd_env.config import DataError
 from sayd_env.config.assessment import AssessmentConfig
-
-Array = NDArray[np.float64]
+from sayd_env.config.units import Array
 
 
 def distance_run(speed: float | Array, sample_rate: float, n: int) -> Array:

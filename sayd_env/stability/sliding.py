@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import Array, Index
+from sayd_env.physics.plant import Index
 
 
 @kernel(distinct=True, allocates=False)

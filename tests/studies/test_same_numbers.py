@@ -1,4 +1,7 @@
-"""What commands print stays the same, to the bit: this guards against change and shows nothing as right."""
+"""What commands print stays the same, to the bit.
+
+This guards against change only: it does not show that any of the numbers is right.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,10 @@ from sayd_env.config.software import versions
 
 STORED = json.loads((Path(__file__).parent / "data" / "printed_before.json").read_text())
 CASES = {case["command"][0]: case for case in STORED["results"]}
-SAME_MACHINE = (STORED["processor"], STORED["versions"]) == (llvm.get_host_cpu_name(), versions())
-"""Another processor or library rounds otherwise, and a vehicle on its wheels makes more of it."""
+SAME_MACHINE = STORED["processor"] == llvm.get_host_cpu_name() and all(
+    STORED["versions"][library] == versions()[library] for library in ("numpy", "scipy", "numba")
+)
+"""Another processor or library rounds otherwise, and what runs on wheels makes more of it."""
 
 
 def differences(stored: Any, found: Any, where: str) -> list[str]:

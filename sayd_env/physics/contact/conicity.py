@@ -11,14 +11,13 @@ nor r0 matters.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 from scipy.special import roots_legendre
 
 from sayd_env.config import DataError
+from sayd_env.config.units import Array
 from sayd_env.physics.contact.geometry import ContactTable, RigidContact
-
-Array = NDArray[np.float64]
 
 _QUADRATURE_NODES = 400
 _FLAT = 1e-6  # a conicity below this is that of a cylinder

@@ -44,14 +44,13 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sayd_env.config.units import Array
 from sayd_env.physics.array_cache import cached_array
 from sayd_env.physics.contact import fastsim, kalker
 from sayd_env.physics.contact.polach import polach
 from sayd_env.physics.kernel import kernel
-
-Array = NDArray[np.float64]
 
 LAWS = ("table", "polach", "fastsim")
 """Names of the laws; compiled code knows them by their place."""

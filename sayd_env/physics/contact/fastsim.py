@@ -24,11 +24,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
-
-Array = NDArray[np.float64]
 
 # Rows of the rates that `march` reads. Tractions in mu N / (a b), lengths along x in a, along y in b.
 RATE_X, RATE_Y, TURN_X, TURN_Y, SEMI_A, SEMI_B = range(6)

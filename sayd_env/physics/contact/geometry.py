@@ -48,14 +48,13 @@ from scipy.interpolate import CubicSpline
 
 from sayd_env.config import DataError
 from sayd_env.config.contact import ContactConfig
+from sayd_env.config.units import Array
 from sayd_env.physics.array_cache import cached_array
 from sayd_env.physics.contact import hertz, kalker
 from sayd_env.physics.contact.hertz import hertz_coefficients
 from sayd_env.physics.contact.kalker import kalker_coefficients
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.profiles import Profile, gauge_point
-
-Array = NDArray[np.float64]
 
 DELTA_R, G0, Y_C, TAN_GAMMA, COMPLIANCE, A_S, B_S, C11, C22, C23, PHI_K, COMPLIANCE_SLOPE = range(12)
 """Columns of `ContactTable.packed`."""

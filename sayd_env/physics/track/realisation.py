@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sayd_env.config.errors import ConfigError, DataError
 from sayd_env.config.track import (
@@ -18,11 +18,10 @@ from sayd_env.config.track import (
     SineConfig,
     SpectrumConfig,
 )
+from sayd_env.config.units import Array
 from sayd_env.measured.tracks import read_measured
 from sayd_env.physics.track.spectra import random_irregularity
 from sayd_env.physics.track.spline import interpolation_coefficients, spline_table
-
-Array = NDArray[np.float64]
 
 FADE_IN = 50.0
 GRID_STEP = 0.25

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len
 
 from sayd_env.config.track import (
@@ -13,8 +13,7 @@ from sayd_env.config.track import (
     PowerLawConfig,
     SpectrumConfig,
 )
-
-Array = NDArray[np.float64]
+from sayd_env.config.units import Array
 
 # First part of the spawn key of the phases' random streams: no other user of the same seed shares them.
 _STREAM = 74

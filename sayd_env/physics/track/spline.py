@@ -9,12 +9,10 @@ import numpy as np
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
-
-Array = NDArray[np.float64]
 
 CHANNELS = 4
 """Alignment, vertical, cross-level, gauge."""

@@ -15,9 +15,8 @@ import numpy as np
 
 from sayd_env.config import StudyError
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH
 from sayd_env.studies.bench.spread import Spread
-
-KMH = 3.6
 
 # What `sayd` does, in a process of its own, which tells its peak memory (kB) at the end where it can. The
 # usage that a parent is told counts the parent's own memory, too, since a process begins as its copy.

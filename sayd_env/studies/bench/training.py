@@ -23,7 +23,7 @@ from sayd_env.studies.bench.spread import Spread, in_turn
 if TYPE_CHECKING:
     from sayd_env.agents.config import TrainConfig
 
-Array = npt.NDArray[np.float32]
+Single = npt.NDArray[np.float32]
 
 ALGORITHMS = ("ppo", "sac")
 ENVIRONMENT, SHARE, UNCAPPED = "environment", "_share", "_uncapped"
@@ -251,7 +251,7 @@ class StepClock:
         mean: float = self._within / self._count
         return mean
 
-    def _timed_step(self, actions: Array) -> Any:
+    def _timed_step(self, actions: Single) -> Any:
         begin = time.perf_counter()
         result = self._step(actions)
         elapsed = time.perf_counter() - begin

@@ -7,19 +7,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from sayd_env.config import StudyError
 from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig, load_sayd
 from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.config.units import Array
 from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.parts import repeat, repeat_sayds
 from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.physics.step import rates
 from sayd_env.physics.track.realisation import TrackRealisation
-
-Array = npt.NDArray[np.float64]
 
 METHODS = ("RK45", "DOP853")
 """SciPy's integrators that compete; the fastest that is accurate enough is reported. LSODA and the implicit

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from sayd_env.config.units import Array
 from sayd_env.stability import Crossing
 from sayd_env.studies.comparison.entrants import PAPER, REFERENCES, Entrant
 from sayd_env.studies.comparison.grid import Condition, Variant
@@ -22,7 +22,6 @@ from sayd_env.studies.comparison.statistics import (
 )
 from sayd_env.studies.map import Cell
 
-Array = npt.NDArray[np.float64]
 Costs = Mapping[str, Array]
 """J by policy, over training seeds, conditions and seeds: shape (R, C, S)."""
 STABLE_TO = 400.0

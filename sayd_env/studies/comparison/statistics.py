@@ -28,8 +28,8 @@ import numpy.typing as npt
 from scipy.stats import trim_mean
 
 from sayd_env.config.comparison import BootstrapConfig
+from sayd_env.config.units import Array
 
-Array = npt.NDArray[np.float64]
 Draws = npt.NDArray[np.int64]
 LEVEL = 0.95
 """Level of the intervals."""

@@ -10,12 +10,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.runs.controlled import REAR, SAYD_SPEEDS, ControlledRun, ControlledRuns
 from sayd_env.stability import Limits
 from sayd_env.studies.paper.claims import Claim, Flags, Seeds, by_median, by_seed, by_selection, spread
-
-KMH = 3.6
 
 MPPT1, MPPT2 = "mppt1", "mppt2"
 ON_OFF, CONTINUOUS = "skyhook-onoff", "skyhook-continuous"

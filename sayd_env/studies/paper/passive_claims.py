@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.runs.passive import Sweep
 from sayd_env.stability import Limits, critical_speed, grid_sensitivity, thinned_grids
 from sayd_env.studies.paper.claims import (
@@ -21,7 +21,6 @@ NEW_SPEEDS = tuple(v / 3.6 for v in (280, 310, 340, 370, 400))
 """Speed grid of figure 8, m/s."""
 WORN_SPEEDS = tuple(v / 3.6 for v in (320, 350, 370, 395, 420, 445))
 """Speed grid of figure 10, m/s."""
-KMH = 3.6
 GRID_TOLERANCE = 8.0 / KMH
 """A critical speed that moves further (m/s) on another speed grid is reported as sensitive."""
 

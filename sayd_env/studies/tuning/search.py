@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import differential_evolution, minimize, minimize_scalar
 from scipy.stats import qmc
 
 from sayd_env.config.tuning import ControllerTuning, Gains
+from sayd_env.config.units import Array
 
-Array = npt.NDArray[np.float64]
 LAST_RADIUS = 0.01
 """Step at which the local search ends, as a share of half the ranges."""
 CostAt = Callable[[str, Array], float]
