@@ -18,24 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config.units import Array
+from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.aligned import zeros
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import (
-    CREEP_LAW,
-    LANES,
-    NUMBERS,
-    RAIL_BASE,
-    SHEAR_MODULUS,
-    STEP,
-    SUBSTEPS,
-    TABLE_BASE,
-    WHEEL_ROWS,
-    Index,
-    Plant,
-    State,
-    Work,
-)
+from sayd_env.physics.plant import LANES, Index, Plant, State, Work
 from sayd_env.physics.ragged import RaggedBatch, vehicle_from
 from sayd_env.physics.rows import ABREAST, Lanes
 
@@ -82,11 +69,11 @@ def side_by_side(plants: Sequence[Plant]) -> Plant:
         else:
             fields[name] = interleaved(values)
     width = len(plants)
-    fields["number"].reshape(NUMBERS, width)[RAIL_BASE] = [
+    fields["number"].reshape(at.NUMBERS, width)[at.RAIL_BASE] = [
         (plant.irregularity.ctypes.data - fields["irregularity"].ctypes.data) // plant.irregularity.itemsize
         for plant in plants
     ]
-    fields["wheel"].reshape(WHEEL_ROWS, LANES, width)[TABLE_BASE] = fields.pop("table offsets")
+    fields["wheel"].reshape(at.WHEEL_ROWS, LANES, width)[at.TABLE_BASE] = fields.pop("table offsets")
     offsets = fields.pop("sayd_table offsets")
     if fields["sayd_constant"].size:
         fields["sayd_constant"].reshape(sayd.CONSTANTS, LANES, width)[sayd.TABLE_START] = offsets
@@ -107,7 +94,7 @@ def kind(plant: Plant) -> tuple[Any, ...]:
     fields = plant._asdict()
     structure = (value.tobytes() for name, value in fields.items() if name.endswith(SHARED))
     lengths = (value.shape for name, value in fields.items() if name not in _OF_ANY_LENGTH)
-    common = (*plant.number[[STEP, SUBSTEPS, CREEP_LAW]], plant.wheel[SHEAR_MODULUS * LANES])
+    common = (*plant.number[[at.STEP, at.SUBSTEPS, at.CREEP_LAW]], plant.wheel[at.SHEAR_MODULUS * LANES])
     return *common, _digest(plant.creep), *lengths, *structure
 
 
