@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sayd_env.agents.pretrained import FOLDER, groups
 from sayd_env.agents.table import Table
 from sayd_env.config import DataError
-from sayd_env.config.palette import cycled, policy_style
+from sayd_env.config.palette import policy_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,8 +59,7 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
         for file in files:
             steps, costs = curve(file.with_suffix(".csv"))
             millions = [step / 1e6 for step in steps]
-            # The trainings of an algorithm are alike in all pictures but this one, where nothing else is.
-            axis.plot(millions, costs, markersize=3, label=file.stem, **cycled(files.index(file)).drawn)
+            axis.plot(millions, costs, markersize=3, label=file.stem, **policy_style(file.stem).drawn)
         for name, cost in references.items():
             axis.axhline(cost, linewidth=1.0, label=name, **policy_style(name).plain)
         axis.set(title=algorithm.upper(), xlabel="steps of bogies (millions)")

@@ -51,6 +51,26 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     return [folder / name for name in contents]
 
 
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a name beside a file, under which it grows until it is complete and replaces it.
+
+    Raises
+    ------
+    StudyError
+        It cannot be written. A former file is still there.
+    """
+    temporary = _temporary(path)
+    try:
+        with reported(path):
+            yield temporary
+            with temporary.open("rb") as stream:
+                os.fsync(stream.fileno())
+            os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
     """Fill a folder under another name, then give it its own; nothing may have this name yet.
 

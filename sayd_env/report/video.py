@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import importlib
 import math
-import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +15,7 @@ import numpy.typing as npt
 from PIL import Image  # comes with Matplotlib, which writes its own pictures with it
 
 from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.storage import replacing
 
 Picture = npt.NDArray[np.uint8]
 
@@ -63,7 +62,7 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, colours: Pict
     height, width, _ = first.shape
     ffmpeg = importlib.import_module("imageio_ffmpeg")
     film = ffmpeg.write_frames(
-        str(path), (width, height), fps=fps, quality=8, output_params=["-movflags", "+faststart"]
+        str(path), (width, height), fps=fps, quality=8, output_params=["-movflags", "+faststart", "-f", "mp4"]
     )
     film.send(None)
     count = 0
@@ -154,23 +153,8 @@ def write_film(path: Path, pictures: Iterable[Picture], fps: float, colours: Pic
 
     Raises
     ------
-    ConfigError
+    StudyError
         The file cannot be written.
     """
-    with _replacing(path) as temporary:
+    with replacing(path) as temporary:
         WRITERS[path.suffix.lower()](temporary, pictures, fps, colours)
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """A name beside a file, under which it grows until it replaces it."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-    try:
-        yield temporary
-        with temporary.open("rb") as stream:
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        raise ConfigError(f"-o {path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        temporary.unlink(missing_ok=True)
