@@ -144,9 +144,9 @@ def test_a_user_s_folders_of_the_same_names_are_no_trouble(
             if content is not None:
                 (work / name / "__init__.py").write_text(content)
         assert run(python, "-c", USE, cwd=work, **path).splitlines() == list(map(str, places))
-        shown = json.loads(run(*command, "policies", "--json", cwd=work, **path))
-        assert {"passive", "mppt2"} <= set(shown["controllers"])
-        assert {entry.name for entry in work.iterdir()} == set(OUTSIDE)
+    shown = json.loads(run(*command, "policies", "--json", cwd=work, **path))
+    assert {"passive", "mppt2"} <= set(shown["controllers"])
+    assert {entry.name for entry in work.iterdir()} == set(OUTSIDE)
 
 
 @pytest.mark.slow
