@@ -111,7 +111,7 @@ def draw_episode(
     ConfigError
         An unknown option or a value that is not allowed.
     """
-    seed, episode = whole_number("seed", seed), whole_number("episode", episode)
+    seed, episode = whole_number("seed", seed, most=2**128), whole_number("episode", episode)
     fixed = checked_options(options)
     sequence = np.random.SeedSequence([seed, episode])
     drawn_from = config.randomisation
