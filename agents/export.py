@@ -40,7 +40,7 @@ def export_onnx(stored: StoredPolicy, path: Path) -> None:
     try:
         onnx.checker.check_model(model, full_check=True)
     except onnx.checker.ValidationError as error:
-        raise StudyError(f"{stored.source}: ONNX refuses the model: {error}") from None
+        raise StudyError(f"{stored.where}: ONNX refuses the model: {error}") from None
     write_file(path, model.SerializeToString())
 
 

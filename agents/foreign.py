@@ -225,8 +225,8 @@ def _observation(path: Path, shape: tuple[int, ...], config: EnvironmentConfig) 
     )
 
 
-def _made(config: EnvironmentConfig, changes: dict[str, Any], source: str) -> Interface:
-    changed = validate(EnvironmentConfig, dict(config) | changes, source)
+def _made(config: EnvironmentConfig, changes: dict[str, Any], where: str) -> Interface:
+    changed = validate(EnvironmentConfig, dict(config) | changes, where)
     return make_interface(changed, environment_scenario(changed), load_online())
 
 

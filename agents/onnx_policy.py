@@ -24,7 +24,7 @@ Observation = npt.NDArray[np.float32]
 class OnnxPolicy:
     """Content of an ONNX file."""
 
-    source: str
+    where: str
     content: bytes
     needs: Mapping[str, Any]
     """Keywords of the environments in which it can act; empty for a model that does not say."""
@@ -43,7 +43,7 @@ class OnnxPolicy:
         ConfigError
             It takes other observations, or says that it needs another environment.
         """
-        interface.check(self.source, self.needs, self.signals)
+        interface.check(self.where, self.needs, self.signals)
         return OnnxRunner(self, interface)
 
 
@@ -57,10 +57,10 @@ def read_onnx(path: Path) -> OnnxPolicy:
     DataError
         It is no ONNX model, or its metadata cannot be used.
     """
-    source, content = shown_path(path), read_bytes(path)
-    metadata = _session(content, source).get_modelmeta().custom_metadata_map
+    where, content = shown_path(path), read_bytes(path)
+    metadata = _session(content, where).get_modelmeta().custom_metadata_map
     if "observation" not in metadata:
-        return OnnxPolicy(source, content, {})
+        return OnnxPolicy(where, content, {})
     try:
         needs = {
             "observation": metadata["observation"],
@@ -70,16 +70,16 @@ def read_onnx(path: Path) -> OnnxPolicy:
         rows = {"history": int(metadata["history"])} if metadata["observation"] == "history" else {}
         signals = tuple(metadata["signals"].split())
     except (KeyError, ValueError) as error:
-        raise DataError(f"{source}: its metadata cannot be used ({shown(str(error))})") from None
-    return OnnxPolicy(source, content, needs | rows, signals)
+        raise DataError(f"{where}: its metadata cannot be used ({shown(str(error))})") from None
+    return OnnxPolicy(where, content, needs | rows, signals)
 
 
-def _session(content: bytes, source: str) -> Any:
+def _session(content: bytes, where: str) -> Any:
     try:
         import onnxruntime  # noqa: PLC0415 - an extra
     except ModuleNotFoundError:
         raise ConfigError(
-            f"{source}: onnxruntime is not installed; install it with pip install 'sayd-env[onnx]'"
+            f"{where}: onnxruntime is not installed; install it with pip install 'sayd-env[onnx]'"
         ) from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -87,7 +87,7 @@ def _session(content: bytes, source: str) -> Any:
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its exceptions have no common base
-        raise DataError(f"{source}: is no ONNX model that runs here ({shown(str(error))})") from None
+        raise DataError(f"{where}: is no ONNX model that runs here ({shown(str(error))})") from None
 
 
 class OnnxRunner:
@@ -106,15 +106,15 @@ class OnnxRunner:
     """
 
     def __init__(self, policy: OnnxPolicy, interface: Interface) -> None:
-        self.name, self.interface, self._source = Path(policy.source).stem, interface, policy.source
-        self._session = _session(policy.content, policy.source)
+        self.name, self.interface, self._where = Path(policy.where).stem, interface, policy.where
+        self._session = _session(policy.content, policy.where)
         inputs = self._session.get_inputs()
         found = [tuple(each.shape) for each in inputs]
         flat = (int(np.prod(interface.shape)),)
         shapes = [shape for shape in (interface.shape, flat) if len(found) == 1 and _fits(found[0], shape)]
         if not shapes or inputs[0].type != "tensor(float)":
             raise ConfigError(
-                f"{self._source}: takes {', '.join(f'{each.type} {each.shape}' for each in inputs)}; the "
+                f"{self._where}: takes {', '.join(f'{each.type} {each.shape}' for each in inputs)}; the "
                 f"environment's observation '{interface.observation}' is float32 of shape (N, "
                 f"{', '.join(map(str, interface.shape))})"
             )
@@ -134,7 +134,7 @@ class OnnxRunner:
         ConfigError
             An observation of another shape, or a model that gives no valve commands.
         """
-        values, single = self.interface.rows(observation, self._source)
+        values, single = self.interface.rows(observation, self._where)
         # Row by row: the bits of a vehicle's commands must not depend on how many are side by side.
         actions = np.concatenate(
             [self._command(row) for row in values.astype(np.float32).reshape(-1, 1, *self._shape)]
@@ -146,9 +146,9 @@ class OnnxRunner:
             found = self._session.run(None, {self._input: row})[0]
             return checked_actions(found, (1, self.interface.actions)).astype(np.float32)
         except ConfigError as error:
-            raise ConfigError(f"{self._source}: {error}") from None
+            raise ConfigError(f"{self._where}: {error}") from None
         except Exception as error:
-            raise ConfigError(f"{self._source}: {shown(str(error))}") from None
+            raise ConfigError(f"{self._where}: {shown(str(error))}") from None
 
 
 def _fits(found: tuple[Any, ...], shape: tuple[int, ...]) -> bool:

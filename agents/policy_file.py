@@ -90,7 +90,7 @@ class StoredPolicy:
     description: PolicyDescription
     layers: Layers
     """Weights (out, in) and biases (out) of each layer."""
-    source: str = "policy"
+    where: str = "policy"
     """Where it was read, for messages."""
     normalisation: tuple[Array, Array] | None = None
     """Middle and half of each number of an observation, in place of those of its quantity."""
@@ -142,20 +142,20 @@ class StoredPolicy:
         try:
             encoding = make_encoding(interface, about.view, about.inputs, about.clip, about.output)
         except ConfigError as error:
-            raise ConfigError(f"{self.source}: {error}") from None
+            raise ConfigError(f"{self.where}: {error}") from None
         if self.normalisation is not None and isinstance(encoding, VehicleEncoding):
             middle, half = self.normalisation
             encoding.middle, encoding.per_half = middle, 1.0 / half
         return encoding
 
 
-def describe(interface: Interface, source: str = "policy", **content: Any) -> PolicyDescription:
+def describe(interface: Interface, where: str = "policy", **content: Any) -> PolicyDescription:
     """Description of a policy for an environment; what its interface does not say comes by keyword.
 
     Raises
     ------
     ConfigError
-        Content that is not allowed; the message begins with the source.
+        Content that is not allowed; the message begins with `where`.
     """
     known = {
         "format": 1,
@@ -165,7 +165,7 @@ def describe(interface: Interface, source: str = "policy", **content: Any) -> Po
         "valves": interface.valves,
         "control_period": interface.control_period,
     }
-    return validate(PolicyDescription, known | content, source)
+    return validate(PolicyDescription, known | content, where)
 
 
 def interface_like(description: PolicyDescription) -> Interface:
@@ -215,9 +215,9 @@ def read_policy(path: Path | str) -> StoredPolicy:
     DataError
         The file is damaged, is no policy, or holds weights that do not fit its description.
     """
-    archive, source = PolicyArchive(Path(path)), shown_path(path)
-    description = validate(PolicyDescription, archive.description(), f"{source}: policy.yaml")
-    policy = StoredPolicy(description, (), source)
+    archive, where = PolicyArchive(Path(path)), shown_path(path)
+    description = validate(PolicyDescription, archive.description(), f"{where}: policy.yaml")
+    policy = StoredPolicy(description, (), where)
     encoding = policy.encoding(interface_like(description))
     expected: dict[str, tuple[tuple[int, ...], str]] = {}
     for i, (before, after) in enumerate(
@@ -233,7 +233,7 @@ def read_policy(path: Path | str) -> StoredPolicy:
     )
     middle, half = (arrays.get(name) for name in _NORMALISATION)
     normalisation = None if middle is None or half is None else (middle, half)
-    return StoredPolicy(description, layers, source, normalisation)
+    return StoredPolicy(description, layers, where, normalisation)
 
 
 def load_policy(path: Path | str, interface: Interface) -> LearnedPolicy:
@@ -271,7 +271,7 @@ class LearnedPolicy:
 
     def __init__(self, stored: StoredPolicy, interface: Interface) -> None:
         description = stored.description
-        interface.check(stored.source, stored.needs, description.signals)
+        interface.check(stored.where, stored.needs, description.signals)
         self.name = description.name
         self.parameters = description
         self.interface = interface

@@ -42,7 +42,7 @@ _loaded: dict[str, tuple[str, ModuleType]] = {}  # hash of the code and module, 
 class OwnPolicy:
     """A factory by its name, and which version of its code is meant."""
 
-    source: str
+    where: str
     """``module:factory`` or ``file.py:factory``, the file with its whole path."""
     digest: str
     """SHA-256 of the code and of what it imports or names beside it."""
@@ -72,7 +72,7 @@ class OwnPolicy:
     @property
     def title(self) -> str:
         """How tables call it: a file without its folder."""
-        place, _, name = self.source.rpartition(":")
+        place, _, name = self.where.rpartition(":")
         return f"{Path(place).stem if place.endswith('.py') else place}:{name}"
 
     def identity(self) -> str:
@@ -87,19 +87,19 @@ class OwnPolicy:
         ConfigError
             The factory fails, what it returns is no policy, or its code has changed meanwhile.
         """
-        interface.check(self.source, self.needs)
-        place, _, name = self.source.rpartition(":")
+        interface.check(self.where, self.needs)
+        place, _, name = self.where.rpartition(":")
         digest, factory = _factory(place, name)
         if digest != self.digest:
-            raise ConfigError(f"{self.source}: its code has changed since the work began")
-        with _explained(self.source):
+            raise ConfigError(f"{self.where}: its code has changed since the work began")
+        with _explained(self.where):
             policy = factory(interface)
         if not callable(getattr(policy, "predict", None)):
             raise ConfigError(
-                f"{self.source}: returned {shown(policy)}; expected an object with a method "
+                f"{self.where}: returned {shown(policy)}; expected an object with a method "
                 "predict(observation, state, episode_start, deterministic) -> (action, state)"
             )
-        return CheckedPolicy(self.source, policy, interface)
+        return CheckedPolicy(self.where, policy, interface)
 
 
 class CheckedPolicy:
@@ -107,7 +107,7 @@ class CheckedPolicy:
 
     Parameters
     ----------
-    source : str
+    where : str
         Which code made it.
     policy
         Acts on the observations of N vehicles at once.
@@ -115,8 +115,8 @@ class CheckedPolicy:
         The environment's.
     """
 
-    def __init__(self, source: str, policy: Any, interface: Interface) -> None:
-        self.name, self.interface, self._policy = source, interface, policy
+    def __init__(self, where: str, policy: Any, interface: Interface) -> None:
+        self.name, self.interface, self._policy = where, interface, policy
         if hasattr(policy, "listen"):  # whoever asks whether a policy listens to the run-in finds it here
             self.listen = policy.listen
 
@@ -267,13 +267,13 @@ def _digest(files: list[Path]) -> str:
 
 
 @contextmanager
-def _explained(source: str) -> Iterator[None]:
+def _explained(where: str) -> Iterator[None]:
     """Turn whatever the code of a policy raises into one message with file, line and exception."""
     try:
         yield
     except SaydError as error:
-        known = str(error).startswith(source.rpartition(":")[0])
-        raise ConfigError(str(error) if known else f"{source}: {error}") from None
+        known = str(error).startswith(where.rpartition(":")[0])
+        raise ConfigError(str(error) if known else f"{where}: {error}") from None
     except (Exception, SystemExit) as error:  # code of somebody else fails in any way
         frames = list(traceback.extract_tb(error.__traceback__))
         own = [frame for frame in frames if not frame.filename.startswith((*_INSTALLED, _PACKAGE, "<"))]
@@ -281,4 +281,4 @@ def _explained(source: str) -> Iterator[None]:
         if isinstance(error, SyntaxError) and error.filename:
             file, line = error.filename, error.lineno
         said = " ".join(str(error).split())[:300]
-        raise ConfigError(f"{source}: {file}, line {line}: {type(error).__name__}: {said}") from None
+        raise ConfigError(f"{where}: {file}, line {line}: {type(error).__name__}: {said}") from None

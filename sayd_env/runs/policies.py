@@ -44,7 +44,7 @@ class PolicyContent(Protocol):
     """What the file of a policy holds: weights, a model or code."""
 
     @property
-    def source(self) -> str:
+    def where(self) -> str:
         """The file, for messages."""
 
     @property
@@ -129,7 +129,7 @@ class PolicySpec:
         """
         if self.stored is None:
             return config
-        return validate(EnvironmentConfig, dict(config) | dict(self.stored.needs), self.stored.source)
+        return validate(EnvironmentConfig, dict(config) | dict(self.stored.needs), self.stored.where)
 
 
 def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
@@ -188,7 +188,7 @@ def policy_specs(texts: Iterable[str], foreign: ForeignReader | None = None) -> 
     for text in texts:
         spec = policy_spec(text, foreign)
         if spec.title in found and spec.identity() != found[spec.title].identity():
-            place = spec.stored.source if spec.stored is not None else spec.name
+            place = spec.stored.where if spec.stored is not None else spec.name
             titles = (f"{spec.title}@{Path(part).name}" for part in Path(place).resolve().parents)
             spec = replace(spec, label=next((title for title in titles if title not in found), spec.title))
         if spec.title in found:

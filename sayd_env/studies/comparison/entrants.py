@@ -84,8 +84,8 @@ def provenance(policy: PolicySpec) -> dict[str, Any]:
     made = stored.description.made
     return {
         "name": policy.title,
-        "file": Path(stored.source).name,
-        "sha256": file_digest(stored.source),
+        "file": Path(stored.where).name,
+        "sha256": file_digest(stored.where),
         "algorithm": stored.algorithm,
         "seed": stored.seed,
         "steps": made.get("steps"),
@@ -132,8 +132,8 @@ def _by_algorithm(policies: Iterable[StoredPolicy]) -> list[Entrant]:
     for policy in policies:
         if policy.algorithm is None:
             raise ConfigError(
-                f"{policy.source}: does not say with which algorithm it was trained; give it a name: "
-                f"NAME={policy.source}"
+                f"{policy.where}: does not say with which algorithm it was trained; give it a name: "
+                f"NAME={policy.where}"
             )
         groups.setdefault(policy.algorithm, []).append(policy)
     return [_group(name, groups[name]) for name in sorted(groups)]
@@ -166,10 +166,10 @@ def _refuse_duplicates(found: Sequence[Entrant]) -> None:
         titles.update(entrant.titles)
         for member in entrant.members:
             if member.learned is not None:
-                source = member.learned.source
-                digest = file_digest(source)
+                where = member.learned.where
+                digest = file_digest(where)
                 if digest in files:
                     raise ConfigError(
-                        f"{source}: is the same policy as {files[digest]}; a training seed counts once"
+                        f"{where}: is the same policy as {files[digest]}; a training seed counts once"
                     )
-                files[digest] = source
+                files[digest] = where

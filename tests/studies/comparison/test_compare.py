@@ -110,7 +110,7 @@ def test_files_are_grouped_under_a_name(folder: Path, policy: Callable[..., Stor
     save_policy(folder / "run" / "best.npz", policy(0.25))
     save_policy(folder / "run" / "last.npz", policy(0.26))
     (found,) = read_entrants(["passive", "mppt2", f"mine={folder}/run"])[2:]
-    assert [Path(member.stored.source).name for member in found.members if member.stored] == ["best.npz"]
+    assert [Path(member.stored.where).name for member in found.members if member.stored] == ["best.npz"]
     assert found.titles == ("mine-0",)  # its training seed is not known
 
 
