@@ -65,7 +65,10 @@ _POLICIES = MappingProxyType(
         "sac": Style(PURPLE, "*", "-"),
     }
 )
-_OTHERS = tuple(Style(c, m, line) for c, m, line in product((GREEN, PURPLE, SKY, YELLOW), "X<>h8p", "-."))
+_OTHERS = tuple(
+    Style(colour, marker, line)
+    for colour, marker, line in product((GREEN, PURPLE, SKY, YELLOW), "X<>h8p", ("-", "-."))
+)
 _TRAINING = re.compile(r"(?P<algorithm>[a-z]+[0-9]?)-s(?P<seed>\d+)")
 
 
