@@ -21,27 +21,31 @@ CASES = {case["command"][0]: case for case in STORED["results"]}
 SAME_MACHINE = STORED["processor"] == llvm.get_host_cpu_name() and all(
     STORED["versions"][library] == versions()[library] for library in ("numpy", "scipy", "numba")
 )
-"""Another processor or library rounds otherwise, and what runs on wheels makes more of it."""
+TOLERANCE = 0.0 if SAME_MACHINE else 1e-6
+"""Relative: another processor or library rounds otherwise, and what runs on wheels makes more of it."""
+RESUMMED = {"tune": 1e-14}
+"""The parts of J have since been added up in another order."""
 
 
-def differences(stored: Any, found: Any, where: str) -> list[str]:
+def differences(stored: Any, found: Any, where: str, tolerance: float = 0.0) -> list[str]:
     """Places at which something stored is not found, or is found otherwise; additional keys are none."""
     if isinstance(stored, Mapping) and isinstance(found, Mapping):
         missing = [f"{where}.{key}: missing" for key in stored if key not in found]
         pairs = [(stored[key], found[key], f"{where}.{key}") for key in stored if key in found]
-        return missing + [line for pair in pairs for line in differences(*pair)]
+        return missing + [line for pair in pairs for line in differences(*pair, tolerance)]
     if isinstance(stored, list) and isinstance(found, list) and len(stored) == len(found):
         rows = enumerate(zip(stored, found, strict=True))
-        return [line for i, pair in rows for line in differences(*pair, f"{where}[{i}]")]
-    if isinstance(stored, float) and isinstance(found, float) and not SAME_MACHINE:
-        found = stored if found == pytest.approx(stored, rel=1e-6, abs=1e-12) else found
+        return [line for i, pair in rows for line in differences(*pair, f"{where}[{i}]", tolerance)]
+    if isinstance(stored, float) and isinstance(found, float) and tolerance:
+        found = stored if found == pytest.approx(stored, rel=tolerance, abs=0.0) else found
     return [] if stored == found else [f"{where}: {stored!r} before, {found!r} now"]
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_command_prints_what_it_printed_before(name: str, capsys: pytest.CaptureFixture[str]):
     assert main(CASES[name]["command"]) == 0
-    assert differences(CASES[name]["printed"], json.loads(capsys.readouterr().out), name) == []
+    found, tolerance = json.loads(capsys.readouterr().out), max(TOLERANCE, RESUMMED.get(name, 0.0))
+    assert differences(CASES[name]["printed"], found, name, tolerance) == []
 
 
 def test_a_difference_is_found():

@@ -244,7 +244,7 @@ def test_bad_input_is_one_message(
 
 
 def test_a_packaged_file_is_never_written(capsys: pytest.CaptureFixture[str]):
-    packaged = Path(__file__).parents[2] / "configs" / "control" / "mppt2-tuned.yaml"
+    packaged = Path(__file__).parents[3] / "configs" / "control" / "mppt2-tuned.yaml"
     before = packaged.read_bytes()
     assert main(["tune", "mppt2", "--quick", "-o", str(packaged), "--json"]) == 2
     assert "lies among the packaged files" in capsys.readouterr().err
