@@ -50,7 +50,7 @@ def _prepare() -> None:
     if "from agents." in (agents / "learner.py").read_text():  # of its own at the top, before
         for name in ("agents", "agents.config", "agents.learner", "agents.learning_env"):
             sys.modules[f"sayd_env.{name}"] = importlib.import_module(name)
-        settings = sys.modules["agents.config"].EnvironmentConfig
+        settings = sys.modules["agents.config"].LearningEnvironmentConfig
         settings.vehicles = property(lambda self: self.lanes)
 
 
@@ -171,30 +171,8 @@ def training(algorithm: str, strides: int) -> dict[str, float]:
     learner.env.reset()  # compiles
     learner.env.step(np.zeros((learner.env.num_envs, *learner.env.action_space.shape), np.float32))
     calls = strides * (config.learning.n_steps if algorithm == "ppo" else 1)
-<<<<<<< HEAD
-    begin = time.perf_counter()
-    model.learn(calls * env.num_envs, log_interval=None)
-    elapsed = time.perf_counter() - begin
-    # `learn` begins with a reset, which counts by what the steps hold beyond whole episodes.
-    resets = spent["reset"] * (calls / episode - calls // episode)
-    elapsed += resets - spent["reset"]
-    return {"value": calls * settings.vehicles / elapsed, "share": (spent["step"] + resets) / elapsed}
-
-
-def start(cache: str) -> dict[str, float]:
-    """Wall time of `sayd critical-speed` with what is in a cache, s."""
-    environment = os.environ | ({"SAYD_CACHE_DIR": cache} if cache else {})
-    if not cache:  # nothing is compiled any more
-        subprocess.run([sys.executable, "-m", "sayd_env", *CRITICAL], capture_output=True, check=True)
-    begin = time.perf_counter()
-    subprocess.run(
-        [sys.executable, "-m", "sayd_env", *CRITICAL], capture_output=True, check=True, env=environment
-    )
-    return {"value": time.perf_counter() - begin}
-=======
     found = learner.rate(calls * learner.vehicles, config.torch_threads, "value")
     return {"value": found["value"], "share": found["value_share"]}
->>>>>>> c71bf88 (Define each measurement once for sayd bench and bench-check, and measure runs per second by executor)
 
 
 def first_start() -> dict[str, float]:
