@@ -33,6 +33,15 @@ def bench(
     assignments: options.Set = None,
     seed: options.NoSeed = 0,
     workers: options.Workers = None,
+    executor: Annotated[
+        str | None,
+        typer.Option(
+            "--executor",
+            metavar="KIND",
+            help="Measure runs per second there, too, beside threads and processes: ray, ray://ADDRESS, dask "
+            "or dask://ADDRESS.",
+        ),
+    ] = None,
     out: options.Out = None,
     as_json: options.Json = False,
 ) -> None:
@@ -42,7 +51,14 @@ def bench(
     scenario = scenario_from(config, assignments, profile=profile, wear=wear, friction=friction, track=track)
     job = Job("bench", out, as_json)
     with job.progress() as progress:
-        result = study(scenario, speed / 3.6, quick=quick, workers=workers, progress=progress)
+        result = study(
+            scenario,
+            speed / 3.6,
+            quick=quick,
+            workers=workers,
+            executors=() if executor is None else (executor,),
+            progress=progress,
+        )
     job.finish(result, config=scenario)
 
 

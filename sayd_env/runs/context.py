@@ -90,9 +90,9 @@ class RunContext:
         keys = _keys(work, specs)
         found = {i: record for i, key in enumerate(keys) if (record := self.cache.get(key, kind)) is not None}
         missing = [i for i in range(len(specs)) if i not in found]
-        pieces = _pieces(specs, missing, self.executor.count)
-        for number, records in computed(work, [[specs[i] for i in piece] for piece in pieces], self.executor):
-            for i, record in zip(pieces[number], records, strict=True):
+        parts = pieces(specs, missing, self.executor.count)
+        for number, records in computed(work, [[specs[i] for i in part] for part in parts], self.executor):
+            for i, record in zip(parts[number], records, strict=True):
                 self.cache.put(keys[i], record)
                 found[i] = record
             self.progress(len(found), len(specs), what)
@@ -113,7 +113,7 @@ def _keys(work: Callable[..., Any], specs: Sequence[RunSpec]) -> list[str]:
     return [fingerprint(maker, [digest(value) for value in each]) for each in inputs]
 
 
-def _pieces(specs: Sequence[RunSpec], which: Sequence[int], workers: int) -> list[list[int]]:
+def pieces(specs: Sequence[RunSpec], which: Sequence[int], workers: int) -> list[list[int]]:
     """Numbers of the specs of each piece of work: equal pieces, and one for each worker where that can be."""
     groups: dict[Hashable, list[int]] = {}
     for i in which:

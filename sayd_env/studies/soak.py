@@ -35,6 +35,7 @@ Commands = npt.NDArray[np.float32]
 KINDS = {"held": 0.4, "fresh": 0.2, "open": 0.1, "closed": 0.1, "bang-bang": 0.2}
 """Stretches of commands and how often they come: random and held, random anew at each step, all valves open,
 all closed, each valve between its ends in turn."""
+_NAMES = list(KINDS)
 LONGEST = 2000
 """Steps of the longest stretch: 20 s, in which hunting grows to its full size."""
 LONGEST_SIDE = 50
@@ -49,6 +50,8 @@ DEFECTS = {
 """What must not be and what it is called; counted by vehicle and step, the last by episode."""
 MARGIN = 2.0
 """J_term over the largest J of a second: ending early never pays."""
+QUANTILES = (0.5, 0.9, 0.99, 0.999)
+"""Of J of a second, in the result."""
 SHOWN = 5
 """Seconds that the summary prints."""
 KEPT = 50
@@ -135,18 +138,14 @@ class SoakResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd soak --json``."""
+        names = ("environment", "steps", "environments", "episodes", "truncated", "endings")
         return {
-            "environment": self.environment,
-            "steps": self.steps,
-            "environments": self.environments,
-            "episodes": self.episodes,
-            "truncated": self.truncated,
+            **{name: getattr(self, name) for name in names},
             "terminated": sum(self.endings.values()),
-            "endings": self.endings,
             "defects": self.defects,
             "seconds": len(self.costs),
             "largest_j": self.largest,
-            "quantiles_j": {f"{q:g}": v for q, v in zip(_QUANTILES, self._quantiles(), strict=True)},
+            "quantiles_j": {f"{q:g}": value for q, value in self.quantiles.items()},
             "worst": [asdict(second) for second in self.worst[:SHOWN]],
             "termination_cost": self.termination_cost,
             "recommended_termination_cost": self.recommended,
@@ -178,9 +177,7 @@ class SoakResult:
         found = [{"what": DEFECTS[name], "count": count} for name, count in self.defects.items()]
         print_table(console, "what must not be", _DEFECT_COUNTS, found)
         print_table(console, "seconds of the largest J", WORST, self.worst[:SHOWN], wide=wide)
-        quantiles = ", ".join(
-            f"{100 * q:g} %: {v:.3g}" for q, v in zip(_QUANTILES, self._quantiles(), strict=True)
-        )
+        quantiles = ", ".join(f"{100 * q:g} %: {value:.3g}" for q, value in self.quantiles.items())
         console.print(f"J of {len(self.costs):,} whole seconds: {quantiles}, largest {self.largest:.4g}")
         console.print(
             f"recommended termination_cost, {MARGIN:g} times the largest J: [bold]{self.recommended:.4g}[/] "
@@ -188,10 +185,11 @@ class SoakResult:
         )
         console.print(f"{self.wall_s:.0f} s, {self.steps / self.wall_s:,.0f} steps/s with resets")
 
-    def _quantiles(self) -> list[float]:
-        if not len(self.costs):
-            return [math.nan] * len(_QUANTILES)
-        return [float(value) for value in np.quantile(self.costs, _QUANTILES)]
+    @property
+    def quantiles(self) -> dict[float, float]:
+        """J of whole seconds by `QUANTILES`; NaN without any."""
+        costs = self.costs if len(self.costs) else [math.nan]
+        return dict(zip(QUANTILES, map(float, np.quantile(costs, QUANTILES)), strict=True))
 
     def _histogram(self) -> tuple[npt.NDArray[np.int64], Array]:
         """Counts of seconds in bins of equal ratio, ten in a decade."""
@@ -215,9 +213,6 @@ class SoakResult:
         log_axis(axes, "x")
         log_axis(axes, "y")
         legend_below(figure, axes)
-
-
-_QUANTILES = (0.5, 0.9, 0.99, 0.999)
 
 
 def soak(
@@ -277,34 +272,25 @@ def soak(
 class RandomCommands:
     """Valve commands of several vehicles: stretches of random length, each of a random kind of `KINDS`.
 
-    Parameters
-    ----------
-    environments, valves : int
-        Shape of the commands.
-    random : Generator
+    `kind` is the place of each vehicle's present kind in `KINDS`.
     """
 
     def __init__(self, environments: int, valves: int, random: np.random.Generator) -> None:
         self._random = random
-        self._names = list(KINDS)
-        self._shares = np.array(list(KINDS.values()))
-        self.kind = np.zeros(environments, dtype=np.int64)
-        """Place of each vehicle's present kind in `KINDS`."""
-        self._left = np.zeros(environments, dtype=np.int64)
-        self._age = np.zeros(environments, dtype=np.int64)
+        self.kind, self._left, self._age = np.zeros((3, environments), dtype=np.int64)
         self._side = np.ones(environments, dtype=np.int64)
         self._ends = np.zeros((2, environments, valves), dtype=np.float32)
 
     def names(self) -> list[str]:
         """Each vehicle's present kind."""
-        return [self._names[kind] for kind in self.kind]
+        return [_NAMES[kind] for kind in self.kind]
 
     def next(self) -> Commands:
         """Commands of the next step, a new array of shape (environments, valves)."""
         over = np.flatnonzero(self._left == 0)
         if over.size:
             self._begin(over)
-        fresh = self.kind == self._names.index("fresh")
+        fresh = self.kind == _NAMES.index("fresh")
         second = (self._age // self._side) % 2 == 1
         command: Commands = np.where(second[:, None], self._ends[1], self._ends[0])
         if fresh.any():
@@ -316,24 +302,16 @@ class RandomCommands:
     def _begin(self, which: npt.NDArray[np.intp]) -> None:
         """Draw new stretches for some vehicles."""
         random, count, valves = self._random, len(which), self._ends.shape[2]
-        kind = random.choice(len(self._names), size=count, p=self._shares)
+        kind = random.choice(len(KINDS), size=count, p=list(KINDS.values()))
         self.kind[which], self._age[which] = kind, 0
         self._left[which] = _lengths(random, LONGEST, count)
         self._side[which] = _lengths(random, LONGEST_SIDE, count)
         held = random.random((count, valves), dtype=np.float32)
-        first_end = random.integers(2, size=(count, valves)).astype(np.float32)
-        for end, side in enumerate((first_end, 1.0 - first_end)):
-            of_kind: dict[str, Any] = {
-                "held": held,
-                "fresh": held,
-                "open": 1.0,
-                "closed": 0.0,
-                "bang-bang": side,
-            }
-            for place, name in enumerate(self._names):
-                chosen = kind == place
-                value: Any = of_kind[name]
-                self._ends[end, which[chosen]] = value[chosen] if isinstance(value, np.ndarray) else value
+        side = random.integers(2, size=(count, valves)).astype(np.float32)
+        shut = np.zeros_like(held)
+        for end, bang in enumerate((side, 1.0 - side)):
+            of_kinds = np.stack([held, held, shut + 1.0, shut, bang])  # in the order of `KINDS`
+            self._ends[end, which] = of_kinds[kind, np.arange(count)]
 
 
 def _lengths(random: np.random.Generator, longest: int, count: int) -> npt.NDArray[np.int64]:
@@ -365,16 +343,17 @@ class _Watch:
 
     def check(self, observations: npt.NDArray[np.float32], rewards: Array) -> None:
         """Count numbers that are not finite, or beyond their space."""
-        finite = np.isfinite(observations)
-        if not finite.all():
-            self.defects["observations"] += _lanes_of(~finite)
-        outside = (observations < self._low) | (observations > self._high)
-        if outside.any():
-            self.defects["observations_out_of_range"] += _lanes_of(outside)
-        self.defects["rewards"] += int(np.count_nonzero(~np.isfinite(rewards)))
-        self.defects["states"] += sum(
-            not all(np.isfinite(values).all() for values in state) for state in self.env.batch.vehicles.state
-        )
+        states = self.env.batch.vehicles.state
+        found = {
+            "observations": ~np.isfinite(observations).all(axis=1),
+            "observations_out_of_range": ((observations < self._low) | (observations > self._high)).any(
+                axis=1
+            ),
+            "rewards": ~np.isfinite(rewards),
+            "states": [not all(np.isfinite(values).all() for values in state) for state in states],
+        }
+        for name, flags in found.items():
+            self.defects[name] += int(np.count_nonzero(flags))
 
     def take(
         self, observations: npt.NDArray[np.float32], rewards: Array, terminated: Flags, truncated: Flags
@@ -395,17 +374,13 @@ class _Watch:
     def _add_costs(self, stepped: Flags, terminated: Flags) -> None:
         """Add the steps' costs to their seconds, the charge for a termination left out."""
         batch = self.env.batch
-        if np.count_nonzero(batch.vehicles.status) == 0:
-            self._sum[stepped] -= batch.vehicles.rewards[stepped]
-        else:
-            ran = stepped & (batch.elapsed > 0) & (batch.vehicles.status != NOT_FINITE)
-            self._sum[ran] -= batch.vehicles.rewards[ran]
+        ran = stepped & (batch.elapsed > 0) & (batch.vehicles.status != NOT_FINITE)
+        self._sum[ran] -= batch.vehicles.rewards[ran]
         whole = stepped & (batch.elapsed % self._per_second == 0) & (batch.vehicles.status == RUNNING)
         done = whole | terminated
         if not done.any():
             return
-        if whole.any():
-            self._costs.append(self._sum[whole].copy())
+        self._costs.append(self._sum[whole])
         least = self._worst[-1].J if len(self._worst) >= KEPT else -math.inf
         high = [int(i) for i in np.flatnonzero(done) if self._sum[i] > least]
         if high:
@@ -443,14 +418,9 @@ class _Watch:
             episodes=self.episodes,
             truncated=self.truncated,
             endings=dict(self.endings),
-            defects=dict(self.defects),
-            costs=np.concatenate(self._costs) if self._costs else np.zeros(0),
+            defects=self.defects,
+            costs=np.concatenate([np.zeros(0), *self._costs]),
             worst=tuple(self._worst),
             termination_cost=self.env.config.termination_cost,
             wall_s=wall,
         )
-
-
-def _lanes_of(flags: npt.NDArray[np.bool_]) -> int:
-    """In how many environments any flag is set."""
-    return int(np.count_nonzero(flags.reshape(len(flags), -1).any(axis=1)))

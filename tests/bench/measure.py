@@ -1,24 +1,30 @@
 """One measurement of the checkout that stands first on the path, in a process of its own; prints JSON.
 
-`check.py` runs this file with an earlier commit and with the working tree in turn. So it uses nothing but
-what both have. Whatever compiles or fills caches comes before the clock starts.
+`check.py` runs this file with an earlier commit and with the working tree in turn. How something is measured
+is that of ``sayd bench`` in the tree that holds this file, whatever is measured: `_prepare` puts it in place,
+with the names that an earlier commit has otherwise. Whatever compiles or fills caches comes before the clock
+starts.
 
     python tests/bench/measure.py NAME      prints {"value": ...}, and what else belongs to it
 """
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+TREE = Path(__file__).resolve().parents[2]
 SPEED = 350.0 / 3.6
 """m/s, on worn wheels."""
 BATCH = 64
@@ -26,106 +32,115 @@ BATCH = 64
 CRITICAL = ["critical-speed", "--speeds", "300", "--seeds", "1", "--set", "assessment.length=600", "--json"]
 
 
-def scenario(damper: str) -> Any:
-    """The paper's vehicle on worn wheels with passive yaw dampers or eight SAYDs."""
-    from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - each process loads what it needs
+def _prepare() -> None:
+    """Take the measurements from the tree, the rest from the path, by today's names."""
+    import sayd_env  # noqa: PLC0415 - each process loads what it needs
+    import sayd_env.studies  # noqa: PLC0415
 
-    return load_scenario("nominal", () if damper == "passive" else ("damper=sayd",))
+    for name in ("sayd_env.config.units", "sayd_env.studies.bench"):
+        path = TREE / name.replace(".", "/")
+        folder = [str(path)] if path.is_dir() else None
+        file = path / "__init__.py" if folder else path.with_suffix(".py")
+        spec = importlib.util.spec_from_file_location(name, file, submodule_search_locations=folder)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    agents = Path(sayd_env.__file__).parents[1] / "agents"
+    if "from agents." in (agents / "learner.py").read_text():  # of its own at the top, before
+        for name in ("agents", "agents.config", "agents.learner", "agents.learning_env"):
+            sys.modules[f"sayd_env.{name}"] = importlib.import_module(name)
+        settings = sys.modules["agents.config"].LearningEnvironmentConfig
+        settings.vehicles = property(lambda self: self.lanes)
 
 
-def one_vehicle(damper: str) -> dict[str, float]:
+def one_vehicle(damper: int) -> dict[str, float]:
     """Simulated seconds of one vehicle over seconds of processor time."""
-    from sayd_env.physics.simulator import Simulator, VehicleModel  # noqa: PLC0415
-
-    model = VehicleModel(scenario(damper))
-    simulator, spans = Simulator(model, SPEED, seed=0), []
-    simulator.advance(5000)  # it hunts
-    for _ in range(5):
-        begin = time.process_time()
-        simulator.advance(2000)
-        spans.append(time.process_time() - begin)
-    return {"value": 2.0 / float(np.median(spans))}
+    return _factor(damper, lambda make: make(0), settling=5000, span=2.0, rounds=5)
 
 
-def batch(damper: str) -> dict[str, float]:
+def batch(damper: int) -> dict[str, float]:
     """Simulated seconds of all vehicles of a batch on one thread over seconds of processor time."""
     from sayd_env.physics.batch import BatchSimulator  # noqa: PLC0415
-    from sayd_env.physics.simulator import Simulator, VehicleModel  # noqa: PLC0415
 
-    model = VehicleModel(scenario(damper))
-    vehicles, spans = BatchSimulator([Simulator(model, SPEED, seed=k) for k in range(BATCH)], 1), []
-    vehicles.advance(1000)
-    for _ in range(3):
-        begin = time.process_time()
-        vehicles.advance(500)
-        spans.append(time.process_time() - begin)
-    return {"value": 0.5 * BATCH / float(np.median(spans))}
+    def vehicles(make: Callable[[int], Any]) -> Any:
+        return BatchSimulator([make(seed) for seed in range(BATCH)], 1)
+
+    return _factor(damper, vehicles, settling=1000, span=0.5, rounds=3, count=BATCH)
+
+
+def _factor(
+    damper: int,
+    vehicles: Callable[[Callable[[int], Any]], Any],
+    *,
+    settling: int,
+    span: float,
+    rounds: int,
+    count: int = 1,
+) -> dict[str, float]:
+    """Median factor over real time of hunting vehicles with passive dampers (0) or eight SAYDs (1)."""
+    from sayd_env.config.scenario import load_scenario  # noqa: PLC0415
+    from sayd_env.physics.simulator import Simulator, VehicleModel  # noqa: PLC0415
+    from sayd_env.studies.bench.vehicle import realtime_factor, with_dampers  # noqa: PLC0415
+
+    model = VehicleModel(with_dampers(load_scenario("nominal"))[damper])
+    running = vehicles(lambda seed: Simulator(model, SPEED, seed=seed))
+    running.advance(settling)
+    factors = [realtime_factor(running, span, count, time.process_time) for _ in range(rounds)]
+    return {"value": float(np.median(factors))}
 
 
 def control_steps() -> dict[str, float]:
-    """Control steps a second of a batch environment on two threads over one episode and one reset."""
-    import gymnasium as gym  # noqa: PLC0415
+    """Control steps a second of a batch environment on two threads over whole episodes."""
+    from gymnasium.utils.performance import benchmark_vector_step  # noqa: PLC0415
 
-    import sayd_env  # noqa: F401, PLC0415 - registers the environments
+    from sayd_env.studies.bench.environment import make_batch, reset_time, whole_episodes  # noqa: PLC0415
 
-    env: Any = gym.make_vec(
-        "SAYD/Nominal-v0", num_envs=BATCH, vectorization_mode="vector_entry_point", num_threads=2
-    )
+    env = make_batch(2)
     env.reset(seed=0)
-    actions = np.random.default_rng(0).random((2100, BATCH, 2), dtype=np.float32)
-    for action in actions[:20]:
-        env.step(action)
-    ends, steps, begin = 0, 0, time.perf_counter()
-    # From within one episode to the same place in the next: all steps of an episode, and its reset.
-    for action in actions[20:]:
-        _, _, terminated, truncated, _ = env.step(action)
-        ends += int(np.count_nonzero(terminated | truncated))
-        steps += 1
-        if ends >= BATCH and steps >= 2000:
-            break
-    return {"value": BATCH * steps / (time.perf_counter() - begin), "ends": ends}
+    window: Any = 0.5
+    benchmark_vector_step(env, window)
+    window = 2.0
+    rate, resets = benchmark_vector_step(env, window), [reset_time(env) for _ in range(3)]
+    return {"value": whole_episodes(rate, BATCH * _batch(env).steps, float(np.median(resets)))}
 
 
 def single_control_steps() -> dict[str, float]:
-    """Control steps a second of processor time of one environment, without resets."""
+    """Control steps a second of one environment, without resets."""
     import gymnasium as gym  # noqa: PLC0415
+    from gymnasium.utils.performance import benchmark_step  # noqa: PLC0415
 
-    import sayd_env  # noqa: F401, PLC0415
-
-    env = gym.make("SAYD/Nominal-v0")
-    actions, spans = np.random.default_rng(0).random((500, 2), dtype=np.float32), []
-    for _ in range(4):
-        env.reset(seed=1)
-        begin = time.process_time()
-        for action in actions:
-            env.step(action)
-        spans.append(time.process_time() - begin)
-    return {"value": len(actions) / min(spans)}
+    env, window = gym.make("SAYD/Nominal-v0"), 1.0
+    return {"value": max(benchmark_step(env, window, seed=1) for _ in range(4))}  # type: ignore[arg-type]
 
 
 def overhead() -> dict[str, float]:
     """What Python adds to the compiled call of a control step, us."""
     import gymnasium as gym  # noqa: PLC0415
 
-    import sayd_env  # noqa: F401, PLC0415
-    from sayd_env.studies.bench.environment import StepTimer  # noqa: PLC0415
+    from sayd_env.studies.bench.environment import step_times  # noqa: PLC0415
 
-    timer = StepTimer(gym.make("SAYD/Nominal-v0"), 1000)
-    return {"value": min(timer.overhead() for _ in range(3))}
+    env = gym.make("SAYD/Nominal-v0")
+    _batch(env.unwrapped)
+    return {"value": min(step_times(env, 1000)["overhead_us"] for _ in range(3))}
+
+
+def _batch(env: Any) -> Any:
+    """The vehicles of a bare environment, which an earlier commit has by other names."""
+    if not hasattr(env, "batch"):
+        env.batch = SimpleNamespace(steps=env.fleet.steps, vehicles=env.fleet.lanes)
+    return env.batch
 
 
 def reset() -> dict[str, float]:
     """Time of a reset of one environment in which everything is drawn, s."""
     import gymnasium as gym  # noqa: PLC0415
 
-    import sayd_env  # noqa: F401, PLC0415
+    from sayd_env.studies.bench.environment import reset_time  # noqa: PLC0415
 
-    env, spans = gym.make("SAYD/Randomized-v0"), []
-    for seed in range(23):
-        begin = time.process_time()
-        env.reset(seed=seed)
-        spans.append(time.process_time() - begin)
-    return {"value": float(np.median(spans[3:]))}
+    env = gym.make("SAYD/Randomized-v0")
+    env.reset(seed=0)
+    return {"value": float(np.median([reset_time(env, time.process_time) for _ in range(23)][3:]))}
 
 
 def draw() -> dict[str, float]:
@@ -146,67 +161,33 @@ def training(algorithm: str, strides: int) -> dict[str, float]:
     """Control steps of vehicles a second of a packaged training, and the environment's share of the time.
 
     Of PPO so many whole iterations, steps and updates as configured; of SAC so many steps of all vehicles,
-    learning from the first. Resets count as often as over whole episodes.
+    learning from the first.
     """
-    import torch  # noqa: PLC0415
-
     from sayd_env.agents.config import load_train  # noqa: PLC0415
-    from sayd_env.agents.learner import make_model  # noqa: PLC0415
-    from sayd_env.agents.learning_env import make_learning_env  # noqa: PLC0415
+    from sayd_env.studies.bench.training import make_learner  # noqa: PLC0415
 
     config: Any = load_train(algorithm, ["learning.learning_starts=0"] if algorithm == "sac" else [])
-    torch.set_num_threads(config.torch_threads)
-    env: Any = make_learning_env(config)[0]
-    model, settings = make_model(config, env), config.environment
-    spent, episode = {"step": 0.0, "reset": 0.0}, round(settings.episode_s / settings.control_period)
-
-    def timed(name: str) -> Callable[..., Any]:
-        function = getattr(env, name)
-
-        def call(*arguments: Any) -> Any:
-            begin = time.perf_counter()
-            result = function(*arguments)
-            spent[name] += time.perf_counter() - begin
-            return result
-
-        return call
-
-    env.reset()  # compiles
-    env.step(np.zeros((env.num_envs, *env.action_space.shape), np.float32))
-    env.step, env.reset = timed("step"), timed("reset")
+    learner = make_learner(config)
+    learner.env.reset()  # compiles
+    learner.env.step(np.zeros((learner.env.num_envs, *learner.env.action_space.shape), np.float32))
     calls = strides * (config.learning.n_steps if algorithm == "ppo" else 1)
-    begin = time.perf_counter()
-    model.learn(calls * env.num_envs, log_interval=None)
-    elapsed = time.perf_counter() - begin
-    # `learn` begins with a reset, which counts by what the steps hold beyond whole episodes.
-    resets = spent["reset"] * (calls / episode - calls // episode)
-    elapsed += resets - spent["reset"]
-    return {"value": calls * settings.vehicles / elapsed, "share": (spent["step"] + resets) / elapsed}
-
-
-def start(cache: str) -> dict[str, float]:
-    """Wall time of `sayd critical-speed` with what is in a cache, s."""
-    environment = os.environ | ({"SAYD_CACHE_DIR": cache} if cache else {})
-    if not cache:  # nothing is compiled any more
-        subprocess.run([sys.executable, "-m", "sayd_env", *CRITICAL], capture_output=True, check=True)
-    begin = time.perf_counter()
-    subprocess.run(
-        [sys.executable, "-m", "sayd_env", *CRITICAL], capture_output=True, check=True, env=environment
-    )
-    return {"value": time.perf_counter() - begin}
+    found = learner.rate(calls * learner.vehicles, config.torch_threads, "value")
+    return {"value": found["value"], "share": found["value_share"]}
 
 
 def first_start() -> dict[str, float]:
     """Wall time of `sayd critical-speed` with nothing compiled, s."""
-    import tempfile  # noqa: PLC0415
+    from sayd_env.studies.bench.start import timed_start  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="sayd-bench-") as folder:
-        return start(str(Path(folder)))
+        return {"value": timed_start(CRITICAL, Path(folder))[0]}
 
 
 def later_start() -> dict[str, float]:
     """Wall time of `sayd critical-speed` with everything compiled, s."""
-    return start("")
+    from sayd_env.studies.bench.start import timed_start  # noqa: PLC0415
+
+    return {"value": [timed_start(CRITICAL, None)[0] for _ in range(2)][1]}
 
 
 def help_text() -> dict[str, float]:
@@ -232,10 +213,10 @@ def importing() -> dict[str, float]:
 
 
 MEASUREMENTS: dict[str, Callable[[], dict[str, float]]] = {
-    "passive-single": lambda: one_vehicle("passive"),
-    "sayd-single": lambda: one_vehicle("sayd"),
-    "passive-batch": lambda: batch("passive"),
-    "sayd-batch": lambda: batch("sayd"),
+    "passive-single": lambda: one_vehicle(0),
+    "sayd-single": lambda: one_vehicle(1),
+    "passive-batch": lambda: batch(0),
+    "sayd-batch": lambda: batch(1),
     "control-steps": control_steps,
     "single-control-steps": single_control_steps,
     "overhead": overhead,
@@ -251,4 +232,6 @@ MEASUREMENTS: dict[str, Callable[[], dict[str, float]]] = {
 
 
 if __name__ == "__main__":
+    if sys.argv[1] != "import":
+        _prepare()
     print(json.dumps(MEASUREMENTS[sys.argv[1]]()))

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
 
-from sayd_env.envs.registration import register_environments
-from sayd_env.studies.bench.spread import Spread, in_turn
+from sayd_env.studies.bench.spread import Effort, Quantity, Spread, Timed, in_turn, quantities
 
 ID = "SAYD/Nominal-v0"
 BATCH = 64
@@ -25,44 +23,6 @@ BATCH = 64
 LONG_EPISODE = 200.0
 """Episodes of the single environment so long that none ends in a window (s)."""
 YARDSTICK = "Ant-v5"
-
-
-@dataclass(frozen=True)
-class EnvironmentEffort:
-    """How much is measured."""
-
-    repetitions: int
-    window: float
-    """Wall time of a measured rate (s): some thousand steps, less than an episode of the batch."""
-    pairs: int
-    """Steps of which the compiled call is timed too, at most one episode's."""
-
-
-@dataclass(frozen=True)
-class ControlSteps:
-    """Figures of the environments."""
-
-    rates: dict[str, Spread]
-    """Control steps per second, by `RATES`; the yardstick's is left out where it cannot be made."""
-    overhead_us: Spread
-    """A step of the single environment minus its compiled call, median of many steps (us)."""
-    compiled_us: Spread
-    """The compiled call (us)."""
-    reset_s: dict[str, Spread]
-    """Wall time of a reset of ``single`` and of all vehicles of ``batch`` (s)."""
-    vehicles: int
-    """Vehicles of the batch."""
-
-    def as_dict(self) -> dict[str, float | None]:
-        """Medians by their keys; null is what could not be measured."""
-        rates = {name: self.rates[name].median if name in self.rates else None for name in RATES}
-        return {**rates, "overhead_us": self.overhead_us.median, "compiled_us": self.compiled_us.median}
-
-    def spreads(self) -> dict[str, Spread]:
-        """All that was measured, with the names of `as_dict`."""
-        return {**self.rates, "overhead_us": self.overhead_us, "compiled_us": self.compiled_us}
-
-
 RATES = {
     "single": "one environment, whole episodes",
     "single_without_resets": "one environment, without resets",
@@ -71,57 +31,65 @@ RATES = {
     "ant_v5": f"{YARDSTICK} of MuJoCo, whole episodes",
 }
 """Rates of control steps and what they are called."""
+TIMES = {"overhead_us": "step minus compiled call", "compiled_us": "compiled call"}
+"""Median times of a step of the single environment."""
 
 
 def measure_environments(
-    effort: EnvironmentEffort, threads: int, did: Callable[[], None] = lambda: None
-) -> ControlSteps:
+    effort: Effort, threads: int, did: Callable[[], None] = lambda: None
+) -> dict[str, dict[str, Quantity]]:
     """Measure the environments on this machine.
 
     Parameters
     ----------
-    effort : EnvironmentEffort
+    effort : Effort
     threads : int
         Threads of the batch.
     did : callable
         Told after each repetition.
+
+    Returns
+    -------
+    dict
+        ``control_steps_per_second`` by `RATES` and `TIMES`, without the yardstick's where it cannot be made,
+        and ``reset_s``: wall time of a reset of ``single`` and of all vehicles of ``batch``.
     """
-    register_environments()
-    single = gym.make(ID)
+    single, batch, yardstick = gym.make(ID), make_batch(threads), make_yardstick()
     running = gym.make(ID, episode_s=LONG_EPISODE)
-    batch: Any = gym.make_vec(
-        ID, num_envs=BATCH, vectorization_mode="vector_entry_point", num_threads=threads
-    )
-    yardstick = make_yardstick()
-    timer = StepTimer(single, effort.pairs)
     window: Any = effort.window  # gymnasium asks for an int, and compares
-    probes: dict[str, Callable[[], float]] = {
-        "single_reset": lambda: reset_time(single),
-        "overhead_us": timer.overhead,
-        "compiled_us": lambda: timer.compiled,
-        "single_without_resets": lambda: benchmark_step(running, window, seed=0),
-        "batch_reset": lambda: reset_time(batch),
-        "batch_without_resets": lambda: benchmark_vector_step(batch, window, seed=0),
-    }
-    if yardstick is not None:
-        probes["ant_v5"] = lambda: benchmark_step(yardstick, window, seed=0)
+
+    def measure() -> dict[str, float]:
+        found = {
+            "single_reset": reset_time(single),
+            **step_times(single, effort.pairs),
+            "single_without_resets": benchmark_step(running, window, seed=0),
+            "batch_reset": reset_time(batch),
+            "batch_without_resets": benchmark_vector_step(batch, window, seed=0),
+        }
+        episodes = {"single": episode_steps(single.unwrapped), "batch": episode_steps(batch) * BATCH}
+        for name, steps in episodes.items():
+            found[name] = whole_episodes(found[f"{name}_without_resets"], steps, found[f"{name}_reset"])
+        return found | ({} if yardstick is None else {"ant_v5": benchmark_step(yardstick, window, seed=0)})
+
     try:
-        measured = in_turn(probes, effort.repetitions, did)
-        steps = {"single": _episode_steps(single.unwrapped), "batch": _episode_steps(batch) * BATCH}
+        measured = in_turn([measure], effort.rounds, did)
     finally:
         for env in (single, running, batch, yardstick):
             if env is not None:
                 env.close()
-    for name, episode in steps.items():
-        pairs = zip(measured[f"{name}_without_resets"], measured[f"{name}_reset"], strict=True)
-        measured[name] = [whole_episodes(rate, episode, reset) for rate, reset in pairs]
-    return ControlSteps(
-        rates={name: Spread.of(measured[name]) for name in RATES if name in measured},
-        overhead_us=Spread.of(measured["overhead_us"]),
-        compiled_us=Spread.of(measured["compiled_us"]),
-        reset_s={name: Spread.of(measured[f"{name}_reset"]) for name in steps},
-        vehicles=BATCH,
-    )
+    steps = quantities(measured, RATES, "steps/s") | quantities(measured, TIMES, "us")
+    return {
+        "control_steps_per_second": steps,
+        "reset_s": {
+            "single": Quantity("reset of one environment", "s", Spread.of(measured["single_reset"])),
+            "batch": Quantity(f"reset of {BATCH} at once", "s", Spread.of(measured["batch_reset"])),
+        },
+    }
+
+
+def make_batch(threads: int) -> Any:
+    """The batch environment of `BATCH` vehicles."""
+    return gym.make_vec(ID, num_envs=BATCH, vectorization_mode="vector_entry_point", num_threads=threads)
 
 
 def make_yardstick() -> Any:
@@ -132,11 +100,11 @@ def make_yardstick() -> Any:
         return None
 
 
-def reset_time(env: Any) -> float:
-    """Wall time of the reset to the next episodes (s)."""
-    begin = time.perf_counter()
+def reset_time(env: Any, clock: Callable[[], float] = time.perf_counter) -> float:
+    """Time of the reset to the next episodes by a clock (s)."""
+    begin = clock()
     env.reset()
-    return time.perf_counter() - begin
+    return clock() - begin
 
 
 def whole_episodes(rate: float, episode: int, reset: float) -> float:
@@ -144,53 +112,23 @@ def whole_episodes(rate: float, episode: int, reset: float) -> float:
     return episode / (episode / rate + reset)
 
 
-def _episode_steps(env: Any) -> int:
+def episode_steps(env: Any) -> int:
+    """Control steps of an episode of a bare environment."""
     steps: int = env.batch.steps
     return steps
 
 
-class StepTimer:
-    """Times steps of a single environment together with their compiled calls.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        A `SaydEnv` in its wrappers, not reset in between.
-    pairs : int
-        Steps in one measurement.
-
-    Attributes
-    ----------
-    compiled : float
-        Median time of the compiled call in the last measurement (us).
-    """
-
-    def __init__(self, env: Any, pairs: int) -> None:
-        self.env = env
-        self.pairs = min(pairs, _episode_steps(env.unwrapped) - 1)
-        self.compiled = float("nan")
-
-    def overhead(self) -> float:
-        """Median of step minus compiled call, with the episode that begins now (us)."""
-        env = self.env
-        env.reset()
-        env.step(env.action_space.sample())  # finds the compiled loop of the new vehicle
-        vehicles, calls, steps = env.unwrapped.batch.vehicles, [], []
-        loop = vehicles._compiled  # looked into on purpose: what is outside it is the overhead
-
-        def timed(*arguments: Any) -> None:
-            begin = time.perf_counter_ns()
-            loop(*arguments)
-            calls.append(time.perf_counter_ns() - begin)
-
-        vehicles._compiled = timed
-        try:
-            for _ in range(self.pairs):
-                action = env.action_space.sample()
-                begin = time.perf_counter_ns()
-                env.step(action)
-                steps.append(time.perf_counter_ns() - begin)
-        finally:
-            vehicles._compiled = loop
-        self.compiled = 1e-3 * float(np.median(calls))
-        return 1e-3 * float(np.median(np.subtract(steps, calls)))
+def step_times(env: Any, count: int) -> dict[str, float]:
+    """Times of a step of a single environment by `TIMES`: medians of steps of the next episode (us)."""
+    env.reset()
+    env.step(env.action_space.sample())  # finds the compiled loop of the new vehicle
+    # Looked into on purpose: what is outside the compiled loop is the overhead.
+    compiled, steps = Timed(env.unwrapped.batch.vehicles, "_compiled"), Timed(env, "step")
+    try:
+        for _ in range(min(count, episode_steps(env.unwrapped) - 1)):
+            env.step(env.action_space.sample())
+    finally:
+        compiled.stop()
+        steps.stop()
+    overhead = np.median(np.subtract(steps.seconds, compiled.seconds))
+    return {"overhead_us": 1e6 * float(overhead), "compiled_us": 1e6 * float(np.median(compiled.seconds))}

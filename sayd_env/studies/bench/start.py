@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from sayd_env.config import StudyError
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
-from sayd_env.studies.bench.spread import Spread
+from sayd_env.studies.bench.spread import Effort, Quantity, quantities
 
 # What `sayd` does, in a process of its own, which tells its peak memory (kB) at the end where it can. The
 # usage that a parent is told counts the parent's own memory, too, since a process begins as its copy.
@@ -33,29 +33,41 @@ _SHORT = ("--seeds", "1", "--json", "--set", "assessment.run_in=0", "--set", "as
 
 
 def measure_starts(
-    scenario: Scenario, speed: float, first: int, later: int, did: Callable[[str], None]
-) -> tuple[dict[str, Spread], dict[str, float] | None]:
-    """Time and memory of a short ``sayd evaluate``, with nothing compiled yet and with everything."""
+    scenario: Scenario, speed: float, effort: Effort, did: Callable[[str], None]
+) -> tuple[dict[str, Quantity], dict[str, float] | None]:
+    """Time and memory (MB; None if unknown) of ``first`` and ``later`` starts of a short evaluation."""
     results: dict[str, list[tuple[float, float]]] = {"first": [], "later": []}
     with tempfile.TemporaryDirectory(prefix="sayd-bench-") as folder:
         config = Path(folder) / "scenario.yaml"
         config.write_text(json.dumps(scenario.model_dump(mode="json")))
-        command = [sys.executable, "-c", _PROGRAM + _PEAK, "evaluate", "--config", str(config), *_SHORT]
-        command += ["--speeds", f"{speed * KMH:.6g}"]
-        for k in range(first):
-            results["first"].append(_timed(command, Path(folder) / f"cache-{k}"))
-            did("first start")
-        for _ in range(later):
-            results["later"].append(_timed(command, Path(folder) / "cache-0"))
-            did("later start")
-    startup = {name: Spread.of([seconds for seconds, _ in pairs]) for name, pairs in results.items()}
+        job = ["evaluate", "--config", str(config), *_SHORT, "--speeds", f"{speed * KMH:.6g}"]
+        starts = [("first", k) for k in range(effort.first_starts)] + [("later", 0)] * effort.later_starts
+        for name, k in starts:
+            results[name].append(timed_start(job, Path(folder) / f"cache-{k}"))
+            did(f"{name} start")
+    seconds = {name: [s for s, _ in pairs] for name, pairs in results.items()}
     memory = {name: float(np.median([peak for _, peak in pairs])) for name, pairs in results.items()}
-    return startup, memory if all(np.isfinite(list(memory.values()))) else None
+    known = all(np.isfinite(list(memory.values())))
+    return quantities(seconds, {name: f"{name} start" for name in results}, "s"), memory if known else None
 
 
-def _timed(command: list[str], cache: Path) -> tuple[float, float]:
-    """Wall time (s) and peak memory (MB, NaN if unknown) of a process."""
-    environment = os.environ | {"SAYD_CACHE_DIR": str(cache)}
+def timed_start(arguments: Sequence[str], cache: Path | None) -> tuple[float, float]:
+    """Wall time (s) and peak memory (MB, NaN if unknown) of ``sayd`` in a process of its own.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Of ``sayd``.
+    cache : Path or None
+        Holds what is compiled; None for this process's own.
+
+    Raises
+    ------
+    StudyError
+        It fails.
+    """
+    environment = os.environ | ({} if cache is None else {"SAYD_CACHE_DIR": str(cache)})
+    command = [sys.executable, "-c", _PROGRAM + _PEAK, *arguments]
     begin = time.perf_counter()
     process = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     elapsed = time.perf_counter() - begin

@@ -13,40 +13,27 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.studies.bench.spread import Spread, in_turn
+from sayd_env.studies.bench.spread import Effort, Quantity, Spread, Timed, in_turn, quantities
 
 if TYPE_CHECKING:
     from sayd_env.agents.config import TrainConfig
-
-Single = npt.NDArray[np.float32]
 
 ALGORITHMS = ("ppo", "sac")
 ENVIRONMENT, SHARE, UNCAPPED = "environment", "_share", "_uncapped"
 
 
 @dataclass(frozen=True)
-class TrainingEffort:
-    """How much is measured."""
-
-    repetitions: int
-    steps: int
-    """Steps of all vehicles together in one repetition, rounded up to what the algorithm does at a time."""
-    uncapped: bool = True
-    """Measure with all threads for torch, too."""
-
-
-@dataclass(frozen=True)
 class TrainingRates:
     """Figures of the trainings."""
 
-    rates: dict[str, Spread]
+    rates: dict[str, Quantity]
     """Steps of all vehicles together per second: ``environment``, `ALGORITHMS`, the same with `UNCAPPED`."""
-    environment_share: dict[str, Spread]
+    environment_share: dict[str, float]
     """Share of an algorithm's time that is the environment's (-); the rest is the learner's."""
     vehicles: dict[str, int]
     """Vehicles side by side; ``environment`` has those of the first algorithm."""
@@ -55,42 +42,26 @@ class TrainingRates:
 
     def as_dict(self) -> dict[str, Any]:
         """Medians by their keys."""
-        return {
-            **{name: spread.median for name, spread in self.rates.items()},
-            "environment_share": {name: spread.median for name, spread in self.environment_share.items()},
+        rates = {name: rate.spread.median for name, rate in self.rates.items()}
+        return rates | {
+            "environment_share": self.environment_share,
             "lanes": self.vehicles,
             "threads": self.threads,
         }
 
     def note(self) -> str:
         """Return a sentence about the shares."""
-        shares = ", ".join(f"{k.upper()} {s.median:.0%}" for k, s in self.environment_share.items())
+        shares = ", ".join(f"{name.upper()} {share:.0%}" for name, share in self.environment_share.items())
         return (
             f"training: packaged configurations, simulator on {self.threads['simulator']} threads; the "
             f"environment's share of the time: {shares}, the rest is the learner's"
         )
 
-    def label(self, name: str) -> str:
-        """What a rate is called."""
-        if name == ENVIRONMENT:
-            return f"training: environment alone, {self.vehicles[name]} vehicles"
-        algorithm = name.removesuffix(UNCAPPED)
-        torch = self.threads["torch_uncapped" if name.endswith(UNCAPPED) else "torch"]
-        return f"training: {algorithm.upper()}, {self.vehicles[algorithm]} vehicles, torch on {torch}"
-
 
 def measure_training(
-    effort: TrainingEffort, threads: int, did: Callable[[], None] = lambda: None
+    effort: Effort, threads: int, did: Callable[[], None] = lambda: None
 ) -> TrainingRates | None:
-    """Measure the packaged trainings on this machine.
-
-    Parameters
-    ----------
-    effort : TrainingEffort
-    threads : int
-        Threads of the simulator.
-    did : callable
-        Told after each repetition.
+    """Measure the packaged trainings with so many threads of the simulator; `did` is told of repetitions.
 
     Returns
     -------
@@ -101,40 +72,36 @@ def measure_training(
         import torch  # noqa: PLC0415 - may be missing
 
         configs = {name: _config(name, threads) for name in ALGORITHMS}
-        learners = {name: _learner(config) for name, config in configs.items()}
+        learners = {name: make_learner(config) for name, config in configs.items()}
     except ModuleNotFoundError:
-        for _ in range(effort.repetitions):
+        for _ in range(effort.training_rounds):
             did()
         return None
     before = torch.get_num_threads()
-    first, *_ = learners.values()
-    probes: dict[str, Callable[[], float]] = {}
-    for name, learner in learners.items():
-        own = configs[name].torch_threads
-        probes[name] = lambda learner=learner, own=own: learner.rate(effort.steps, own)  # type: ignore[misc]
-        probes[name + SHARE] = lambda learner=learner: learner.share  # type: ignore[misc]
-    probes[ENVIRONMENT] = lambda: first.random_steps(effort.steps)
+    capped = {name: config.torch_threads for name, config in configs.items()}
+    first, steps = learners[ALGORITHMS[0]], effort.training_steps
+    probes = [partial(learner.rate, steps, capped[name], name) for name, learner in learners.items()]
     try:
-        measured = in_turn(probes, effort.repetitions, did)
+        measured = in_turn(
+            [*probes, lambda: {ENVIRONMENT: first.random_steps(steps)}], effort.training_rounds, did
+        )
         if effort.uncapped:
-            few = effort.steps // 20  # on busy cores it is up to a hundred times slower
+            few = steps // 20  # on busy cores it is up to a hundred times slower
             for name, learner in learners.items():
-                measured[name + UNCAPPED] = [learner.rate(few, before)]
+                measured[name + UNCAPPED] = list(learner.rate(few, before, name).values())[:1]
     finally:
         torch.set_num_threads(before)
         for learner in learners.values():
             learner.env.close()
-    order = (ENVIRONMENT, *ALGORITHMS, *(name + UNCAPPED for name in ALGORITHMS))
+    labels = {ENVIRONMENT: f"training: environment alone, {first.vehicles} vehicles"}
+    for end, torches in (("", max(capped.values())), (UNCAPPED, before)):
+        for name, learner in learners.items():
+            labels[name + end] = f"training: {name.upper()}, {learner.vehicles} vehicles, torch on {torches}"
     return TrainingRates(
-        rates={name: Spread.of(measured[name]) for name in order if name in measured},
-        environment_share={name: Spread.of(measured[name + SHARE]) for name in ALGORITHMS},
-        vehicles={ENVIRONMENT: first.vehicles}
-        | {name: learner.vehicles for name, learner in learners.items()},
-        threads={
-            "simulator": threads,
-            "torch": max(config.torch_threads for config in configs.values()),
-            "torch_uncapped": before,
-        },
+        rates=quantities(measured, labels, "steps/s"),
+        environment_share={name: Spread.of(measured[name + SHARE]).median for name in ALGORITHMS},
+        vehicles={ENVIRONMENT: first.vehicles} | {name: each.vehicles for name, each in learners.items()},
+        threads={"simulator": threads, "torch": max(capped.values()), "torch_uncapped": before},
     )
 
 
@@ -152,7 +119,8 @@ def _config(name: str, threads: int) -> TrainConfig:
     return load_train(name, changes)
 
 
-def _learner(config: TrainConfig) -> Learner:
+def make_learner(config: TrainConfig) -> Learner:
+    """A training that is timed."""
     from sayd_env.agents.learner import make_model  # noqa: PLC0415 - imports torch, which may be missing
     from sayd_env.agents.learning_env import make_learning_env  # noqa: PLC0415
 
@@ -162,108 +130,52 @@ def _learner(config: TrainConfig) -> Learner:
 
 
 class Learner:
-    """A training that is timed.
+    """A training that is timed: its environment's steps and resets, and all of it.
 
     Parameters
     ----------
     env : VecEnv
-        Of `agents.learning_env`.
+        Of `agents.learning_env`; its `step` and `reset` are replaced.
     model
         The algorithm of Stable-Baselines3 on it.
     vehicles : int
         Vehicles side by side.
     episode : int
         Control steps of an episode.
-
-    Attributes
-    ----------
-    share : float
-        The environment's share of the time in the last `rate`.
     """
 
     def __init__(self, env: Any, model: Any, vehicles: int, episode: int) -> None:
-        self.env, self.model, self.vehicles = env, model, vehicles
-        self.clock = StepClock(env)
-        self.share = float("nan")
+        self.env, self.model, self.vehicles, self.episode = env, model, vehicles, episode
         self._networks = env.num_envs // vehicles
-        self._episode = episode
         self._random = np.random.default_rng(0)
+        self._steps, self._resets = Timed(env, "step"), Timed(env, "reset")
 
-    def rate(self, steps: int, torch_threads: int) -> float:
-        """Steps of all vehicles per second, learning on so many threads."""
+    def rate(self, steps: int, torch_threads: int, name: str = "value") -> dict[str, float]:
+        """Steps of all vehicles per second, learning on so many threads, by a name, and the share by another.
+
+        The share, by the name with `SHARE` behind it, is the environment's part of the time.
+        """
         import torch  # noqa: PLC0415 - may be missing
 
         torch.set_num_threads(torch_threads)
-        self.clock.clear()
-        before, begin = self.model.num_timesteps, time.perf_counter()
+        self._steps.seconds.clear()
+        before, begin, resets = self.model.num_timesteps, time.perf_counter(), len(self._resets.seconds)
         self.model.learn(steps * self._networks, log_interval=None, reset_num_timesteps=False)
-        elapsed = time.perf_counter() - begin
-        done = (self.model.num_timesteps - before) / self._networks
-        learner = (elapsed - self.clock.total) / done
+        learner = time.perf_counter() - begin - sum(self._steps.seconds) - sum(self._resets.seconds[resets:])
         environment = self._environment_s()
-        together: float = environment + learner
-        self.share = environment / together
-        return 1.0 / together
+        together = environment + learner * self._networks / (self.model.num_timesteps - before)
+        return {name: 1.0 / together, name + SHARE: environment / together}
 
     def random_steps(self, steps: int) -> float:
         """Steps of all vehicles per second with random actions and no learner, after the first `rate`."""
         env = self.env
-        self.clock.clear()
+        self._steps.seconds.clear()
         for _ in range(-(-steps // self.vehicles)):
             actions = self._random.uniform(-1.0, 1.0, (env.num_envs, *env.action_space.shape))
             env.step(actions.astype(np.float32))
         return 1.0 / self._environment_s()
 
     def _environment_s(self) -> float:
-        """Time of one vehicle's step, with its part of a reset (s)."""
-        seconds: float = (self.clock.step_s + self.clock.reset_s / self._episode) / self.vehicles
-        return seconds
-
-
-class StepClock:
-    """Times steps and resets of a vector environment, which it changes.
-
-    Parameters
-    ----------
-    env : VecEnv
-
-    Attributes
-    ----------
-    total : float
-        Time spent in the environment since `clear` (s).
-    reset_s : float
-        Time of the last reset (s).
-    """
-
-    def __init__(self, env: Any) -> None:
-        self._step, self._reset = env.step, env.reset
-        env.step, env.reset = self._timed_step, self._timed_reset
-        self.reset_s = float("nan")
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget the steps that have been timed."""
-        self.total, self._within, self._count = 0.0, 0.0, 0
-
-    @property
-    def step_s(self) -> float:
-        """Mean time of a step in which no episode ended (s)."""
-        mean: float = self._within / self._count
-        return mean
-
-    def _timed_step(self, actions: Single) -> Any:
-        begin = time.perf_counter()
-        result = self._step(actions)
-        elapsed = time.perf_counter() - begin
-        self.total += elapsed
-        if not np.any(result[2]):
-            self._within += elapsed
-            self._count += 1
-        return result
-
-    def _timed_reset(self) -> Any:
-        begin = time.perf_counter()
-        result = self._reset()
-        self.reset_s = time.perf_counter() - begin
-        self.total += self.reset_s
-        return result
+        """Time of one vehicle's step, the median, which ends no episode, with its part of a reset (s)."""
+        step, reset = np.median(self._steps.seconds), self._resets.seconds[-1]
+        return float(step + reset / self.episode) / self.vehicles

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,6 @@ from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.parts import repeat, repeat_sayds
 from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.physics.step import rates
-from sayd_env.physics.track.realisation import TrackRealisation
 
 METHODS = ("RK45", "DOP853")
 """SciPy's integrators that compete; the fastest that is accurate enough is reported. LSODA and the implicit
@@ -61,30 +60,18 @@ def with_dampers(scenario: Scenario) -> tuple[Scenario, Scenario]:
     )
 
 
-def single_factor(
-    model: VehicleModel,
-    speed: float,
-    track: TrackRealisation,
+def realtime_factor(
+    vehicles: Simulator | BatchSimulator,
     span: float,
+    count: int = 1,
     clock: Callable[[], float] = time.perf_counter,
 ) -> float:
-    """Simulated seconds of one vehicle on one core over the seconds of a clock: by default wall time."""
-    simulator = Simulator(model, speed, track=track)
+    """Simulated seconds of so many vehicles together over the seconds of a clock: by default wall time."""
+    model = vehicles.model if isinstance(vehicles, Simulator) else vehicles.simulators[0].model
     samples = samples_of(model, span)
     begin = clock()
-    simulator.advance(samples)
-    return span / (clock() - begin)
-
-
-def batch_factor(
-    model: VehicleModel, speed: float, tracks: Sequence[TrackRealisation], span: float, threads: int
-) -> float:
-    """Simulated seconds of all vehicles of a batch, one on each track, over wall seconds."""
-    batch = BatchSimulator([Simulator(model, speed, track=track) for track in tracks], threads)
-    samples = samples_of(model, span)
-    begin = time.perf_counter()
-    batch.advance(samples)
-    return len(tracks) * span / (time.perf_counter() - begin)
+    vehicles.advance(samples)
+    return count * span / (clock() - begin)
 
 
 def samples_of(model: VehicleModel, span: float) -> int:
@@ -101,12 +88,15 @@ class PartTimer:
         The vehicle; it runs on for a while here.
     evaluations : int
         Evaluations in one measurement.
+    sayds : bool
+        Time its semi-active dampers, the parts `SAYD_PARTS`, instead of `PARTS`.
     """
 
-    def __init__(self, simulator: Simulator, evaluations: int) -> None:
-        self.simulator = simulator
-        self.evaluations = evaluations
-        states = [self._moved(SETTLING), self._moved(0.05)]
+    def __init__(self, simulator: Simulator, evaluations: int, *, sayds: bool = False) -> None:
+        self.simulator, self.evaluations, self.sayds = simulator, evaluations, sayds
+        # The semi-active dampers' mounts are stiff: their two instants are a sample apart.
+        sample = 1.0 / simulator.model.scenario.assessment.sample_rate
+        states = [self._moved(SETTLING), self._moved(sample if sayds else 0.05)]
         self.q, self.v = (np.array([s[k] for s in states]) for k in range(2))
 
     def _moved(self, span: float) -> tuple[Array, Array]:
@@ -114,40 +104,15 @@ class PartTimer:
         return self.simulator.state.q.copy(), self.simulator.state.v.copy()
 
     def microseconds(self, part: int) -> float:
-        """Processor time of one evaluation of a part, an index in `PARTS` (us)."""
-        s = self.simulator
+        """Processor time of one evaluation of a part, by its place in `PARTS` or `SAYD_PARTS` (us)."""
+        s, count = self.simulator, self.evaluations
         s.work.f[:] = 0.0  # it sums up whatever a part adds
         begin = time.thread_time()
-        repeat(part, self.evaluations, s.plant, s.state, s.work, self.q, self.v)
-        return 1e6 * (time.thread_time() - begin) / self.evaluations
-
-
-class SaydTimer:
-    """Times the semi-active dampers of a vehicle that has run for a while.
-
-    Parameters
-    ----------
-    simulator : Simulator
-        The vehicle; it runs on for a while here.
-    evaluations : int
-        Evaluations in one measurement.
-    """
-
-    def __init__(self, simulator: Simulator, evaluations: int) -> None:
-        self.simulator = simulator
-        self.evaluations = evaluations
-        simulator.advance(samples_of(simulator.model, SETTLING))
-        before = simulator.state.q.copy()
-        simulator.advance(1)
-        self.q = np.array([before, simulator.state.q])
-
-    def microseconds(self, part: int) -> float:
-        """Processor time of one evaluation of a part, an index in `SAYD_PARTS` (us)."""
-        s = self.simulator
-        s.work.f[:] = 0.0
-        begin = time.thread_time()
-        repeat_sayds(part, self.evaluations, s.plant, s.state, s.work, self.q)
-        return 1e6 * (time.thread_time() - begin) / self.evaluations
+        if self.sayds:
+            repeat_sayds(part, count, s.plant, s.state, s.work, self.q)
+        else:
+            repeat(part, count, s.plant, s.state, s.work, self.q, self.v)
+        return 1e6 * (time.thread_time() - begin) / count
 
 
 def measuring_rows(model: VehicleModel) -> Array:

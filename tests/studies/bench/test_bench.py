@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,21 +20,22 @@ from sayd_env.config.scenario import load_scenario
 from sayd_env.physics.parts import PARTS, SAYD_PARTS
 from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.report.files import document, json_text
+from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.studies.bench import bench as module
 from sayd_env.studies.bench import environment as bench_environment
+from sayd_env.studies.bench import executors as bench_executors
+from sayd_env.studies.bench import spread as bench_spread
 from sayd_env.studies.bench import start as bench_start
-from sayd_env.studies.bench.bench import BenchResult, Effort, bench
-from sayd_env.studies.bench.environment import (
-    EnvironmentEffort,
-    StepTimer,
-    make_yardstick,
-    whole_episodes,
-)
-from sayd_env.studies.bench.spread import Spread
-from sayd_env.studies.bench.training import TrainingEffort, TrainingRates
-from sayd_env.studies.bench.vehicle import FirstOrder, PartTimer, SaydTimer, match_accuracy, with_dampers
+from sayd_env.studies.bench.bench import BenchResult, bench
+from sayd_env.studies.bench.environment import make_yardstick, step_times, whole_episodes
+from sayd_env.studies.bench.executors import measure_executors, short_runs
+from sayd_env.studies.bench.spread import Effort, Quantity, Spread
+from sayd_env.studies.bench.training import TrainingRates
+from sayd_env.studies.bench.vehicle import FirstOrder, PartTimer, match_accuracy, with_dampers
 
 SPEED = 350.0 / 3.6
+WITH_SAYDS = {"sayd_single", "sayd_single_processor_time", "sayd_batch", "valves", "hydraulics", "total_sayd"}
+NO_RUNS = {"runs_per_second": {}, "executor_start_s": {}}
 
 
 @pytest.fixture(scope="module")
@@ -52,19 +52,19 @@ def sayd_model() -> VehicleModel:
 def result() -> BenchResult:
     """A quick bench of a small batch, whose starts are those of a program that only uses some memory.
 
-    No yardstick, installed or not, and no training.
+    No yardstick, installed or not, no training, and no runs.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench_start, "_PROGRAM", "block = bytearray(50_000_000); status = 0")
         patch.setattr(bench_environment, "BATCH", 4)
         patch.setattr(bench_environment, "make_yardstick", lambda: None)
         patch.setattr(module, "measure_training", lambda effort, threads, did: did())
-        few = EnvironmentEffort(1, 0.1, 50), TrainingEffort(1, 10)
-        patch.setattr(module, "QUICK", Effort(2, 1.0, 1000, 0.1, 1, 2, *few))
+        patch.setattr(module, "measure_executors", lambda choices, effort, did: did() or NO_RUNS)
+        patch.setattr(module, "QUICK", Effort(2, 1.0, 1000, 0.1, 1, 2, 1, 0.1, 50, 1, 10))
         heard: list[tuple[float, float, str]] = []
         result = bench(load_scenario(), quick=True, progress=lambda *report: heard.append(report))
-    assert [done for done, _, _ in heard] == [1, 2, 3, 4, 5, 6, 7, 8]
-    assert {total for _, total, _ in heard} == {8}
+    assert [done for done, _, _ in heard] == list(range(1, 10))
+    assert {total for _, total, _ in heard} == {9}
     return result
 
 
@@ -102,13 +102,15 @@ def test_keys(result: BenchResult) -> None:
 def test_parts_make_a_step(result: BenchResult) -> None:
     costs = result.as_dict()["step_us"]
     assert min(costs[part] for part in PARTS) > 0.0
-    spread = result.step_us["total"]
+    spread = result.measured["step_us"]["total"].spread
     assert spread.minimum <= spread.median <= spread.maximum
     # The total is the single vehicle's time: h / (cost of a step) is its real-time factor.
     for total, kind in (("total", "passive"), ("total_sayd", "sayd")):
-        factor = result.realtime[f"{kind}_single_processor_time"]
-        assert 1e6 * result.step / result.step_us[total].minimum == pytest.approx(factor.maximum)
-        assert factor.maximum > 0.9 * result.realtime[f"{kind}_single"].maximum
+        realtime = result.measured["realtime_factor"]
+        factor = realtime[f"{kind}_single_processor_time"].spread
+        least = result.measured["step_us"][total].spread.minimum
+        assert 1e6 * result.step / least == pytest.approx(factor.maximum)
+        assert factor.maximum > 0.9 * realtime[f"{kind}_single"].spread.maximum
     assert 0.0 < costs["valves"] < costs["hydraulics"] < costs["total_sayd"]
 
 
@@ -139,9 +141,10 @@ def test_training_stands_beside_the_rest(result: BenchResult) -> None:
     """Where it can be measured; where it cannot, a line says why."""
     assert result.as_dict()["training"] is None
     rates = {
-        name: Spread.of([rate]) for name, rate in (("environment", 900.0), ("ppo", 300.0), ("sac", 100.0))
+        name: Quantity(f"training: {name}", "steps/s", Spread.of([rate]))
+        for name, rate in (("environment", 900.0), ("ppo", 300.0), ("sac", 100.0))
     }
-    shares = {"ppo": Spread.of([0.25]), "sac": Spread.of([0.5])}
+    shares = {"ppo": 0.25, "sac": 0.5}
     vehicles, threads = (
         {"environment": 32, "ppo": 32, "sac": 8},
         {"simulator": 2, "torch": 1, "torch_uncapped": 2},
@@ -156,7 +159,7 @@ def test_training_stands_beside_the_rest(result: BenchResult) -> None:
     trained.summary(console)
     text = console.export_text()
     assert text.count("torch and Stable-Baselines3 are not installed") == 1
-    assert "SAC, 8 vehicles, torch on 1" in text
+    assert "training: sac" in text
     assert "share of the time: PPO 25%, SAC 50%" in text
     figure = Figure()
     trained.plots()["bench"](figure)
@@ -167,8 +170,11 @@ def test_a_vehicle_without_yaw_dampers(result: BenchResult) -> None:
     """It has no figures with semi-active ones: null in the output, no rows, no share."""
     passive = replace(
         result,
-        realtime={name: s for name, s in result.realtime.items() if "sayd" not in name},
-        step_us={name: s for name, s in result.step_us.items() if name in (*PARTS, "integration", "total")},
+        measured=result.measured
+        | {
+            group: {name: q for name, q in result.measured[group].items() if name not in WITH_SAYDS}
+            for group in ("realtime_factor", "step_us")
+        },
     )
     assert passive.as_dict()["realtime_factor"]["sayd_single"] is None
     console = Console(width=150, record=True)
@@ -205,7 +211,7 @@ def test_parts_of_a_moving_vehicle(model: VehicleModel) -> None:
 
 def test_semi_active_dampers_of_a_moving_vehicle(sayd_model: VehicleModel) -> None:
     """The repeated dampers move on: their pressures stay finite, change, and never become denormal."""
-    timer = SaydTimer(Simulator(sayd_model, SPEED), 20_000)
+    timer = PartTimer(Simulator(sayd_model, SPEED), 20_000, sayds=True)
     for part in range(len(SAYD_PARTS)):
         before = timer.simulator.state.sayd.copy()
         assert timer.microseconds(part) > 0.0
@@ -242,8 +248,7 @@ def test_overhead_is_what_is_outside_the_compiled_call(monkeypatch: pytest.Monke
         nonlocal now
         now += seconds
 
-    clock = SimpleNamespace(perf_counter_ns=lambda: round(1e9 * now), perf_counter=lambda: now)
-    monkeypatch.setattr(bench_environment, "time", clock)
+    monkeypatch.setattr(bench_spread, "time", SimpleNamespace(perf_counter=lambda: now))
 
     class Known:
         def __init__(self) -> None:
@@ -262,9 +267,7 @@ def test_overhead_is_what_is_outside_the_compiled_call(monkeypatch: pytest.Monke
 
     env = Known()
     loop = env.vehicles._compiled
-    timer = StepTimer(env, 15)
-    assert timer.overhead() == pytest.approx(1000.0)
-    assert timer.compiled == pytest.approx(2000.0)
+    assert step_times(env, 15) == pytest.approx({"overhead_us": 1000.0, "compiled_us": 2000.0})
     assert env.vehicles._compiled is loop
 
 
@@ -276,11 +279,22 @@ def test_yardstick_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> Non
     assert make_yardstick() is None
 
 
-def test_a_start_that_fails(tmp_path: Path) -> None:
+def test_a_start_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench_start, "_PROGRAM", "import sys; sys.exit('out of order')")
     with pytest.raises(StudyError, match="a start of sayd failed: out of order"):
-        bench_start._timed([sys.executable, "-c", "import sys; sys.exit('out of order')"], tmp_path)
+        bench_start.timed_start([], tmp_path)
 
 
 def test_a_speed_out_of_range() -> None:
     with pytest.raises(ConfigError, match="outside the range"):
         bench(load_scenario(), 1000.0)
+
+
+def test_runs_by_executor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every executor makes the same runs."""
+    assert len(short_runs()) == 32
+    monkeypatch.setattr(bench_executors, "SEEDS", 1)
+    assert [run.policy.title for run in short_runs()] == ["passive", "mppt2"]
+    found = measure_executors([ExecutorChoice("threads", workers=1)], replace(Effort(), rounds=1))
+    assert set(found) == {"runs_per_second", "executor_start_s"}
+    assert found["runs_per_second"]["threads"].spread.median > 0.0

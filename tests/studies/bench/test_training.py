@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from sayd_env.agents.config import load_train
+from sayd_env.studies.bench import spread as bench_spread
 from sayd_env.studies.bench import training as bench_training
-from sayd_env.studies.bench.training import Learner, TrainingEffort, measure_training
+from sayd_env.studies.bench.spread import Effort
+from sayd_env.studies.bench.training import Learner, measure_training
 
 VEHICLES, NETWORKS, EPISODE = 4, 2, 100
 
@@ -67,6 +69,7 @@ class Model:
 def learner(monkeypatch: pytest.MonkeyPatch) -> Learner:
     clock = Clock()
     monkeypatch.setattr(bench_training, "time", clock)
+    monkeypatch.setattr(bench_spread, "time", clock)
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(set_num_threads=lambda n: None))
     env = Environment(clock)
     return Learner(env, Model(clock, env), VEHICLES, EPISODE)
@@ -75,15 +78,15 @@ def learner(monkeypatch: pytest.MonkeyPatch) -> Learner:
 def test_rates_are_those_over_whole_episodes(learner: Learner) -> None:
     """A step of 4 vehicles is 2 ms, its part of a reset 40 / 100 ms, the learner's 3 ms."""
     for _ in range(3):  # where episodes end in the window does not show
-        assert learner.rate(60, 1) == pytest.approx(VEHICLES / 5.4e-3)
-        assert learner.share == pytest.approx(2.4 / 5.4)
+        expected = {"ppo": VEHICLES / 5.4e-3, "ppo_share": 2.4 / 5.4}
+        assert learner.rate(60, 1, "ppo") == pytest.approx(expected)
     assert learner.random_steps(60) == pytest.approx(VEHICLES / 2.4e-3)
 
 
 def test_torch_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     done: list[None] = []
-    assert measure_training(TrainingEffort(3, 100), 2, lambda: done.append(None)) is None
+    assert measure_training(Effort(training_rounds=3), 2, lambda: done.append(None)) is None
     assert len(done) == 3
 
 
@@ -99,10 +102,10 @@ def test_the_packaged_trainings_are_measured(monkeypatch: pytest.MonkeyPatch, tm
     }
     monkeypatch.setattr(bench_training, "_config", lambda name, threads: load_train(name, small + of[name]))
     before = torch.get_num_threads()
-    found = measure_training(TrainingEffort(1, 32), 1)
+    found = measure_training(Effort(training_rounds=1, training_steps=32), 1)
     assert found is not None
     assert torch.get_num_threads() == before
     assert list(found.rates) == ["environment", "ppo", "sac", "ppo_uncapped", "sac_uncapped"]
-    assert all(spread.minimum > 0.0 for spread in found.rates.values())
-    assert all(0.0 < spread.median < 1.0 for spread in found.environment_share.values())
+    assert all(rate.spread.minimum > 0.0 for rate in found.rates.values())
+    assert all(0.0 < share < 1.0 for share in found.environment_share.values())
     assert found.as_dict()["lanes"] == {"environment": 2, "ppo": 2, "sac": 2}
