@@ -3,73 +3,61 @@
 from __future__ import annotations
 
 import json
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
-from rich.markup import escape
 
 from sayd_env.cli import options
-from sayd_env.cli.job import Job, command_text
+from sayd_env.cli.command import Plan, command
+from sayd_env.cli.options import option, output, runs
+from sayd_env.cli.output import RESULTS, command_text
+from sayd_env.cli.parsers import Number
 from sayd_env.config.errors import ConfigError
 
-LARGEST_SEED = 999_999
-RESULTS = Path("results")
+GROUP = "Learning"
 
 
-class Algorithm(StrEnum):
-    """How a policy learns."""
-
-    PPO = "ppo"
-    SAC = "sac"
-
-
+@command(GROUP, "ppo --seed 7 --set total_steps=200000", without=("wide",))
 def train(
     algorithm: Annotated[
-        Algorithm | None, typer.Argument(help="ppo or sac: its packaged configuration.", show_default=False)
+        Literal["ppo", "sac"] | None,
+        typer.Argument(metavar="[ppo|sac]", help="Its packaged configuration.", show_default=False),
     ] = None,
     *,
-    config: options.Config = None,
+    config: Annotated[
+        str | None, option("--config", "NAME|FILE", options.CONFIG, complete=options.packaged("train"))
+    ] = None,
     assignments: options.Set = None,
     resume: Annotated[
         Path | None,
-        typer.Option(
-            "--resume",
-            metavar="DIR",
-            help="Go on with the run in this directory, with its configuration. Only total_steps may change.",
-        ),
+        option("--resume", "DIR", "Go on with the run in this directory. Only total_steps may change."),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(
+        runs(
             "--seed",
-            parser=options.whole("--seed", 0, LARGEST_SEED),
-            metavar="S",
-            help="Seed of weights, exploration and episodes. Default: the configuration's.",
+            "S",
+            "Seed of weights, exploration and episodes. Default: the configuration's.",
+            Number(0, 999_999, whole=True),
         ),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
+        runs(
             "--workers",
-            parser=options.whole("--workers", 1, options.MAX_WORKERS),
-            metavar="N",
-            help="Threads of the simulator (default: all cores); results do not change.",
+            "N",
+            "Threads of the simulator; results do not change. Default: the configuration's "
+            "(environment.threads), which is 1.",
+            options.WORKERS,
         ),
     ] = None,
     executor: options.Executor = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            rich_help_panel=options.OUTPUT,
-            help="New directory of the run. Default: results/train-ALGORITHM-sSEED.",
-        ),
+        output("--out", "DIR", "New directory of the run. Default: results/train-ALGORITHM-sSEED."),
     ] = None,
-    as_json: options.Json = False,
-) -> None:
+) -> Plan:
     """Train a policy; needs pip install 'sayd-env[train]'.
 
     The run's directory gets the configuration, logs (CSV and TensorBoard), the best and the last policy and
@@ -81,7 +69,9 @@ def train(
 
     evaluations = ExecutorChoice.parse(executor, workers)
     if resume is not None:
-        _refuse_with_resume(algorithm, config, out)
+        for name, value in {"the algorithm": algorithm, "--config": config, "--out": out}.items():
+            if value is not None:
+                raise ConfigError(f"--resume: goes on with the run as it is; leave out {name}")
         config, out = str(resume / "config.yaml"), resume
         if not Path(config).is_file():
             raise ConfigError(f"--resume {resume}: holds no run of 'sayd train' (no config.yaml)")
@@ -89,9 +79,9 @@ def train(
         raise ConfigError("train: what is to learn? Give ppo or sac, --config FILE, or --resume DIR")
     given = list(assignments or ())
     given += [] if seed is None else [f"seed={json.dumps(seed)}"]
-    if workers is not None and resume is None:
-        given.append(f"environment.threads={workers}")
+    given += [] if workers is None or resume is not None else [f"environment.threads={workers}"]
     chosen = load_train(config or str(algorithm), given)
+<<<<<<< HEAD
     if algorithm is not None and chosen.learning.algorithm != algorithm:
         raise ConfigError(
             f"train {algorithm}: the configuration {config} is one of {chosen.learning.algorithm}"
@@ -115,35 +105,57 @@ def _refuse_with_resume(algorithm: Algorithm | None, config: str | None, out: Pa
     for name, value in given.items():
         if value is not None:
             raise ConfigError(f"--resume: goes on with the run as it is; leave out {name}")
+=======
+    learns = chosen.learning.algorithm
+    if algorithm not in {None, learns}:
+        raise ConfigError(f"train {algorithm}: the configuration {config} is one of {learns}")
+    folder = out or RESULTS / f"train-{learns}-s{chosen.seed}"
+    goes_on, typed = resume is not None, command_text()
+    return Plan(
+        lambda run: study(chosen, folder, resume=goes_on, command=typed, progress=run.progress),
+        chosen,
+        chosen.seed,
+        folder,
+    )
+>>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
 
 
+@command(GROUP, "ppo-s3 --out my-policy", without=("wide",))
 def export(
     source: Annotated[
         Path,
         typer.Argument(
             metavar="DIR|FILE|NAME",
             help="Directory of a run (its best policy), a policy file, or a ready policy such as ppo-s3.",
+            autocompletion=options.policy_names,
         ),
     ],
+    foreign: options.ForeignOptions,
     *,
     onnx: Annotated[
-        bool,
-        typer.Option("--onnx", help=escape("Write an ONNX model besides; needs 'sayd-env[onnx]'.")),
+        bool, option("--onnx", "", "Write an ONNX model besides; needs 'sayd-env[onnx]'.")
     ] = False,
+<<<<<<< HEAD
     trust_pickles: options.TrustPickles = False,
     trained_period: options.TrainedPeriod = None,
     vec_normalize: options.VecNormalize = None,
+=======
+>>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
     out: options.Out = None,
-    as_json: options.Json = False,
-) -> None:
+) -> Plan:
     """Write a learned policy as files for others: weights with their description, and an ONNX model."""
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+<<<<<<< HEAD
     from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415
     from sayd_env.studies.learning import export as study  # noqa: PLC0415
     from sayd_env.studies.learning import read_source  # noqa: PLC0415
 
     foreign = foreign_reader(trust_pickles, load_environment(), trained_period, vec_normalize)
     stored = read_source(source, foreign)  # before the directory is made
+=======
+    from sayd_env.studies import learning as study  # noqa: PLC0415
+
+    stored = study.read_source(source, foreign.reader(load_environment()))
+>>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
     target = out or RESULTS / "export"
-    job = Job("export", target, as_json)
-    job.finish(study(stored, target, onnx=onnx))
+    return Plan(lambda _: study.export(stored, target, onnx=onnx), folder=target)

@@ -2,332 +2,140 @@
 
 from __future__ import annotations
 
-import math
+import json
 from collections.abc import Callable
-from enum import StrEnum
-from itertools import pairwise
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.markup import escape
 
-from sayd_env.config.errors import ConfigError
+from sayd_env.cli import parsers
+from sayd_env.cli.parsers import NameList, Names, Number, NumberList, Numbers, positive
 
-MAX_SPEEDS = 1000
-MAX_SEEDS = 10_000
-LARGEST_SEED = 2**32 - 1
-MAX_WORKERS = 1024
-OUTPUT = "Output"
-SCENARIO = "Scenario"
+if TYPE_CHECKING:
+    from sayd_env.config.environment import EnvironmentConfig
+    from sayd_env.config.scenario import Scenario
+    from sayd_env.runs.policies import ForeignReader
 
-
-class Speeds(tuple[float, ...]):
-    """Running speeds in km/h, positive and rising."""
-
-    __slots__ = ()
-
-
-class Numbers(tuple[float, ...]):
-    """Finite numbers, at least one."""
-
-    __slots__ = ()
+WEAR_OF = {"new": 0.0, "worn": 1.0}
+SHARE = Number(0, 1)
+FRICTION = positive(high=1)
+WORKERS = Number(1, 1024, whole=True)
+SEED = Number(0, 2**32 - 1, whole=True)
+SEEDS = Number(1, 10_000, whole=True)
 
 
-class Names(tuple[str, ...]):
-    """Names as they were typed, at least one."""
-
-    __slots__ = ()
-
-
-class PolicyNames(tuple[str, ...]):
-    """Policies as they were typed, at least one."""
-
-    __slots__ = ()
-
-
-class Damper(StrEnum):
-    """The yaw damper's kind."""
-
-    PASSIVE = "passive"
-    SAYD = "sayd"
-
-
-def speed_list(option: str) -> Callable[[str], Speeds]:
-    """Make the reader of an option that takes speeds: see `parse_speeds`."""
-    return lambda text: parse_speeds(text, option)
-
-
-def parse_speeds(text: str, option: str = "--speeds") -> Speeds:
-    """Read ``300,350,400`` or ``320:445:25`` (first, last, step; last included when a step meets it).
+def option(
+    names: str,
+    metavar: str,
+    text: str,
+    parser: Callable[[str], Any] | None = None,
+    *,
+    complete: Callable[..., list[str]] | None = None,
+    panel: str | None = None,
+) -> Any:
+    """An option of a command.
 
     Parameters
     ----------
+    names : str
+        Separated by spaces.
+    metavar : str
+        What follows it; nothing follows a switch.
     text : str
-        Speeds in km/h.
-    option : str
-        What a message names.
-
-    Raises
-    ------
-    ConfigError
-        Not a number, not positive, not finite, not rising, empty, or more than `MAX_SPEEDS` values.
+        What it does.
+    parser : callable, optional
+        Reads what follows it; a `ValueError` says what was found and what is allowed.
+    complete : callable, optional
+        Gives a shell what may follow.
+    panel : str, optional
+        Its group in the help.
     """
-    given = f"{option} '{text}'"
-    if ":" in text:
-        return Speeds(_grid(text, given))
-    speeds = Speeds(_speed(part, given) for part in text.split(","))
-    for before, after in pairwise(speeds):
-        if after <= before:
-            raise _speeds_error(given, f"{after:g} follows {before:g}; speeds must rise")
-    return speeds
+    return typer.Option(
+        *names.split(),
+        metavar=metavar,
+        help=escape(text),
+        parser=parser,
+        autocompletion=complete,
+        rich_help_panel=panel,
+    )
 
 
-def _grid(text: str, given: str) -> list[float]:
-    parts = text.split(":")
-    if len(parts) != 3:
-        raise _speeds_error(given, "expected first:last:step, for example 320:445:25")
-    first, last, step = (_speed(part, given) for part in parts)
-    if last < first:
-        raise _speeds_error(given, f"the last speed {last:g} is below the first {first:g}")
-    # Half a millionth of a step forgives the rounding of decimal steps such as 0.1.
-    steps = (last - first) / step + 5e-7
-    if steps >= MAX_SPEEDS:
-        raise _speeds_error(given, f"gives {steps + 1:.4g} speeds; at most {MAX_SPEEDS} are allowed")
-    return [first + index * step for index in range(math.floor(steps) + 1)]
+scenario = partial(option, panel="Scenario")
+policy = partial(option, panel="Policies")
+runs = partial(option, panel="Runs")
+output = partial(option, panel="Output")
 
 
-def _speed(part: str, given: str) -> float:
-    try:
-        value = float(part)
-    except ValueError:
-        found = f"'{part.strip()}'" if part.strip() else "an empty place"
-        raise _speeds_error(given, f"found {found}; expected numbers in km/h") from None
-    if not (value > 0.0 and math.isfinite(value)):
-        raise _speeds_error(given, f"found {part.strip()}; expected a finite number above 0 km/h")
-    return value
+def packaged(kind: str, *others: str) -> Callable[[str], list[str]]:
+    """Completion by the names of the packaged configurations of a kind, and others."""
+
+    def complete(incomplete: str) -> list[str]:
+        from sayd_env.config.loader import packaged_names  # noqa: PLC0415 - keeps --help fast
+
+        return [name for name in (*others, *packaged_names(kind)) if name.startswith(incomplete)]
+
+    return complete
 
 
-def _speeds_error(given: str, problem: str) -> ConfigError:
-    return ConfigError(f"{given}: {problem} (use 300,350,400 or 320:445:25)")
+def policy_names(incomplete: str) -> list[str]:
+    """Completion by the names of all policies, of the last one in a list."""
+    from sayd_env.agents import pretrained  # noqa: PLC0415 - keeps --help fast
+
+    before, comma, last = incomplete.rpartition(",")
+    # Each controller has a configuration; 'online' there is that of what all of them measure.
+    known = [name for name in packaged("control", "passive", *pretrained.names())(last) if name != "online"]
+    return [f"{before}{comma}{name}" for name in known]
 
 
-def parse_policies(text: str) -> PolicyNames:
-    """Read ``passive,mppt1,constant:0.3``; whether there are such policies is checked where they are made."""
-    return PolicyNames(_names(text, "--policies", "passive,mppt1,constant:0.3"))
-
-
-def names(option: str, example: str) -> Callable[[str], Names]:
-    """Make the reader of an option that takes names, separated by commas."""
-    return lambda text: Names(_names(text, option, example))
-
-
-def _names(text: str, option: str, example: str) -> list[str]:
-    found = [part.strip() for part in text.split(",")]
-    if not all(found):
-        raise ConfigError(f"{option} '{text}': found an empty place; expected names (use {example})")
-    return found
-
-
-def parse_wear(text: str) -> float:
-    """Read the wear of the wheel profile: 0 (new) to 1 (worn)."""
-    return _bounded("--wear", text, 0.0, 1.0)
-
-
-def parse_friction(text: str) -> float:
-    """Read the friction coefficient of wheel and rail: above 0, at most 1."""
-    return positive("--friction", "", 1.0)(text)
-
-
-def whole(option: str, least: int, most: int) -> Callable[[str], int]:
-    """Make the reader of an option that takes one whole number."""
-
-    def read(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if not least <= value <= most:
-            raise ConfigError(f"{option} {text}: expected a whole number from {least} to {most}")
-        return value
-
-    return read
-
-
-def positive(option: str, unit: str, most: float = math.inf) -> Callable[[str], float]:
-    """Make the reader of an option that takes one finite number above 0; `unit` may be empty."""
-    allowed = f"above 0 {unit}".rstrip() + ("" if math.isinf(most) else f", at most {most:g}")
-
-    def read(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not (0.0 < value <= most and math.isfinite(value)):
-            raise ConfigError(f"{option} {text}: expected a finite number {allowed}")
-        return value
-
-    return read
-
-
-def positive_list(option: str, unit: str, most: float = math.inf) -> Callable[[str], Numbers]:
-    """Make the reader of an option that takes finite numbers above 0, separated by commas."""
-    one = positive(option, unit, most)
-    return lambda text: Numbers(one(part) for part in text.split(","))
-
-
-def share(option: str) -> Callable[[str], float]:
-    """Make the reader of an option that takes one number from 0 to 1."""
-    return lambda text: _bounded(option, text, 0.0, 1.0)
-
-
-def share_list(option: str) -> Callable[[str], Numbers]:
-    """Make the reader of an option that takes numbers from 0 to 1, separated by commas."""
-    return lambda text: Numbers(_bounded(option, part, 0.0, 1.0) for part in text.split(","))
-
-
-def several(one: Callable[[str], float], option: str) -> Callable[[str], Numbers]:
-    """Make the reader of an option that takes different numbers, separated by commas, each read by `one`."""
-
-    def read(text: str) -> Numbers:
-        values = Numbers(one(part.strip()) for part in text.split(","))
-        if len(set(values)) < len(values):
-            raise ConfigError(f"{option} {text}: a number stands there twice")
-        return values
-
-    return read
-
-
-def _bounded(option: str, text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not low <= value <= high:
-        raise ConfigError(f"{option} {text}: expected a number from {low:g} to {high:g}")
-    return value
-
-
-Config = Annotated[
-    str | None,
-    typer.Option("--config", metavar="NAME|FILE", help="Configuration: a packaged name or a YAML file."),
-]
+CONFIG = "Configuration: a packaged name or a YAML file."
+Config = Annotated[str | None, scenario("--config", "NAME|FILE", CONFIG, complete=packaged("study"))]
 Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override one key of the configuration; repeatable."),
+    list[str] | None, scenario("--set", "KEY=VALUE", "Override one key of the configuration; repeatable.")
 ]
-Seed = Annotated[
-    int,
-    typer.Option("--seed", parser=whole("--seed", 0, LARGEST_SEED), metavar="S", help="First random seed."),
-]
-Seeds = Annotated[
-    int,
-    typer.Option(
-        "--seeds",
-        parser=whole("--seeds", 1, MAX_SEEDS),
-        metavar="N",
-        help="Number of track realisations: seeds S to S+N-1.",
-    ),
+Seed = Annotated[int, runs("--seed", "S", "First random seed.", SEED)]
+SEEDS_TEXT = "Number of track realisations: seeds S to S+N-1."
+Seeds = Annotated[int, runs("--seeds", "N", SEEDS_TEXT, SEEDS)]
+Realisations = Annotated[int | None, runs("--seeds", "N", f"{SEEDS_TEXT} Default: see above.", SEEDS)]
+Quick = Annotated[bool, runs("--quick", "", "A look, not a result: fewer seeds, shorter.")]
+Threads = Annotated[
+    int | None, runs("--workers", "N", "Threads (default: all cores); results do not change.", WORKERS)
 ]
 Workers = Annotated[
     int | None,
-    typer.Option(
-        "--workers",
-        parser=whole("--workers", 1, MAX_WORKERS),
-        metavar="N",
-        help="Threads (default: all cores); results do not change.",
-    ),
+    runs("--workers", "N", "Threads or processes (default: all cores); results do not change.", WORKERS),
 ]
 Executor = Annotated[
     str | None,
-    typer.Option(
+    runs(
         "--executor",
-        metavar="KIND",
-        help="Who computes: threads, processes, ray, ray://ADDRESS, dask or dask://ADDRESS; results do not "
-        "change. Default: processes where there are many runs, else threads.",
+        "KIND",
+        "Who computes: threads, processes, ray, ray://ADDRESS, dask or dask://ADDRESS; results do not change. "
+        "Default: processes where there are many runs, else threads.",
+        complete=lambda: ["threads", "processes", "ray", "dask"],
     ),
 ]
-NoSeed = Annotated[
-    int,
-    typer.Option(
-        "--seed",
-        metavar="S",
-        parser=whole("--seed", 0, LARGEST_SEED),
-        help="Accepted; nothing here is random.",
-    ),
+OUT = "Directory of result.json, tables and plots. Default: results/{0}, of a look results/{0}-quick (none with --json)."
+Out = Annotated[Path | None, output("--out", "DIR", OUT.format("COMMAND"))]
+Json = Annotated[bool, output("--json", "", "Print the result as JSON and nothing else.")]
+Wide = Annotated[bool, output("--wide", "", "Print all columns of the tables, wider than 80 characters.")]
+Speed = Annotated[float | None, scenario("--speed", "KMH", "Speed in km/h.", positive("km/h"))]
+Speeds = Annotated[
+    Numbers | None, scenario("--speeds", "KMH,...", f"Speeds in km/h: {parsers.SPEEDS}.", parsers.speeds)
 ]
-NoWorkers = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        metavar="N",
-        parser=whole("--workers", 1, MAX_WORKERS),
-        help="Accepted; this is one short computation.",
-    ),
-]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        metavar="DIR",
-        rich_help_panel=OUTPUT,
-        help="Directory of result.json, tables and plots. Default: results/COMMAND (none with --json).",
-    ),
-]
-Json = Annotated[
-    bool,
-    typer.Option("--json", rich_help_panel=OUTPUT, help="Print the result as JSON and nothing else."),
-]
-SpeedList = Annotated[
-    Speeds | None,
-    typer.Option(
-        "--speeds",
-        parser=parse_speeds,
-        metavar="KMH",
-        rich_help_panel=SCENARIO,
-        help="Speeds in km/h: 300,350,400 or 320:445:25.",
-    ),
-]
-Profile = Annotated[
-    str | None,
-    typer.Option(
-        "--profile",
-        metavar="NAME",
-        rich_help_panel=SCENARIO,
-        help="Wheel profile: new, worn or a name.",
-    ),
-]
-Wear = Annotated[
-    float | None,
-    typer.Option(
-        "--wear",
-        parser=parse_wear,
-        metavar="0..1",
-        rich_help_panel=SCENARIO,
-        help="Tread wear, 0 is new.",
-    ),
-]
-Friction = Annotated[
-    float | None,
-    typer.Option(
-        "--friction",
-        parser=parse_friction,
-        metavar="MU",
-        rich_help_panel=SCENARIO,
-        help="Friction coefficient of wheel and rail.",
-    ),
-]
+Wear = Annotated[float | None, scenario("--wear", "0..1", "Tread wear, 0 is new.", SHARE)]
 Wears = Annotated[
     Numbers | None,
-    typer.Option(
-        "--wear",
-        parser=several(parse_wear, "--wear"),
-        metavar="0..1,...",
-        rich_help_panel=SCENARIO,
-        help="Tread wear, 0 is new; one or several.",
-    ),
+    scenario("--wear", "0..1,...", "Tread wear, 0 is new; one or several.", NumberList(SHARE, distinct=True)),
 ]
+FRICTION_TEXT = "Friction coefficient of wheel and rail"
+Friction = Annotated[float | None, scenario("--friction", "MU", f"{FRICTION_TEXT}.", FRICTION)]
 Frictions = Annotated[
     Numbers | None,
+<<<<<<< HEAD
     typer.Option(
         "--friction",
         parser=several(parse_friction, "--friction"),
@@ -380,22 +188,140 @@ Reward = Annotated[
         metavar="NAME",
         help="Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's). "
         "Others by --set cost.force_weight=0.3.",
+=======
+    scenario(
+        "--friction", "MU,...", f"{FRICTION_TEXT}; one or several.", NumberList(FRICTION, distinct=True)
+>>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
     ),
 ]
 Environment = Annotated[
     str,
-    typer.Option(
+    scenario(
         "--environment",
-        metavar="NAME|FILE",
-        help="Sensors, control period and length of an episode: nominal, randomized, faults or a YAML file.",
+        "NAME|FILE",
+        "Sensors, control period, length of an episode, and what is drawn: nominal, randomized, faults or a YAML "
+        "file.",
+        complete=packaged("env"),
     ),
 ]
-Track = Annotated[
+Reward = Annotated[
     str | None,
-    typer.Option(
-        "--track", metavar="NAME|FILE", rich_help_panel=SCENARIO, help="Track: a name or a YAML file."
+    scenario(
+        "--reward",
+        "NAME",
+        "Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's); others by --set "
+        "cost.force_weight=0.3.",
+        complete=lambda: ["mppt1", "mppt2"],
     ),
 ]
-DamperKind = Annotated[
-    Damper | None, typer.Option("--damper", rich_help_panel=SCENARIO, help="The yaw dampers.")
+CreepLaws = Annotated[
+    Names | None,
+    option(
+        "--creep-laws",
+        "LAW,...",
+        "Give critical speeds by these creep laws, too: table, polach, fastsim.",
+        NameList("table,polach,fastsim"),
+    ),
 ]
+POLICIES = NameList("passive,mppt1,constant:0.3")
+Policies = Annotated[
+    Names | None,
+    policy(
+        "--policies",
+        "A,B,...",
+        "Names ('sayd policies' lists all), constant:V, or files of learned policies (.npz) or of controllers "
+        "(.yaml).",
+        POLICIES,
+        complete=policy_names,
+    ),
+]
+
+
+@dataclass(frozen=True)
+class ScenarioOptions:
+    """Options that choose vehicle, wheels, track and dampers."""
+
+    profile: Annotated[
+        str | None,
+        scenario(
+            "--profile",
+            "NAME|FILE",
+            "Wheel profile: new, worn, a name or a YAML file.",
+            complete=packaged("profile", *WEAR_OF),
+        ),
+    ] = None
+    track: Annotated[
+        str | None,
+        scenario("--track", "NAME|FILE", "Track: a name or a YAML file.", complete=packaged("track")),
+    ] = None
+    damper: Annotated[
+        str | None,
+        scenario(
+            "--damper",
+            "NAME|FILE",
+            "Yaw dampers: passive, sayd or a YAML file. If --config has the kind, its numbers stay.",
+            complete=packaged("damper"),
+        ),
+    ] = None
+    config: Config = None
+    assignments: Set = None
+
+    def load(self, wear: float | None = None, friction: float | None = None) -> Scenario:
+        """Read the configuration and apply the flags, then the assignments of ``--set``.
+
+        ``--profile new`` and ``worn`` are the scenario's own wheels at wear 0 and 1, anything else is the
+        name or path of a wheel profile, unworn unless `wear` says otherwise.
+
+        Parameters
+        ----------
+        wear, friction : float, optional
+            ``--wear`` (stronger than new and worn) and ``--friction``.
+
+        Raises
+        ------
+        ConfigError
+            A name, file or value that cannot be used.
+        """
+        from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
+
+        if wear is None and self.profile is not None:
+            wear = WEAR_OF.get(self.profile, 0.0)
+        wheel = None if self.profile in WEAR_OF else self.profile
+        damper = self.damper
+        if damper is not None and load_scenario(self.config).damper.type == damper:
+            damper = None  # the configuration's own, whose numbers may differ from the packaged ones
+        flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track, "damper": damper}
+        # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.
+        given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
+        return load_scenario(self.config, [*given, *(self.assignments or ())])
+
+
+@dataclass(frozen=True)
+class ForeignOptions:
+    """Options for policies that Stable-Baselines3 saved."""
+
+    trust_pickles: Annotated[
+        bool,
+        policy(
+            "--trust-pickles",
+            "",
+            "Load a policy that Stable-Baselines3 saved (.zip, PPO or SAC with MlpPolicy). Such a file can run "
+            "any code on this machine while it is loaded.",
+        ),
+    ] = False
+    trained_period: Annotated[
+        float | None,
+        policy(
+            "--trained-period",
+            "S",
+            "With --trust-pickles: control period of its training (s), which the file does not say. Default: the "
+            "environment's.",
+            positive("s", 1),
+        ),
+    ] = None
+
+    def reader(self, environment: EnvironmentConfig) -> ForeignReader | None:
+        """What reads such files, or None where they are not trusted."""
+        from sayd_env.studies.learning import foreign_reader  # noqa: PLC0415 - keeps --help fast
+
+        return foreign_reader(self.trust_pickles, environment, self.trained_period)

@@ -1,0 +1,153 @@
+"""Readers of what is typed after an option: a `ValueError` says what was found and what is allowed.
+
+The program's border puts the option's name in front of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+from sayd_env.config.units import KMH
+
+MAX_SPEEDS = 1000
+SPEEDS = "300,350,400 or 320:445:25"
+LONGEST = 80
+"""Characters of what was typed that a message shows."""
+
+
+class Numbers(tuple[float, ...]):
+    """Finite numbers, at least one."""
+
+    __slots__ = ()
+
+
+class Names(tuple[str, ...]):
+    """Names as they were typed, at least one."""
+
+    __slots__ = ()
+
+
+@dataclass(frozen=True)
+class Number:
+    """Reader of one finite number within bounds."""
+
+    low: float
+    high: float = math.inf
+    unit: str = ""
+    whole: bool = False
+    above: bool = False
+    """The lower bound itself is not allowed."""
+
+    def __call__(self, given: str | float) -> float:
+        """Read it, or check a default."""
+        text = str(given).strip()
+        try:
+            # Python would take digits of other scripts and 1_000, too.
+            readable = text.isascii() and "_" not in text
+            value = (int(text) if self.whole else float(text)) if readable else math.nan
+        except ValueError:
+            value = math.nan
+        if not self.low <= value <= self.high or math.isinf(value) or (self.above and value == self.low):
+            raise ValueError(f"{shown(text)}: expected {self}")
+        return value
+
+    def __str__(self) -> str:
+        """What is allowed."""
+        unit = f" {self.unit}" if self.unit else ""
+        if self.above:
+            most = "" if math.isinf(self.high) else f", at most {self.high:g}"
+            return f"a finite number above {self.low:g}{unit}{most}"
+        return f"a {'whole ' * self.whole}number from {self.low:g} to {self.high:.10g}{unit}"
+
+
+def positive(unit: str = "", high: float = math.inf) -> Number:
+    """Reader of a finite number above 0."""
+    return Number(0, high, unit, above=True)
+
+
+@dataclass(frozen=True)
+class NumberList:
+    """Reader of numbers, separated by commas."""
+
+    one: Number
+    distinct: bool = False
+
+    def __call__(self, text: str) -> Numbers:
+        """Read them."""
+        values = Numbers(self.one(part) for part in text.split(","))
+        if self.distinct and len(set(values)) < len(values):
+            raise ValueError(f"{shown(text)}: a number stands there twice")
+        return values
+
+
+@dataclass(frozen=True)
+class NameList:
+    """Reader of names, separated by commas; whether there are such is checked where they are used."""
+
+    example: str
+
+    def __call__(self, text: str) -> Names:
+        """Read them."""
+        found = Names(part.strip() for part in text.split(","))
+        if not all(found):
+            raise ValueError(f"'{shown(text)}': found an empty place; expected names (use {self.example})")
+        return found
+
+
+def speeds(text: str) -> Numbers:
+    """Read ``300,350,400`` or ``320:445:25`` (first, last, step; last included when a step meets it).
+
+    Parameters
+    ----------
+    text : str
+        Speeds in km/h.
+
+    Returns
+    -------
+    Numbers
+        Speeds in m/s.
+
+    Raises
+    ------
+    ValueError
+        Not a number, not positive, not finite, not rising, empty, or more than `MAX_SPEEDS` values.
+    """
+    try:
+        found = Numbers(_grid(text) if ":" in text else map(_speed, text.split(",")))
+        for before, after in pairwise(found):
+            if after <= before:
+                raise ValueError(f"{after:g} follows {before:g}; speeds must rise")
+    except ValueError as error:
+        raise ValueError(f"'{shown(text)}': {error} (use {SPEEDS})") from None
+    return Numbers(value / KMH for value in found)
+
+
+def _grid(text: str) -> list[float]:
+    parts = text.split(":")
+    if len(parts) != 3:
+        raise ValueError("expected first:last:step, for example 320:445:25")
+    first, last, step = map(_speed, parts)
+    if last < first:
+        raise ValueError(f"the last speed {last:g} is below the first {first:g}")
+    # Half a millionth of a step forgives the rounding of decimal steps such as 0.1.
+    steps = (last - first) / step + 5e-7
+    if steps >= MAX_SPEEDS:
+        raise ValueError(f"gives {steps + 1:.4g} speeds; at most {MAX_SPEEDS} are allowed")
+    return [first + index * step for index in range(math.floor(steps) + 1)]
+
+
+def _speed(part: str) -> float:
+    if not part.strip():
+        raise ValueError("found an empty place; expected numbers in km/h")
+    try:
+        return positive("km/h")(part)
+    except ValueError as error:
+        raise ValueError(f"found {error}".replace(": expected", "; expected")) from None
+
+
+def shown(text: str, longest: int = LONGEST) -> str:
+    """Text as a message may show it: control characters escaped, and no longer than a line."""
+    plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return plain if len(plain) <= longest else f"{plain[: longest // 2]}...{plain[-longest // 4 :]}"
