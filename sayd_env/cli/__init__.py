@@ -64,8 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if os.environ.get("SAYD_DEBUG"):
             traceback.print_exc()
         _complain(
-            f"internal error: {type(error).__name__}: {str(error) or 'no message'}; please report it with the "
-            "command (SAYD_DEBUG=1 shows where it happened)"
+            f"internal error: {type(error).__name__}: {str(error) or 'no message'}; please report it with "
+            "the command (SAYD_DEBUG=1 shows where it happened)"
         )
         return FAILURE
 
@@ -115,10 +115,9 @@ def _interrupted() -> int:
 
 
 def _complain(message: str) -> None:
-    from sayd_env.cli.parsers import shown  # noqa: PLC0415 - its import may be what is complained about
-
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
     with suppress(OSError):  # nobody reads it
-        print(f"sayd: {shown(' '.join(message.split()), LONGEST_MESSAGE)}", file=sys.stderr)
+        print(f"sayd: {line[:LONGEST_MESSAGE]}", file=sys.stderr)
 
 
 def _drop_stdout() -> None:

@@ -1,7 +1,7 @@
 """What all commands have in common: their options, their output, and how they end.
 
-A command is a function that reads its own options into a `Plan`; `command` offers them on the command line
-together with the common ones, makes the plan's output and run context, computes, stores and shows.
+A command is a function that reads its own options into a `Plan`; `command` offers these and the common ones
+on the command line, opens the output, gives the study its run context, stores and shows the result.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, get_type_hints
 
 import typer
 from rich.markup import escape
+from typer.models import OptionInfo
 
 from sayd_env.cli import options
 from sayd_env.cli.output import RESULTS, Output
@@ -34,7 +35,7 @@ app = typer.Typer(
 
 @dataclass(frozen=True)
 class Plan:
-    """What a command is to do. Everything typed has been checked; nothing has been computed or written."""
+    """What a command is to do. All that was typed has been checked; nothing has been computed or written."""
 
     study: Callable[[RunContext], Result]
     config: Any = None
@@ -50,27 +51,20 @@ class Plan:
 Body = TypeVar("Body", bound=Callable[..., Plan])
 Parameters: TypeAlias = dict[str, inspect.Parameter]
 
-OUTPUT: dict[str, tuple[Any, Any]] = {
-    "out": (options.Out, None),
-    "as_json": (options.Json, False),
-    "wide": (options.Wide, False),
-}
-RUNS: dict[str, tuple[Any, Any]] = {"workers": (options.Workers, None), "executor": (options.Executor, None)}
-
 
 def command(
     group: str, example: str, *, name: str = "", runs: bool = False, without: Collection[str] = ()
 ) -> Callable[[Body], Body]:
     """Make a function a command.
 
-    Its keyword parameters are options; one that is a dataclass of options stands for all of them.
+    Its parameters are arguments and options; one that is a dataclass of options stands for all of them.
 
     Parameters
     ----------
     group : str
         Under which the list of commands shows it.
     example : str
-        One line to copy, without the name of the program and of the command.
+        Its arguments in a line to copy.
     name : str
         By default that of the function.
     runs : bool
@@ -82,15 +76,18 @@ def command(
     def register(body: Body) -> Body:
         called = name or body.__name__.replace("_", "-")
         own = dict(inspect.signature(body, eval_str=True).parameters)
-        offered = _offered(own, (RUNS if runs else {}) | OUTPUT, without)
 
         def invoke(**given: Any) -> None:
             _run(called, body(**_arguments(own, given)), given, keeps=runs)
 
-        invoke.__signature__ = inspect.Signature(list(offered.values()))  # type: ignore[attr-defined]
+        common = [options.RunOptions] * runs + [options.OutputOptions]
+        signature = inspect.Signature(list(_offered(own, common, without).values()))
+        invoke.__signature__ = signature  # type: ignore[attr-defined]
+        # The help has lines of another width than the docstring.
+        paragraphs = [" ".join(part.split()) for part in (inspect.getdoc(body) or "").split("\n\n")]
         app.command(
             called,
-            help=escape(_paragraphs(body)),
+            help=escape("\n\n".join(paragraphs)),
             epilog=escape(f"Example: sayd {called} {example}".strip()),
             rich_help_panel=group,
         )(invoke)
@@ -100,60 +97,56 @@ def command(
 
 
 def result_folder(name: str, given: Mapping[str, Any]) -> Path | None:
-    """Directory of a result: that of ``--out``, or one of its own; None with ``--json`` alone.
-
-    Parameters
-    ----------
-    name : str
-        Of the directory in ``results``; a look (``--quick``) never replaces a result.
-    given : mapping
-        Values of the options ``out``, ``as_json`` and ``quick``.
-    """
-    if given["out"] is not None or given["as_json"]:
-        folder: Path | None = given["out"]
+    """``--out``, none with ``--json`` alone, or a directory where a look replaces no result."""
+    folder: Path | None = given["out"]
+    if folder is not None or given["as_json"]:
         return folder
     return RESULTS / (f"{name}-quick" if given.get("quick") else name)
 
 
-def _offered(own: Parameters, common: dict[str, tuple[Any, Any]], without: Collection[str]) -> Parameters:
-    """All options of a command."""
+def _offered(own: Parameters, common: Collection[type], without: Collection[str]) -> Parameters:
+    """Arguments and options of a command, its own first."""
     offered: Parameters = {}
+    groups = [*(each.annotation for each in own.values() if is_dataclass(each.annotation)), *common]
     for parameter in own.values():
         if not is_dataclass(parameter.annotation):
+            if isinstance(parameter.default, OptionInfo) and parameter.default.default is ...:
+                parameter.default.default = None
             offered[parameter.name] = parameter
-            continue
-        hints = get_type_hints(parameter.annotation, include_extras=True)
-        common = {f.name: (hints[f.name], f.default) for f in fields(parameter.annotation)} | common
-    for name, (annotation, default) in common.items():
-        if name not in without and name not in offered:
-            offered[name] = inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default
-            )
+    for group in groups:
+        hints = get_type_hints(group, include_extras=True)
+        for field in fields(group):
+            if field.name not in {*without, *offered}:
+                offered[field.name] = inspect.Parameter(
+                    field.name,
+                    inspect.Parameter.KEYWORD_ONLY,
+                    annotation=hints[field.name],
+                    default=field.default,
+                )
     return offered
 
 
-def _arguments(own: Parameters, given: dict[str, Any]) -> dict[str, Any]:
+def _arguments(own: Parameters, given: Mapping[str, Any]) -> dict[str, Any]:
     """What a command's function is called with."""
-    return {
-        name: parameter.annotation(
-            **{f.name: given[f.name] for f in fields(parameter.annotation) if f.name in given}
-        )
-        if is_dataclass(parameter.annotation)
-        else given[name]
-        for name, parameter in own.items()
-    }
+
+    def value(name: str, group: Any) -> Any:
+        if not is_dataclass(group):
+            return given[name]
+        return group(**{field.name: given[field.name] for field in fields(group) if field.name in given})
+
+    return {name: value(name, parameter.annotation) for name, parameter in own.items()}
 
 
-def _run(name: str, plan: Plan, given: dict[str, Any], *, keeps: bool) -> None:
+def _run(name: str, plan: Plan, given: Mapping[str, Any], *, keeps: bool) -> None:
     from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415 - keeps --help fast
 
-    # Where there is no executor, workers are what the command itself makes of them.
+    # Where nothing is kept, workers are what the command itself makes of them.
     executor = ExecutorChoice.parse(given["executor"], given["workers"]) if keeps else ExecutorChoice()
     folder = plan.folder or result_folder(name, given)
     output = Output(name, folder, as_json=given["as_json"], wide=given.get("wide", False))
     result = _compute(plan, output, executor, keeps=keeps)
     config = plan.config(result) if callable(plan.config) else plan.config
-    output.finish(result, config=config, seed=plan.seed, quick=given.get("quick", False))
+    output.finish(result, config, plan.seed, quick=given.get("quick", False))
     if plan.after is not None:
         plan.after(result, output)
 
@@ -183,8 +176,3 @@ def _compute(plan: Plan, output: Output, executor: ExecutorChoice, *, keeps: boo
     if cache.reused:
         output.say(f"{cache.reused} runs had been finished by an earlier start")
     return result
-
-
-def _paragraphs(body: Callable[..., Any]) -> str:
-    """The docstring without its line ends, which would break the lines of a help that is as wide as it likes."""
-    return "\n\n".join(" ".join(part.split()) for part in (inspect.getdoc(body) or "").split("\n\n"))

@@ -10,7 +10,7 @@ import typer
 
 from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
-from sayd_env.cli.options import option, output, runs
+from sayd_env.cli.options import option, output, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import Number
 from sayd_env.config.errors import ConfigError
@@ -22,41 +22,36 @@ GROUP = "Learning"
 def train(
     algorithm: Annotated[
         Literal["ppo", "sac"] | None,
-        typer.Argument(metavar="[ppo|sac]", help="Its packaged configuration.", show_default=False),
+        typer.Argument(
+            metavar="ALGORITHM", help="ppo or sac: its packaged configuration.", show_default=False
+        ),
     ] = None,
     *,
-    config: Annotated[
-        str | None, option("--config", "NAME|FILE", options.CONFIG, complete=options.packaged("train"))
-    ] = None,
+    config: str | None = scenario(
+        "--config NAME|FILE", options.CONFIG, complete=options.one_of(kind="train")
+    ),
     assignments: options.Set = None,
-    resume: Annotated[
-        Path | None,
-        option("--resume", "DIR", "Go on with the run in this directory. Only total_steps may change."),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        runs(
-            "--seed",
-            "S",
-            "Seed of weights, exploration and episodes. Default: the configuration's.",
-            Number(0, 999_999, whole=True),
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        runs(
-            "--workers",
-            "N",
-            "Threads of the simulator; results do not change. Default: the configuration's "
-            "(environment.threads), which is 1.",
-            options.WORKERS,
-        ),
-    ] = None,
-    executor: options.Executor = None,
-    out: Annotated[
-        Path | None,
-        output("--out", "DIR", "New directory of the run. Default: results/train-ALGORITHM-sSEED."),
-    ] = None,
+    resume: Path | None = option(
+        "--resume DIR", "Go on with the run in this directory. Only total_steps may change."
+    ),
+    seed: int | None = runs(
+        "--seed S",
+        "Seed of weights, exploration and episodes. Default: the configuration's.",
+        Number(0, 999_999, whole=True),
+    ),
+    workers: int | None = runs(
+        "--workers N",
+        "Threads of the simulator (default: the configuration's, 1); of --executor (default: all cores).",
+        options.WORKERS,
+    ),
+    executor: str | None = runs(
+        "--executor KIND",
+        "Who makes the evaluations' runs: threads (default), processes, ray, ray://ADDRESS, dask, dask://ADDRESS.",
+        complete=options.EXECUTORS,
+    ),
+    out: Path | None = output(
+        "--out DIR", "New directory of the run. Default: results/train-ALGORITHM-sSEED."
+    ),
 ) -> Plan:
     """Train a policy; needs pip install 'sayd-env[train]'.
 
@@ -67,6 +62,7 @@ def train(
     from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415
     from sayd_env.studies.learning import train as study  # noqa: PLC0415
 
+    evaluations = ExecutorChoice.parse(executor, workers)
     evaluations = ExecutorChoice.parse(executor, workers)
     if resume is not None:
         for name, value in {"the algorithm": algorithm, "--config": config, "--out": out}.items():
@@ -81,43 +77,23 @@ def train(
     given += [] if seed is None else [f"seed={json.dumps(seed)}"]
     given += [] if workers is None or resume is not None else [f"environment.threads={workers}"]
     chosen = load_train(config or str(algorithm), given)
-<<<<<<< HEAD
-    if algorithm is not None and chosen.learning.algorithm != algorithm:
-        raise ConfigError(
-            f"train {algorithm}: the configuration {config} is one of {chosen.learning.algorithm}"
-        )
-    folder = out or RESULTS / f"train-{chosen.learning.algorithm}-s{chosen.seed}"
-    job = Job("train", folder, as_json)
-    with job.progress() as progress:
-        result = study(
+    learns = chosen.learning.algorithm
+    if algorithm not in {None, learns}:
+        raise ConfigError(f"train {algorithm}: the configuration {config} is one of {learns}")
+    folder = out or RESULTS / f"train-{learns}-s{chosen.seed}"
+    return Plan(
+        lambda run: study(
             chosen,
             folder,
             resume=resume is not None,
             command=command_text(),
             executor=evaluations,
-            progress=progress,
-        )
-    job.finish(result, config=chosen, seed=chosen.seed)
-
-
-def _refuse_with_resume(algorithm: Algorithm | None, config: str | None, out: Path | None) -> None:
-    given = {"the algorithm": algorithm, "--config": config, "--out": out}
-    for name, value in given.items():
-        if value is not None:
-            raise ConfigError(f"--resume: goes on with the run as it is; leave out {name}")
-=======
-    learns = chosen.learning.algorithm
-    if algorithm not in {None, learns}:
-        raise ConfigError(f"train {algorithm}: the configuration {config} is one of {learns}")
-    folder = out or RESULTS / f"train-{learns}-s{chosen.seed}"
-    goes_on, typed = resume is not None, command_text()
-    return Plan(
-        lambda run: study(chosen, folder, resume=goes_on, command=typed, progress=run.progress),
+            progress=run.progress,
+        ),
         chosen,
         chosen.seed,
         folder,
     )
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
 
 
 @command(GROUP, "ppo-s3 --out my-policy", without=("wide",))
@@ -132,30 +108,13 @@ def export(
     ],
     foreign: options.ForeignOptions,
     *,
-    onnx: Annotated[
-        bool, option("--onnx", "", "Write an ONNX model besides; needs 'sayd-env[onnx]'.")
-    ] = False,
-<<<<<<< HEAD
-    trust_pickles: options.TrustPickles = False,
-    trained_period: options.TrainedPeriod = None,
-    vec_normalize: options.VecNormalize = None,
-=======
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
+    onnx: bool = option("--onnx", "Write an ONNX model besides; needs 'sayd-env[onnx]'.", default=False),
     out: options.Out = None,
 ) -> Plan:
     """Write a learned policy as files for others: weights with their description, and an ONNX model."""
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
-<<<<<<< HEAD
-    from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415
-    from sayd_env.studies.learning import export as study  # noqa: PLC0415
-    from sayd_env.studies.learning import read_source  # noqa: PLC0415
-
-    foreign = foreign_reader(trust_pickles, load_environment(), trained_period, vec_normalize)
-    stored = read_source(source, foreign)  # before the directory is made
-=======
     from sayd_env.studies import learning as study  # noqa: PLC0415
 
     stored = study.read_source(source, foreign.reader(load_environment()))
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
     target = out or RESULTS / "export"
     return Plan(lambda _: study.export(stored, target, onnx=onnx), folder=target)

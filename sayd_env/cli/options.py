@@ -29,37 +29,45 @@ SEEDS = Number(1, 10_000, whole=True)
 
 
 def option(
-    names: str,
-    metavar: str,
+    usage: str,
     text: str,
     parser: Callable[[str], Any] | None = None,
     *,
+    default: Any = ...,
     complete: Callable[..., list[str]] | None = None,
+    callback: Callable[..., None] | None = None,
     panel: str | None = None,
 ) -> Any:
     """An option of a command.
 
     Parameters
     ----------
-    names : str
-        Separated by spaces.
-    metavar : str
-        What follows it; nothing follows a switch.
+    usage : str
+        Its names and, unless it is a switch, what follows: ``-o --file FILE``.
     text : str
         What it does.
     parser : callable, optional
-        Reads what follows it; a `ValueError` says what was found and what is allowed.
+        Reads what follows; a `ValueError` says what was found and what is allowed.
+    default
+        Its value where it is not given; left out beside a parameter's own default, else None.
     complete : callable, optional
         Gives a shell what may follow.
+    callback : callable, optional
+        Called with its value before all others.
     panel : str, optional
         Its group in the help.
     """
+    words = usage.split()
+    names = [word for word in words if word.startswith("-")]
     return typer.Option(
-        *names.split(),
-        metavar=metavar,
+        default,
+        *names,
+        metavar=" ".join(words[len(names) :]),
         help=escape(text),
         parser=parser,
         autocompletion=complete,
+        callback=callback,
+        is_eager=callback is not None,
         rich_help_panel=panel,
     )
 
@@ -70,13 +78,14 @@ runs = partial(option, panel="Runs")
 output = partial(option, panel="Output")
 
 
-def packaged(kind: str, *others: str) -> Callable[[str], list[str]]:
-    """Completion by the names of the packaged configurations of a kind, and others."""
+def one_of(*names: str, kind: str = "") -> Callable[[str], list[str]]:
+    """Completion by some names and those of the packaged configurations of a kind."""
 
     def complete(incomplete: str) -> list[str]:
         from sayd_env.config.loader import packaged_names  # noqa: PLC0415 - keeps --help fast
 
-        return [name for name in (*others, *packaged_names(kind)) if name.startswith(incomplete)]
+        known = (*names, *(packaged_names(kind) if kind else ()))
+        return [name for name in known if name.startswith(incomplete)]
 
     return complete
 
@@ -87,154 +96,87 @@ def policy_names(incomplete: str) -> list[str]:
 
     before, comma, last = incomplete.rpartition(",")
     # Each controller has a configuration; 'online' there is that of what all of them measure.
-    known = [name for name in packaged("control", "passive", *pretrained.names())(last) if name != "online"]
-    return [f"{before}{comma}{name}" for name in known]
+    known = one_of("passive", *pretrained.names(), kind="control")(last)
+    return [f"{before}{comma}{name}" for name in known if name != "online"]
 
 
 CONFIG = "Configuration: a packaged name or a YAML file."
-Config = Annotated[str | None, scenario("--config", "NAME|FILE", CONFIG, complete=packaged("study"))]
+Config = Annotated[str | None, scenario("--config NAME|FILE", CONFIG, complete=one_of(kind="study"))]
 Set = Annotated[
-    list[str] | None, scenario("--set", "KEY=VALUE", "Override one key of the configuration; repeatable.")
+    list[str] | None, scenario("--set KEY=VALUE", "Override one key of the configuration; repeatable.")
 ]
-Seed = Annotated[int, runs("--seed", "S", "First random seed.", SEED)]
-SEEDS_TEXT = "Number of track realisations: seeds S to S+N-1."
-Seeds = Annotated[int, runs("--seeds", "N", SEEDS_TEXT, SEEDS)]
-Realisations = Annotated[int | None, runs("--seeds", "N", f"{SEEDS_TEXT} Default: see above.", SEEDS)]
-Quick = Annotated[bool, runs("--quick", "", "A look, not a result: fewer seeds, shorter.")]
+Seed = Annotated[int, runs("--seed S", "First random seed.", SEED)]
+Seeds = Annotated[int, runs("--seeds N", "Number of track realisations: seeds S to S+N-1.", SEEDS)]
+QuickSeeds = Annotated[
+    int | None, runs("--seeds N", "Number of track realisations: seeds S to S+N-1 (default above).", SEEDS)
+]
+Quick = Annotated[bool, runs("--quick", "A look, not a result: fewer seeds, shorter.")]
 Threads = Annotated[
-    int | None, runs("--workers", "N", "Threads (default: all cores); results do not change.", WORKERS)
+    int | None, runs("--workers N", "Threads (default: all cores); results do not change.", WORKERS)
 ]
-Workers = Annotated[
-    int | None,
-    runs("--workers", "N", "Threads or processes (default: all cores); results do not change.", WORKERS),
-]
-Executor = Annotated[
-    str | None,
-    runs(
-        "--executor",
-        "KIND",
-        "Who computes: threads, processes, ray, ray://ADDRESS, dask or dask://ADDRESS; results do not change. "
-        "Default: processes where there are many runs, else threads.",
-        complete=lambda: ["threads", "processes", "ray", "dask"],
-    ),
-]
-OUT = "Directory of result.json, tables and plots. Default: results/{0}, of a look results/{0}-quick (none with --json)."
-Out = Annotated[Path | None, output("--out", "DIR", OUT.format("COMMAND"))]
-Json = Annotated[bool, output("--json", "", "Print the result as JSON and nothing else.")]
-Wide = Annotated[bool, output("--wide", "", "Print all columns of the tables, wider than 80 characters.")]
-Speed = Annotated[float | None, scenario("--speed", "KMH", "Speed in km/h.", positive("km/h"))]
+OUT = "Directory of the result's files. Default: results/{0}, with --quick {0}-quick (none with --json)."
+Out = Annotated[Path | None, output("--out DIR", OUT.format("COMMAND"))]
+Json = Annotated[bool, output("--json", "Print the result as JSON and nothing else.")]
+Speed = Annotated[float | None, scenario("--speed KMH", "Speed in km/h.", positive("km/h"))]
 Speeds = Annotated[
-    Numbers | None, scenario("--speeds", "KMH,...", f"Speeds in km/h: {parsers.SPEEDS}.", parsers.speeds)
+    Numbers | None, scenario("--speeds KMH,...", f"Speeds in km/h: {parsers.SPEEDS}.", parsers.speeds)
 ]
-Wear = Annotated[float | None, scenario("--wear", "0..1", "Tread wear, 0 is new.", SHARE)]
-Wears = Annotated[
-    Numbers | None,
-    scenario("--wear", "0..1,...", "Tread wear, 0 is new; one or several.", NumberList(SHARE, distinct=True)),
-]
-FRICTION_TEXT = "Friction coefficient of wheel and rail"
-Friction = Annotated[float | None, scenario("--friction", "MU", f"{FRICTION_TEXT}.", FRICTION)]
-Frictions = Annotated[
-    Numbers | None,
-<<<<<<< HEAD
-    typer.Option(
-        "--friction",
-        parser=several(parse_friction, "--friction"),
-        metavar="MU,...",
-        rich_help_panel=SCENARIO,
-        help="Friction coefficient of wheel and rail; one or several.",
-    ),
-]
-Policies = Annotated[
-    PolicyNames | None,
-    typer.Option(
-        "--policies",
-        parser=parse_policies,
-        metavar="A,B,...",
-        help="Names ('sayd policies' lists all), constant:V, files of learned policies (.npz, .onnx, .zip) "
-        "or of controllers (.yaml), or code of one's own: module:factory, file.py:factory.",
-    ),
-]
-TrustPickles = Annotated[
-    bool,
-    typer.Option(
-        "--trust-pickles",
-        help="Load a policy that Stable-Baselines3 saved (.zip, PPO or SAC with MlpPolicy). Such a file can "
-        "run any code on this machine while it is loaded.",
-    ),
-]
-TrainedPeriod = Annotated[
-    float | None,
-    typer.Option(
-        "--trained-period",
-        parser=positive("--trained-period", "s", 1.0),
-        metavar="S",
-        help="With --trust-pickles: control period of its training (s), which the file does not say. "
-        "Default: the environment's.",
-    ),
-]
-VecNormalize = Annotated[
-    Path | None,
-    typer.Option(
-        "--vec-normalize",
-        metavar="FILE",
-        help="With --trust-pickles: statistics of the VecNormalize behind which it has learned (.pkl), which "
-        "can run any code, too.",
-    ),
-]
-Reward = Annotated[
-    str | None,
-    typer.Option(
-        "--reward",
-        metavar="NAME",
-        help="Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's). "
-        "Others by --set cost.force_weight=0.3.",
-=======
-    scenario(
-        "--friction", "MU,...", f"{FRICTION_TEXT}; one or several.", NumberList(FRICTION, distinct=True)
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
-    ),
+Wear = Annotated[float | None, scenario("--wear 0..1", "Tread wear, 0 is new.", SHARE)]
+Friction = Annotated[
+    float | None, scenario("--friction MU", "Friction coefficient of wheel and rail.", FRICTION)
 ]
 Environment = Annotated[
     str,
     scenario(
-        "--environment",
-        "NAME|FILE",
-        "Sensors, control period, length of an episode, and what is drawn: nominal, randomized, faults or a YAML "
-        "file.",
-        complete=packaged("env"),
-    ),
-]
-Reward = Annotated[
-    str | None,
-    scenario(
-        "--reward",
-        "NAME",
-        "Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's); others by --set "
-        "cost.force_weight=0.3.",
-        complete=lambda: ["mppt1", "mppt2"],
+        "--environment NAME|FILE",
+        "Sensors, control period, episodes, what is drawn: nominal, randomized, faults or a YAML file.",
+        complete=one_of(kind="env"),
     ),
 ]
 CreepLaws = Annotated[
     Names | None,
     option(
-        "--creep-laws",
-        "LAW,...",
+        "--creep-laws LAW,...",
         "Give critical speeds by these creep laws, too: table, polach, fastsim.",
         NameList("table,polach,fastsim"),
     ),
 ]
-POLICIES = NameList("passive,mppt1,constant:0.3")
-Policies = Annotated[
-    Names | None,
-    policy(
-        "--policies",
-        "A,B,...",
-        "Names ('sayd policies' lists all), constant:V, or files of learned policies (.npz) or of controllers "
-        "(.yaml).",
-        POLICIES,
-        complete=policy_names,
-    ),
-]
+WHICH = (
+    "'sayd policies' lists all), constant:V, files of learned policies (.npz, .onnx, .zip) or of controllers "
+    "(.yaml), or code of one's own (module:factory, file.py:factory"
+)
+policies = partial(
+    policy, "--policies A,B,...", parser=NameList("passive,mppt1,constant:0.3"), complete=policy_names
+)
+EXECUTORS = one_of("threads", "processes", "ray", "dask")
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of commands that make many runs."""
+
+    workers: Annotated[
+        int | None,
+        runs("--workers N", "Threads or processes (default: all cores); results do not change.", WORKERS),
+    ] = None
+    executor: Annotated[
+        str | None,
+        runs(
+            "--executor KIND",
+            "Who computes: threads, processes, ray, ray://ADDRESS, dask, dask://ADDRESS; results stay. "
+            "Default: processes where there are many runs, else threads.",
+            complete=EXECUTORS,
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """Options of all commands."""
+
+    out: Out = None
+    as_json: Json = False
+    wide: Annotated[bool, output("--wide", "Print all columns of tables, beyond 80 characters.")] = False
 
 
 @dataclass(frozen=True)
@@ -244,23 +186,21 @@ class ScenarioOptions:
     profile: Annotated[
         str | None,
         scenario(
-            "--profile",
-            "NAME|FILE",
+            "--profile NAME|FILE",
             "Wheel profile: new, worn, a name or a YAML file.",
-            complete=packaged("profile", *WEAR_OF),
+            complete=one_of(*WEAR_OF, kind="profile"),
         ),
     ] = None
     track: Annotated[
         str | None,
-        scenario("--track", "NAME|FILE", "Track: a name or a YAML file.", complete=packaged("track")),
+        scenario("--track NAME|FILE", "Track: a name or a YAML file.", complete=one_of(kind="track")),
     ] = None
     damper: Annotated[
         str | None,
         scenario(
-            "--damper",
-            "NAME|FILE",
+            "--damper NAME|FILE",
             "Yaw dampers: passive, sayd or a YAML file. If --config has the kind, its numbers stay.",
-            complete=packaged("damper"),
+            complete=one_of(kind="damper"),
         ),
     ] = None
     config: Config = None
@@ -297,6 +237,44 @@ class ScenarioOptions:
 
 
 @dataclass(frozen=True)
+class GridOptions:
+    """Options of a study over speeds, wear and friction in an environment."""
+
+    speeds: Speeds = None
+    wear: Annotated[
+        Numbers | None,
+        scenario(
+            "--wear 0..1,...", "Tread wear, 0 is new; one or several.", NumberList(SHARE, distinct=True)
+        ),
+    ] = None
+    friction: Annotated[
+        Numbers | None,
+        scenario(
+            "--friction MU,...",
+            "Friction coefficient of wheel and rail; one or several.",
+            NumberList(FRICTION, distinct=True),
+        ),
+    ] = None
+    environment: Environment = "nominal"
+    reward: Annotated[
+        str | None,
+        scenario(
+            "--reward NAME",
+            "Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's); others by --set "
+            "cost.force_weight=0.3.",
+            complete=one_of("mppt1", "mppt2"),
+        ),
+    ] = None
+
+    def first(self, choice: ScenarioOptions) -> Scenario:
+        """Scenario of the first wear and friction."""
+        from sayd_env.studies.evaluate import with_reward  # noqa: PLC0415 - keeps --help fast
+
+        found = choice.load(*(values and values[0] for values in (self.wear, self.friction)))
+        return found if self.reward is None else with_reward(found, self.reward)
+
+
+@dataclass(frozen=True)
 class ForeignOptions:
     """Options for policies that Stable-Baselines3 saved."""
 
@@ -304,24 +282,27 @@ class ForeignOptions:
         bool,
         policy(
             "--trust-pickles",
-            "",
-            "Load a policy that Stable-Baselines3 saved (.zip, PPO or SAC with MlpPolicy). Such a file can run "
-            "any code on this machine while it is loaded.",
+            "Load what Stable-Baselines3 saved (.zip, PPO or SAC, MlpPolicy), which can run any code here.",
         ),
     ] = False
     trained_period: Annotated[
         float | None,
         policy(
-            "--trained-period",
-            "S",
-            "With --trust-pickles: control period of its training (s), which the file does not say. Default: the "
-            "environment's.",
+            "--trained-period S",
+            "With --trust-pickles: control period of its training (s). Default: the environment's.",
             positive("s", 1),
+        ),
+    ] = None
+    vec_normalize: Annotated[
+        Path | None,
+        policy(
+            "--vec-normalize FILE",
+            "With --trust-pickles: its training's VecNormalize (.pkl), which can run any code, too.",
         ),
     ] = None
 
     def reader(self, environment: EnvironmentConfig) -> ForeignReader | None:
         """What reads such files, or None where they are not trusted."""
-        from sayd_env.studies.learning import foreign_reader  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415 - keeps --help fast
 
-        return foreign_reader(self.trust_pickles, environment, self.trained_period)
+        return foreign_reader(self.trust_pickles, environment, self.trained_period, self.vec_normalize)

@@ -21,7 +21,6 @@ QUIET_SECONDS = 2.0
 LINE_SECONDS = 10.0
 PLAIN_WIDTH = 80
 WIDE_WIDTH = 160
-QUICK = "--quick: a look, not a result"
 
 
 class Output:
@@ -44,26 +43,24 @@ class Output:
         When the directory cannot be written to.
     """
 
-    def __init__(
-        self, command: str, folder: Path | None, *, as_json: bool = False, wide: bool = False
-    ) -> None:
+    def __init__(self, command: str, folder: Path | None, *, as_json: bool, wide: bool) -> None:
         from sayd_env.report.files import ResultDirectory  # noqa: PLC0415 - keeps --help fast
 
         self.command = command
         self.as_json = as_json
         self.wide = wide
-        self.console = _console(to_stderr=as_json, wide=wide)
+        self.console = _console(to_stderr=as_json, width=WIDE_WIDTH if wide else PLAIN_WIDTH)
         self.directory = None if folder is None else ResultDirectory(folder)
 
-    def finish(self, result: Result, *, config: Any, seed: int | None, quick: bool = False) -> None:
+    def finish(self, result: Result, config: Any, seed: int | None, *, quick: bool) -> None:
         """Store the result, then show it: JSON or the study's summary."""
-        from sayd_env.report.files import document, json_text  # noqa: PLC0415
+        from sayd_env.report.files import document, json_text  # noqa: PLC0415 - keeps --help fast
 
         content = document(result, config, seed, command_text()) | ({"quick": True} if quick else {})
         files = [] if self.directory is None else self.directory.save(result, content)
         result.summary(self.console, wide=self.wide)
         if quick:
-            self.say(QUICK)
+            self.say("--quick: a look, not a result")
         if self.directory is not None:
             self.say(f"{self.directory.path}: {', '.join(path.name for path in files)}")
         if self.as_json:
@@ -98,24 +95,16 @@ def command_text() -> str:
 
 @contextmanager
 def _bar(command: str, console: Console) -> Iterator[Progress]:
-    from rich.progress import (  # noqa: PLC0415 - only a terminal needs it
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress as bars  # noqa: PLC0415 - only a terminal needs it
 
-    columns = (
-        TextColumn(command),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.description}", markup=False),
+    what = bars.TextColumn("{task.description}", markup=False)
+    parts = (
+        bars.BarColumn(),
+        bars.MofNCompleteColumn(),
+        bars.TimeElapsedColumn(),
+        bars.TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
+    with bars.Progress(bars.TextColumn(command), *parts, what, console=console, transient=True) as bar:
         task = bar.add_task("", total=None)
 
         def report(done: float, total: float, what: str = "") -> None:
@@ -134,19 +123,16 @@ class _Lines:
 
     def __call__(self, done: float, total: float, what: str = "") -> None:
         now = time.monotonic()
-        if now < self.next:
-            return
-        self.next = now + LINE_SECONDS
-        _line(self.console, f"sayd {self.command}: {done:g} of {total:g} {what}".rstrip())
+        if now >= self.next:
+            self.next = now + LINE_SECONDS
+            _line(self.console, f"sayd {self.command}: {done:g} of {total:g} {what}".rstrip())
 
 
 def _line(console: Console, text: str) -> None:
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def _console(*, to_stderr: bool, wide: bool = False) -> Console:
+def _console(*, to_stderr: bool, width: int = PLAIN_WIDTH) -> Console:
     console = Console(stderr=to_stderr)
-    if console.is_terminal:
-        return console
     # A file or a pipe has no width, whatever the environment says.
-    return Console(stderr=to_stderr, width=WIDE_WIDTH if wide else PLAIN_WIDTH)
+    return console if console.is_terminal else Console(stderr=to_stderr, width=width)

@@ -6,39 +6,29 @@ The program's border puts the option's name in front of it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypeAlias
 
+from sayd_env.config.explain import shown
 from sayd_env.config.units import KMH
 
+Numbers: TypeAlias = Sequence[float]
+Names: TypeAlias = Sequence[str]
 MAX_SPEEDS = 1000
 SPEEDS = "300,350,400 or 320:445:25"
-LONGEST = 80
-"""Characters of what was typed that a message shows."""
-
-
-class Numbers(tuple[float, ...]):
-    """Finite numbers, at least one."""
-
-    __slots__ = ()
-
-
-class Names(tuple[str, ...]):
-    """Names as they were typed, at least one."""
-
-    __slots__ = ()
 
 
 @dataclass(frozen=True)
 class Number:
-    """Reader of one finite number within bounds."""
+    """Reader of one finite number within bounds, the lower one excluded if it must be `above` it."""
 
     low: float
     high: float = math.inf
     unit: str = ""
     whole: bool = False
     above: bool = False
-    """The lower bound itself is not allowed."""
 
     def __call__(self, given: str | float) -> float:
         """Read it, or check a default."""
@@ -50,7 +40,7 @@ class Number:
         except ValueError:
             value = math.nan
         if not self.low <= value <= self.high or math.isinf(value) or (self.above and value == self.low):
-            raise ValueError(f"{shown(text)}: expected {self}")
+            raise ValueError(f"{shown(text)[1:-1]}: expected {self}")
         return value
 
     def __str__(self) -> str:
@@ -76,7 +66,7 @@ class NumberList:
 
     def __call__(self, text: str) -> Numbers:
         """Read them."""
-        values = Numbers(self.one(part) for part in text.split(","))
+        values = tuple(self.one(part) for part in text.split(","))
         if self.distinct and len(set(values)) < len(values):
             raise ValueError(f"{shown(text)}: a number stands there twice")
         return values
@@ -90,24 +80,19 @@ class NameList:
 
     def __call__(self, text: str) -> Names:
         """Read them."""
-        found = Names(part.strip() for part in text.split(","))
+        found = tuple(part.strip() for part in text.split(","))
         if not all(found):
-            raise ValueError(f"'{shown(text)}': found an empty place; expected names (use {self.example})")
+            raise ValueError(f"{shown(text)}: found an empty place; expected names (use {self.example})")
         return found
 
 
 def speeds(text: str) -> Numbers:
-    """Read ``300,350,400`` or ``320:445:25`` (first, last, step; last included when a step meets it).
+    """Read speeds in km/h, give them in m/s.
 
     Parameters
     ----------
     text : str
-        Speeds in km/h.
-
-    Returns
-    -------
-    Numbers
-        Speeds in m/s.
+        ``300,350,400`` or ``320:445:25`` (first, last, step; last included when a step meets it).
 
     Raises
     ------
@@ -115,13 +100,13 @@ def speeds(text: str) -> Numbers:
         Not a number, not positive, not finite, not rising, empty, or more than `MAX_SPEEDS` values.
     """
     try:
-        found = Numbers(_grid(text) if ":" in text else map(_speed, text.split(",")))
+        found = _grid(text) if ":" in text else [_speed(part) for part in text.split(",")]
         for before, after in pairwise(found):
             if after <= before:
                 raise ValueError(f"{after:g} follows {before:g}; speeds must rise")
     except ValueError as error:
-        raise ValueError(f"'{shown(text)}': {error} (use {SPEEDS})") from None
-    return Numbers(value / KMH for value in found)
+        raise ValueError(f"{shown(text)}: {error} (use {SPEEDS})") from None
+    return tuple(value / KMH for value in found)
 
 
 def _grid(text: str) -> list[float]:
@@ -145,9 +130,3 @@ def _speed(part: str) -> float:
         return positive("km/h")(part)
     except ValueError as error:
         raise ValueError(f"found {error}".replace(": expected", "; expected")) from None
-
-
-def shown(text: str, longest: int = LONGEST) -> str:
-    """Text as a message may show it: control characters escaped, and no longer than a line."""
-    plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return plain if len(plain) <= longest else f"{plain[: longest // 2]}...{plain[-longest // 4 :]}"

@@ -1,27 +1,25 @@
-"""Commands that compare, draw and list policies."""
+"""Commands that compare, tune, draw and list policies."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
 
 from sayd_env.cli import options, parsers
-from sayd_env.cli.command import Plan, command
+from sayd_env.cli.command import Plan, command, result_folder
 from sayd_env.cli.options import option, output, policy, runs, scenario
-from sayd_env.cli.output import RESULTS
+from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import Names, Numbers, positive
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from sayd_env.config.scenario import Scenario
-<<<<<<< HEAD
-=======
-    from sayd_env.studies.comparison.result import CompareResult
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
+    from sayd_env.cli.output import Output
+    from sayd_env.studies.comparison.compare import CompareResult
+    from sayd_env.studies.tuning.tune import TuneResult
 
 GROUP = "Policies"
 SPEEDS = parsers.speeds("300,350,400")
@@ -30,30 +28,13 @@ SPEEDS = parsers.speeds("300,350,400")
 @command(GROUP, "--policies passive,mppt2,ppo --profile worn --seeds 2", runs=True)
 def evaluate(
     choice: options.ScenarioOptions,
+    grid: options.GridOptions,
     foreign: options.ForeignOptions,
     *,
-    policies: options.Policies = None,
-    speeds: options.Speeds = None,
-    wear: options.Wears = None,
-    friction: options.Frictions = None,
-    environment: options.Environment = "nominal",
-    reward: options.Reward = None,
-    initial_current: Annotated[
-        float,
-        policy(
-            "--initial-current",
-            "0..1",
-            "Valve command of the run-in, before the policies act.",
-            options.SHARE,
-        ),
-<<<<<<< HEAD
-    ] = "0",  # type: ignore[assignment] # the parser turns the text into a number
-    trust_pickles: options.TrustPickles = False,
-    trained_period: options.TrainedPeriod = None,
-    vec_normalize: options.VecNormalize = None,
-=======
-    ] = 0.0,
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
+    policies: Names | None = options.policies(f"Names ({options.WHICH})."),
+    initial_current: float = policy(
+        "--initial-current 0..1", "Valve command of the run-in, before they act.", options.SHARE, default=0.0
+    ),
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
 ) -> Plan:
@@ -69,35 +50,19 @@ def evaluate(
     filter of the assessment. The weights do not change what the controllers mppt1 and mppt2 minimise.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
-<<<<<<< HEAD
-    from sayd_env.runs.policies import foreign_reader, policy_specs  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
 
-    scenario = _scenario(config, assignments, profile, wear, friction, track, damper, reward)
-    laws = load_environment(environment)
-    specs = policy_specs(policies or (), foreign_reader(trust_pickles, laws, trained_period, vec_normalize))
-    job = Job("evaluate", out, as_json)
-    with job.runs(executor, workers) as context:
-        result = study(
-            scenario,
-            _metres_per_second(speeds or (300.0, 350.0, 400.0)),
-=======
-    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
-    from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
-
-    chosen = _first(choice, wear, friction, reward)
-    setup = load_environment(environment)
-    reader = foreign.reader(setup)
-    specs = [policy_spec(name, reader) for name in policies or ()]
+    chosen, setup = grid.first(choice), load_environment(grid.environment)
+    specs = policy_specs(policies or (), foreign.reader(setup))
     return Plan(
         lambda run: study(
             chosen,
-            speeds or SPEEDS,
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
+            grid.speeds or SPEEDS,
             range(seed, seed + seeds),
             policies=specs,
-            wear=wear or (),
-            friction=friction or (),
+            wear=grid.wear or (),
+            friction=grid.friction or (),
             environment=setup,
             initial_current=initial_current,
             context=run,
@@ -105,47 +70,26 @@ def evaluate(
         {**dict(chosen), "environment": setup},
         seed,
     )
-<<<<<<< HEAD
-    return scenario if reward is None else with_reward(scenario, reward)
-
-
-def _metres_per_second(speeds: Iterable[float]) -> list[float]:
-    return [v / KMH for v in speeds]
-=======
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
 
 
 @command(GROUP, "--quick --policies passive,mppt2", name="map", runs=True)
 def map_(
     choice: options.ScenarioOptions,
+    grid: options.GridOptions,
+    foreign: options.ForeignOptions,
     *,
-    policies: options.Policies = None,
-    speeds: options.Speeds = None,
-    condition_speeds: Annotated[
-        Numbers | None,
-        scenario(
-            "--condition-speeds",
-            "KMH,...",
-            "Speeds for which the best constant current is looked for (default 300, 400 km/h).",
-            parsers.speeds,
-        ),
-    ] = None,
-    wear: options.Wears = None,
-    friction: options.Frictions = None,
-    environment: options.Environment = "nominal",
-<<<<<<< HEAD
-    trust_pickles: options.TrustPickles = False,
-    trained_period: options.TrainedPeriod = None,
-    vec_normalize: options.VecNormalize = None,
-=======
-    reward: options.Reward = None,
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
-    constants: Annotated[
-        bool, option("--constants/--no-constants", "", "Look for the best constant currents, too.")
-    ] = True,
+    policies: Names | None = options.policies(f"Names ({options.WHICH})."),
+    condition_speeds: Numbers | None = scenario(
+        "--condition-speeds KMH,...",
+        "Speeds at which the best constant current is looked for (default 300, 400 km/h).",
+        parsers.speeds,
+    ),
+    constants: bool = option(
+        "--constants --no-constants", "Look for the best constant currents, too.", default=True
+    ),
     quick: options.Quick = False,
     seed: options.Seed = 0,
-    seeds: options.Realisations = None,
+    seeds: options.QuickSeeds = None,
 ) -> Plan:
     """Map the critical speed over wear and friction by policy, and the best constant current with its J.
 
@@ -153,110 +97,58 @@ def map_(
     to 0.5, speeds 280:440:40 and the middle of the interval in which a limit is crossed, 2 track
     realisations. With --quick it is a coarse map from one, within a minute or two.
 
-<<<<<<< HEAD
-    from sayd_env.config import ConfigError  # noqa: PLC0415
-    from sayd_env.config.environment import load_environment  # noqa: PLC0415
-    from sayd_env.runs.policies import foreign_reader, policy_specs  # noqa: PLC0415
-    from sayd_env.studies.map import POLICIES, QUICK, MapGrid, stability_map  # noqa: PLC0415
-=======
     The best constant current is that of the lowest J on line (as in evaluate) and off line, among a closed
     valve and currents beyond the throttle's overlap, the closer the less the valve is open, and halfway
     around the best one. Finished runs are kept in the output directory: an interrupted map goes on where it
     stopped.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies import map as study  # noqa: PLC0415
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
 
     if condition_speeds and not constants:
         raise ConfigError(
             "--condition-speeds: are those of the best constant currents; leave out --no-constants"
         )
-    chosen = _first(choice, wear, friction, reward)
-    given = {"wear": wear, "friction": friction, "speeds": speeds, "condition_speeds": condition_speeds}
+    chosen, setup = grid.first(choice), load_environment(grid.environment)
+    given = {
+        "wear": grid.wear,
+        "friction": grid.friction,
+        "speeds": grid.speeds,
+        "condition_speeds": condition_speeds,
+    }
     changes: dict[str, Any] = {key: tuple(values) for key, values in given.items() if values}
-<<<<<<< HEAD
-    grid = replace(QUICK if quick else MapGrid(), **changes)
-    laws = load_environment(environment)
-    foreign = foreign_reader(trust_pickles, laws, trained_period, vec_normalize)
-    specs = policy_specs(policies or POLICIES, foreign)
-    job = Job("map", out, as_json)
-    count = seeds or (1 if quick else 2)
-    with job.runs(executor, workers) as context:
-        result = stability_map(
-            scenario,
-            specs,
-            range(seed, seed + count),
-            grid=grid,
-            best_constant=constants,
-            environment=laws,
-            context=context,
-        )
-    job.finish(result, config={**dict(scenario), "environment": laws}, seed=seed)
-=======
-    grid = replace(study.QUICK if quick else study.MapGrid(), **changes)
-    specs = [policy_spec(name) for name in policies or study.POLICIES]
-    setup = load_environment(environment)
+    where = replace(study.QUICK if quick else study.MapGrid(), **changes)
+    specs = policy_specs(policies or study.POLICIES, foreign.reader(setup))
     numbers = range(seed, seed + (seeds or (1 if quick else 2)))
     return Plan(
         lambda run: study.stability_map(
-            chosen, specs, numbers, grid=grid, best_constant=constants, environment=setup, context=run
+            chosen, specs, numbers, grid=where, best_constant=constants, environment=setup, context=run
         ),
         {**dict(chosen), "environment": setup},
         seed,
     )
->>>>>>> e8e33f5 (Give all commands one wrapper, which adds the common options and opens, computes and ends alike)
-
-
-def _first(
-    choice: options.ScenarioOptions,
-    wear: Sequence[float] | None,
-    friction: Sequence[float] | None,
-    reward: str | None,
-) -> Scenario:
-    """Scenario of the first wear and friction of a list."""
-    from sayd_env.studies.evaluate import with_reward  # noqa: PLC0415 - keeps --help fast
-
-    chosen = choice.load(wear[0] if wear else None, friction[0] if friction else None)
-    return chosen if reward is None else with_reward(chosen, reward)
 
 
 @command(GROUP, "--quick --policies ppo,own=a.npz+b.npz", runs=True)
 def compare(
+    foreign: options.ForeignOptions,
     *,
-    policies: Annotated[
-        Names | None,
-        policy(
-            "--policies",
-            "A,B,...",
-            "Who takes part beside passive and mppt2: names as for evaluate, ready policies by their algorithm "
-            "(ppo), training seeds as NAME=FILE+FILE..., or a folder of policy files. Default: the paper's and "
-            "the tuned controllers and all ready policies.",
-            options.POLICIES,
-            complete=options.policy_names,
-        ),
-    ] = None,
-    config: Annotated[
-        str | None,
-        scenario(
-            "--config",
-            "NAME|FILE",
-            "Conditions: a YAML file. Default: the held-out ones, which nothing was trained on.",
-            complete=lambda: ["heldout"],
-        ),
-    ] = None,
+    policies: Names | None = options.policies(
+        "Who takes part beside passive and mppt2: as for evaluate, ready policies by algorithm (ppo), "
+        "training seeds as NAME=FILE+FILE..., or a folder of policy files. Default: the paper's and tuned "
+        "controllers and all ready policies."
+    ),
+    config: str | None = scenario(
+        "--config NAME|FILE",
+        "Conditions: a YAML file. Default: the held-out ones, which nothing was trained on.",
+        complete=lambda: ["heldout"],
+    ),
     assignments: options.Set = None,
     quick: options.Quick = False,
-    seed: Annotated[
-        int | None,
-        runs(
-            "--seed",
-            "S",
-            "Of the bootstrap; the seeds of the scenarios are the configuration's.",
-            options.SEED,
-        ),
-    ] = None,
+    seed: int | None = runs(
+        "--seed S", "Of the bootstrap; the seeds of the scenarios are the configuration's.", options.SEED
+    ),
 ) -> Plan:
     """Compare policies on held-out conditions: J with intervals, limits, critical speed, training seeds.
 
@@ -268,12 +160,13 @@ def compare(
     stopped.
     """
     from sayd_env.config.comparison import HELD_OUT, load_comparison  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415
     from sayd_env.studies.comparison.compare import compare as study  # noqa: PLC0415
-    from sayd_env.studies.comparison.entrants import contestants  # noqa: PLC0415
+    from sayd_env.studies.comparison.entrants import read_entrants  # noqa: PLC0415
 
     given = list(assignments or ()) + ([] if seed is None else [f"bootstrap.seed={seed}"])
     conditions = load_comparison(config or HELD_OUT, given)
-    chosen = contestants(policies)
+    chosen = read_entrants(policies, foreign.reader(load_environment()))
 
     def used(result: CompareResult) -> object:
         return result.config
@@ -288,39 +181,28 @@ def render(
     choice: options.ScenarioOptions,
     foreign: options.ForeignOptions,
     *,
-    name: Annotated[
-        str,
-        policy(
-            "--policy",
-            "NAME|FILE",
-            "Who commands the valves: a name ('sayd policies' lists all), constant:0.3, or a file.",
-            complete=options.policy_names,
-        ),
-    ] = "mppt2",
+    name: str = policy(
+        "--policy NAME|FILE",
+        f"Who commands the valves: a name ({options.WHICH}).",
+        complete=options.policy_names,
+        default="mppt2",
+    ),
     speed: options.Speed = None,
     wear: options.Wear = None,
     friction: options.Friction = None,
     environment: options.Environment = "nominal",
-    seconds: Annotated[float, option("--seconds", "S", "Length.", positive("s", 600))] = 10.0,
-    fps: Annotated[float, option("--fps", "N", "Pictures per second.", positive("per second", 1000))] = 25.0,
-    exaggeration: Annotated[
-        float | None,
-        option(
-            "--exaggeration",
-            "X",
-            "How many times as large displacements are drawn (default 20).",
-            positive(high=1000),
-        ),
-    ] = None,
+    seconds: float = option("--seconds S", "Length.", positive("s", 600), default=10.0),
+    fps: float = option("--fps N", "Pictures per second.", positive("per second", 1000), default=25.0),
+    exaggeration: float | None = option(
+        "--exaggeration X",
+        "How many times as large displacements are drawn (default 20).",
+        positive(high=1000),
+    ),
     seed: options.Seed = 0,
-    file: Annotated[
-        Path | None,
-        output(
-            "-o --file",
-            "FILE",
-            "File of the pictures: .gif, .mp4 or .png (the last picture). Default: render.gif in --out.",
-        ),
-    ] = None,
+    file: Path | None = output(
+        "-o --file FILE",
+        "File of the pictures: .gif, .mp4 or .png (the last picture). Default: render.gif in --out.",
+    ),
     out: options.Out = None,
 ) -> Plan:
     """Draw a policy at work: the vehicle from above, its dampers and valves, running values and limits.
@@ -360,3 +242,62 @@ def policies() -> Plan:
     from sayd_env.studies.policies import policies as study  # noqa: PLC0415 - keeps --help fast
 
     return Plan(lambda _: study())
+
+
+@command(GROUP, "mppt2 --quick", runs=True)
+def tune(
+    controller: Annotated[
+        Literal["mppt2", "constant"],
+        typer.Argument(metavar="CONTROLLER", help="mppt2 or constant.", show_default=False),
+    ],
+    *,
+    config: options.Config = None,
+    assignments: options.Set = None,
+    quick: options.Quick = False,
+    seed: int = runs("--seed S", "Seed of the search; the scenarios have theirs.", options.SEED, default=0),
+    file: Path | None = output(
+        "-o --file FILE", "YAML file of the tuned parameters. Default: CONTROLLER-tuned.yaml in --out."
+    ),
+    out: Path | None = output("--out DIR", options.OUT.format("tune-CONTROLLER")),
+    as_json: options.Json = False,
+) -> Plan:
+    """Find the gains of a controller with the smallest mean J over a list of scenarios.
+
+    The list, the ranges and the budget are those of configs/study/tuning.yaml (--config, --set); J has the
+    weights of MPPT2. mppt2: differential evolution, then COBYQA, about ten minutes; constant: Brent's search,
+    a minute or two; --quick takes a few scenarios and evaluations.
+
+    The result is a file of parameters that --policies takes like a name, for example
+    results/tune-mppt2/mppt2-tuned.yaml; the packaged mppt2-tuned and constant-tuned were found so.
+    Evaluations are kept in the output directory: an interrupted tuning goes on where it stopped.
+    """
+    from sayd_env.config.storage import write_file  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.tuning import load_tuning  # noqa: PLC0415
+    from sayd_env.report.files import ResultDirectory  # noqa: PLC0415
+    from sayd_env.studies.tuning import tune as study  # noqa: PLC0415
+
+    settings = load_tuning("tuning" if config is None else config, assignments or ())
+    settings = settings.shortened() if quick else settings
+    if out is not None and out.suffix in (".yaml", ".yml"):
+        raise ConfigError(f"--out {out}: expected a directory; the file of parameters is -o {out}")
+    if file is not None and file.suffix not in (".yaml", ".yml"):
+        raise ConfigError(f"-o {file}: expected a file that ends in .yaml")
+    folder = result_folder(f"tune-{controller}", {"out": out, "as_json": as_json, "quick": quick})
+    target = file or (None if folder is None else folder / f"{controller}-tuned.yaml")
+    if target is not None:
+        study.refuse_packaged(target)
+        ResultDirectory(target.parent)  # cannot be written to? Say so before the work
+    name, typed = config or "configs/study/tuning.yaml", command_text()
+
+    def store(result: TuneResult, output: Output) -> None:
+        if target is not None:
+            write_file(target, result.control_file().encode())
+            output.say(str(target))
+
+    return Plan(
+        lambda run: study.tune(controller, settings, name=name, seed=seed, command=typed, context=run),
+        settings,
+        seed,
+        folder,
+        store,
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
@@ -42,13 +42,16 @@ def bench(
 @command(GROUP, "--environment faults --steps 100000")
 def soak(
     *,
-    steps: Annotated[
-        int, option("--steps", "N", "Control steps of all vehicles together.", Number(1, 10**9, whole=True))
-    ] = 2_000_000,
+    steps: int = option(
+        "--steps N",
+        "Control steps of all vehicles together.",
+        Number(1, 10**9, whole=True),
+        default=2_000_000,
+    ),
     environment: options.Environment = "faults",
-    environments: Annotated[
-        int, option("--environments", "N", "Vehicles side by side.", Number(1, 4096, whole=True))
-    ] = 64,
+    environments: int = option(
+        "--environments N", "Vehicles side by side.", Number(1, 4096, whole=True), default=64
+    ),
     assignments: options.Set = None,
     seed: options.Seed = 0,
     workers: options.Threads = None,

@@ -1,4 +1,4 @@
-"""Commands that run the vehicle, and those that judge a run."""
+"""Commands that run the vehicle or look at a component of it, and those that judge a run."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from sayd_env.studies.tuning.calibrate import CalibrationResult
 
 GROUP = "Vehicle and paper"
+COMPONENTS = "Components"
 
 
 @command(GROUP, "--profile worn --speeds 320:445:25 --seeds 2", runs=True)
@@ -55,24 +56,19 @@ def reproduce(
     scenario: options.ScenarioOptions,
     *,
     friction: options.Friction = None,
-    strict: Annotated[bool, option("--strict", "", "Exit with status 1 if a row does not hold.")] = False,
-    allow: Annotated[
-        Names | None,
-        option("--allow", "ROW,...", "Rows that may fail with --strict: P2,M7.", NameList("P2,M7")),
-    ] = None,
-    control_periods: Annotated[
-        Numbers | None,
-        option(
-            "--control-periods",
-            "S,...",
-            "Judge rows S1 to S6 at these control periods (s), too: 0.002,0.005,0.01.",
-            NumberList(positive("s", 1)),
-        ),
-    ] = None,
+    strict: bool = option("--strict", "Exit with status 1 if a row does not hold.", default=False),
+    allow: Names | None = option(
+        "--allow ROW,...", "Rows that may fail with --strict: P2,M7.", NameList("P2,M7")
+    ),
+    control_periods: Numbers | None = option(
+        "--control-periods S,...",
+        "Judge rows S1 to S6 at these control periods (s), too: 0.002,0.005,0.01.",
+        NumberList(positive("s", 1)),
+    ),
     creep_laws: options.CreepLaws = None,
     quick: options.Quick = False,
     seed: options.Seed = 0,
-    seeds: options.Realisations = None,
+    seeds: options.QuickSeeds = None,
 ) -> Plan:
     """Measure what the paper shows, row by row: the passive vehicle, the controllers, all figures.
 
@@ -132,10 +128,9 @@ def modes(
     speeds: options.Speeds = None,
     wear: options.Wear = None,
     friction: options.Friction = None,
-    amplitude: Annotated[
-        float,
-        option("--amplitude", "MM", "Lateral amplitude at which contact is linearised.", positive("mm")),
-    ] = 3.0,
+    amplitude: float = option(
+        "--amplitude MM", "Lateral amplitude at which contact is linearised.", positive("mm"), default=3.0
+    ),
 ) -> Plan:
     """Compute the vehicle's modes over speed and the linear critical speed, at which it starts to hunt."""
     from sayd_env.studies.modes import modes as study  # noqa: PLC0415 - keeps --help fast
@@ -148,18 +143,12 @@ def modes(
 def assess(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV file of the recording.")],
     *,
-    speed: Annotated[
-        float | None, option("--speed", "KMH", "Speed, if no column gives it.", positive("km/h"))
-    ] = None,
-    sample_rate: Annotated[
-        float | None, option("--sample-rate", "HZ", "If no column gives the time.", positive("Hz"))
-    ] = None,
-    column: Annotated[
-        list[str] | None, option("--column", "NAME", "Column to assess; repeatable. Default: every signal.")
-    ] = None,
-    run_in: Annotated[
-        float, option("--run-in", "M", "Distance left out at the start.", Number(0, 1e6, "m"))
-    ] = 0.0,
+    speed: float | None = option("--speed KMH", "Speed, if no column gives it.", positive("km/h")),
+    sample_rate: float | None = option("--sample-rate HZ", "If no column gives the time.", positive("Hz")),
+    column: list[str] | None = option(
+        "--column NAME", "Column to assess; repeatable. Default: every signal."
+    ),
+    run_in: float = option("--run-in M", "Distance left out at the start.", Number(0, 1e6, "m"), default=0.0),
     config: options.Config = None,
     assignments: options.Set = None,
 ) -> Plan:
@@ -183,3 +172,37 @@ def assess(
         ),
         used,
     )
+
+
+@command(COMPONENTS, "--profile lmb10", without=("damper",))
+def conicity(scenario: options.ScenarioOptions, *, wear: options.Wear = None) -> Plan:
+    """Compute the equivalent conicity of wheel and rail by EN 15302."""
+    from sayd_env.studies.components.conicity import conicity as study  # noqa: PLC0415 - keeps --help fast
+
+    chosen = scenario.load(wear)
+    return Plan(lambda _: study(chosen), chosen)
+
+
+@command(COMPONENTS, "--damper sayd --current 0,0.5,1 --amplitudes 2", without=("profile", "track"))
+def hysteresis(
+    scenario: options.ScenarioOptions,
+    *,
+    amplitudes: Numbers | None = option(
+        "--amplitudes MM,...", "Amplitudes in mm: 1,2,4.", NumberList(positive("mm", 1000))
+    ),
+    frequencies: Numbers | None = option(
+        "--frequencies HZ,...", "Frequencies in Hz: 1,2,4,6,8,10.", NumberList(positive("Hz", 1000))
+    ),
+    current: Numbers | None = option(
+        "--current 0..1,...",
+        "Valve currents of a semi-active damper: 0,0.25,0.5,1.",
+        NumberList(options.SHARE),
+    ),
+) -> Plan:
+    """Move a yaw damper on a test rig: force over displacement at several amplitudes and frequencies."""
+    from sayd_env.studies.components import hysteresis as study  # noqa: PLC0415 - keeps --help fast
+
+    chosen = scenario.load()
+    metres = study.AMPLITUDES if amplitudes is None else [value * 1e-3 for value in amplitudes]
+    hertz = frequencies or study.FREQUENCIES
+    return Plan(lambda run: study.hysteresis(chosen, metres, hertz, current, progress=run.progress), chosen)
