@@ -9,6 +9,8 @@ from sayd_env.cli import learning, policies, program, vehicle
 from sayd_env.cli.command import app
 from sayd_env.cli.options import option
 
+__all__ = ["app"]
+
 GROUPS = (vehicle.GROUP, policies.GROUP, learning.GROUP, vehicle.COMPONENTS, program.GROUP)
 app.registered_commands.sort(key=lambda command: GROUPS.index(str(command.rich_help_panel)))
 

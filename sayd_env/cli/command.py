@@ -129,10 +129,11 @@ def _offered(own: Parameters, common: Collection[type], without: Collection[str]
 def _arguments(own: Parameters, given: Mapping[str, Any]) -> dict[str, Any]:
     """What a command's function is called with."""
 
-    def value(name: str, group: Any) -> Any:
-        if not is_dataclass(group):
+    def value(name: str, kind: Any) -> Any:
+        if not is_dataclass(kind):
             return given[name]
-        return group(**{field.name: given[field.name] for field in fields(group) if field.name in given})
+        make: Any = kind
+        return make(**{field.name: given[field.name] for field in fields(kind) if field.name in given})
 
     return {name: value(name, parameter.annotation) for name, parameter in own.items()}
 

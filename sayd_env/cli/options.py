@@ -117,7 +117,6 @@ Threads = Annotated[
 OUT = "Directory of the result's files. Default: results/{0}, with --quick {0}-quick (none with --json)."
 Out = Annotated[Path | None, output("--out DIR", OUT.format("COMMAND"))]
 Json = Annotated[bool, output("--json", "Print the result as JSON and nothing else.")]
-Speed = Annotated[float | None, scenario("--speed KMH", "Speed in km/h.", positive("km/h"))]
 Speeds = Annotated[
     Numbers | None, scenario("--speeds KMH,...", f"Speeds in km/h: {parsers.SPEEDS}.", parsers.speeds)
 ]
@@ -270,7 +269,7 @@ class GridOptions:
         """Scenario of the first wear and friction."""
         from sayd_env.studies.evaluate import with_reward  # noqa: PLC0415 - keeps --help fast
 
-        found = choice.load(*(values and values[0] for values in (self.wear, self.friction)))
+        found = choice.load(self.wear[0] if self.wear else None, self.friction[0] if self.friction else None)
         return found if self.reward is None else with_reward(found, self.reward)
 
 

@@ -187,7 +187,9 @@ def render(
         complete=options.policy_names,
         default="mppt2",
     ),
-    speed: options.Speed = None,
+    speed: float | None = scenario(
+        "--speed KMH", "Speed. Default: the environment draws it.", positive("km/h")
+    ),
     wear: options.Wear = None,
     friction: options.Friction = None,
     environment: options.Environment = "nominal",
