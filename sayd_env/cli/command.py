@@ -7,16 +7,15 @@ on the command line, opens the output, gives the study its run context, stores a
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import typer
 from rich.markup import escape
-from typer.models import OptionInfo
 
-from sayd_env.cli import options
+from sayd_env.cli.options import Group, OutputOptions, RunOptions, settled
 from sayd_env.cli.output import RESULTS, Output
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ def command(
 ) -> Callable[[Body], Body]:
     """Make a function a command.
 
-    Its parameters are arguments and options; one that is a dataclass of options stands for all of them.
+    Its parameters are arguments and options; one whose type is a `Group` stands for all of its options.
 
     Parameters
     ----------
@@ -70,17 +69,19 @@ def command(
     runs : bool
         It makes many runs: an executor makes them, and finished ones are kept in the result's directory.
     without : collection of str
-        Common options, or those of a dataclass, that it cannot use.
+        Common options, or those of a group, that it cannot use.
     """
 
     def register(body: Body) -> Body:
         called = name or body.__name__.replace("_", "-")
         own = dict(inspect.signature(body, eval_str=True).parameters)
+        groups = _groups(own)
 
         def invoke(**given: Any) -> None:
-            _run(called, body(**_arguments(own, given)), given, keeps=runs)
+            plain = {name: given[name] for name in own if name not in groups}
+            _run(called, body(**plain, **{name: kind(**given) for name, kind in groups.items()}), given, runs)
 
-        common = [options.RunOptions] * runs + [options.OutputOptions]
+        common: list[type[Group]] = [RunOptions] * runs + [OutputOptions]
         signature = inspect.Signature(list(_offered(own, common, without).values()))
         invoke.__signature__ = signature  # type: ignore[attr-defined]
         # The help has lines of another width than the docstring.
@@ -104,41 +105,30 @@ def result_folder(name: str, given: Mapping[str, Any]) -> Path | None:
     return RESULTS / (f"{name}-quick" if given.get("quick") else name)
 
 
-def _offered(own: Parameters, common: Collection[type], without: Collection[str]) -> Parameters:
+def _groups(own: Parameters) -> dict[str, type[Group]]:
+    """Parameters that stand for several options."""
+    kinds = {name: parameter.annotation for name, parameter in own.items()}
+    return {name: kind for name, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, Group)}
+
+
+def _offered(own: Parameters, common: Iterable[type[Group]], without: Collection[str]) -> Parameters:
     """Arguments and options of a command, its own first."""
-    offered: Parameters = {}
-    groups = [*(each.annotation for each in own.values() if is_dataclass(each.annotation)), *common]
-    for parameter in own.values():
-        if not is_dataclass(parameter.annotation):
-            if isinstance(parameter.default, OptionInfo) and parameter.default.default is ...:
-                parameter.default.default = None
-            offered[parameter.name] = parameter
-    for group in groups:
-        hints = get_type_hints(group, include_extras=True)
-        for field in fields(group):
-            if field.name not in {*without, *offered}:
-                offered[field.name] = inspect.Parameter(
-                    field.name,
-                    inspect.Parameter.KEYWORD_ONLY,
-                    annotation=hints[field.name],
-                    default=field.default,
+    groups = _groups(own)
+    offered = {
+        name: parameter.replace(default=settled(parameter.default))
+        for name, parameter in own.items()
+        if name not in groups
+    }
+    for group in (*groups.values(), *common):
+        for name, (annotation, default) in group.offered().items():
+            if name not in {*without, *offered}:
+                offered[name] = inspect.Parameter(
+                    name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default
                 )
     return offered
 
 
-def _arguments(own: Parameters, given: Mapping[str, Any]) -> dict[str, Any]:
-    """What a command's function is called with."""
-
-    def value(name: str, kind: Any) -> Any:
-        if not is_dataclass(kind):
-            return given[name]
-        make: Any = kind
-        return make(**{field.name: given[field.name] for field in fields(kind) if field.name in given})
-
-    return {name: value(name, parameter.annotation) for name, parameter in own.items()}
-
-
-def _run(name: str, plan: Plan, given: Mapping[str, Any], *, keeps: bool) -> None:
+def _run(name: str, plan: Plan, given: Mapping[str, Any], keeps: bool) -> None:
     from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415 - keeps --help fast
 
     # Where nothing is kept, workers are what the command itself makes of them.

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 from rich.markup import escape
+from typer.models import OptionInfo
 
 from sayd_env.cli import parsers
-from sayd_env.cli.parsers import NameList, Names, Number, NumberList, Numbers, positive
+from sayd_env.cli.parsers import ListOf, Names, Number, Numbers, name, positive
 
 if TYPE_CHECKING:
     from sayd_env.config.environment import EnvironmentConfig
@@ -70,6 +70,13 @@ def option(
         is_eager=callback is not None,
         rich_help_panel=panel,
     )
+
+
+def settled(default: Any) -> Any:
+    """A parameter's default; an option without one is None where it is not given."""
+    if isinstance(default, OptionInfo) and default.default is ...:
+        default.default = None
+    return default
 
 
 scenario = partial(option, panel="Scenario")
@@ -137,75 +144,75 @@ CreepLaws = Annotated[
     option(
         "--creep-laws LAW,...",
         "Give critical speeds by these creep laws, too: table, polach, fastsim.",
-        NameList("table,polach,fastsim"),
+        ListOf(name),
     ),
 ]
 WHICH = (
     "'sayd policies' lists all), constant:V, files of learned policies (.npz, .onnx, .zip) or of controllers "
     "(.yaml), or code of one's own (module:factory, file.py:factory"
 )
-policies = partial(
-    policy, "--policies A,B,...", parser=NameList("passive,mppt1,constant:0.3"), complete=policy_names
-)
+policies = partial(policy, "--policies A,B,...", parser=ListOf(name), complete=policy_names)
 EXECUTORS = one_of("threads", "processes", "ray", "dask")
 
 
-@dataclass(frozen=True)
-class RunOptions:
+class Group:
+    """Options that belong together: a command with a parameter of this kind offers all of them."""
+
+    def __init__(self, **given: Any) -> None:
+        for key, (_, default) in self.offered().items():
+            setattr(self, key, given.get(key, getattr(default, "default", default)))
+
+    @classmethod
+    def offered(cls) -> dict[str, tuple[Any, Any]]:
+        """Annotation and default of each option."""
+        hints = get_type_hints(cls, include_extras=True)
+        return {key: (hint, settled(getattr(cls, key))) for key, hint in hints.items()}
+
+
+class RunOptions(Group):
     """Options of commands that make many runs."""
 
-    workers: Annotated[
-        int | None,
-        runs("--workers N", "Threads or processes (default: all cores); results do not change.", WORKERS),
-    ] = None
-    executor: Annotated[
-        str | None,
-        runs(
-            "--executor KIND",
-            "Who computes: threads, processes, ray, ray://ADDRESS, dask, dask://ADDRESS; results stay. "
-            "Default: processes where there are many runs, else threads.",
-            complete=EXECUTORS,
-        ),
-    ] = None
+    workers: int | None = runs(
+        "--workers N", "Threads or processes (default: all cores); results do not change.", WORKERS
+    )
+    executor: str | None = runs(
+        "--executor KIND",
+        "Who computes: threads, processes, ray, ray://ADDRESS, dask, dask://ADDRESS; results stay. "
+        "Default: processes where there are many runs, else threads.",
+        complete=EXECUTORS,
+    )
 
 
-@dataclass(frozen=True)
-class OutputOptions:
+class OutputOptions(Group):
     """Options of all commands."""
 
     out: Out = None
     as_json: Json = False
-    wide: Annotated[bool, output("--wide", "Print all columns of tables, beyond 80 characters.")] = False
+    wide: bool = output("--wide", "Print all columns of tables, beyond 80 characters.", default=False)
 
 
-@dataclass(frozen=True)
-class ScenarioOptions:
+class ScenarioOptions(Group):
     """Options that choose vehicle, wheels, track and dampers."""
 
-    profile: Annotated[
-        str | None,
-        scenario(
-            "--profile NAME|FILE",
-            "Wheel profile: new, worn, a name or a YAML file.",
-            complete=one_of(*WEAR_OF, kind="profile"),
-        ),
-    ] = None
-    track: Annotated[
-        str | None,
-        scenario("--track NAME|FILE", "Track: a name or a YAML file.", complete=one_of(kind="track")),
-    ] = None
-    damper: Annotated[
-        str | None,
-        scenario(
-            "--damper NAME|FILE",
-            "Yaw dampers: passive, sayd or a YAML file. If --config has the kind, its numbers stay.",
-            complete=one_of(kind="damper"),
-        ),
-    ] = None
+    profile: str | None = scenario(
+        "--profile NAME|FILE",
+        "Wheel profile: new, worn, a name or a YAML file.",
+        complete=one_of(*WEAR_OF, kind="profile"),
+    )
+    track: str | None = scenario(
+        "--track NAME|FILE", "Track: a name or a YAML file.", complete=one_of(kind="track")
+    )
+    damper: str | None = scenario(
+        "--damper NAME|FILE",
+        "Yaw dampers: passive, sayd or a YAML file. If --config has the kind, its numbers stay.",
+        complete=one_of(kind="damper"),
+    )
     config: Config = None
     assignments: Set = None
 
-    def load(self, wear: float | None = None, friction: float | None = None) -> Scenario:
+    def load(
+        self, wear: float | None = None, friction: float | None = None, default: str | None = None
+    ) -> Scenario:
         """Read the configuration and apply the flags, then the assignments of ``--set``.
 
         ``--profile new`` and ``worn`` are the scenario's own wheels at wear 0 and 1, anything else is the
@@ -215,6 +222,8 @@ class ScenarioOptions:
         ----------
         wear, friction : float, optional
             ``--wear`` (stronger than new and worn) and ``--friction``.
+        default : str, optional
+            Configuration where ``--config`` is not given.
 
         Raises
         ------
@@ -226,44 +235,34 @@ class ScenarioOptions:
         if wear is None and self.profile is not None:
             wear = WEAR_OF.get(self.profile, 0.0)
         wheel = None if self.profile in WEAR_OF else self.profile
-        damper = self.damper
-        if damper is not None and load_scenario(self.config).damper.type == damper:
+        config, damper = default if self.config is None else self.config, self.damper
+        if damper is not None and load_scenario(config).damper.type == damper:
             damper = None  # the configuration's own, whose numbers may differ from the packaged ones
         flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track, "damper": damper}
         # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.
         given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
-        return load_scenario(self.config, [*given, *(self.assignments or ())])
+        return load_scenario(config, [*given, *(self.assignments or ())])
 
 
-@dataclass(frozen=True)
-class GridOptions:
+class GridOptions(Group):
     """Options of a study over speeds, wear and friction in an environment."""
 
     speeds: Speeds = None
-    wear: Annotated[
-        Numbers | None,
-        scenario(
-            "--wear 0..1,...", "Tread wear, 0 is new; one or several.", NumberList(SHARE, distinct=True)
-        ),
-    ] = None
-    friction: Annotated[
-        Numbers | None,
-        scenario(
-            "--friction MU,...",
-            "Friction coefficient of wheel and rail; one or several.",
-            NumberList(FRICTION, distinct=True),
-        ),
-    ] = None
+    wear: Numbers | None = scenario(
+        "--wear 0..1,...", "Tread wear, 0 is new; one or several.", ListOf(SHARE, distinct=True)
+    )
+    friction: Numbers | None = scenario(
+        "--friction MU,...",
+        "Friction coefficient of wheel and rail; one or several.",
+        ListOf(FRICTION, distinct=True),
+    )
     environment: Environment = "nominal"
-    reward: Annotated[
-        str | None,
-        scenario(
-            "--reward NAME",
-            "Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's); others by --set "
-            "cost.force_weight=0.3.",
-            complete=one_of("mppt1", "mppt2"),
-        ),
-    ] = None
+    reward: str | None = scenario(
+        "--reward NAME",
+        "Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's); others by --set "
+        "cost.force_weight=0.3.",
+        complete=one_of("mppt1", "mppt2"),
+    )
 
     def first(self, choice: ScenarioOptions) -> Scenario:
         """Scenario of the first wear and friction."""
@@ -273,32 +272,23 @@ class GridOptions:
         return found if self.reward is None else with_reward(found, self.reward)
 
 
-@dataclass(frozen=True)
-class ForeignOptions:
+class ForeignOptions(Group):
     """Options for policies that Stable-Baselines3 saved."""
 
-    trust_pickles: Annotated[
-        bool,
-        policy(
-            "--trust-pickles",
-            "Load what Stable-Baselines3 saved (.zip, PPO or SAC, MlpPolicy), which can run any code here.",
-        ),
-    ] = False
-    trained_period: Annotated[
-        float | None,
-        policy(
-            "--trained-period S",
-            "With --trust-pickles: control period of its training (s). Default: the environment's.",
-            positive("s", 1),
-        ),
-    ] = None
-    vec_normalize: Annotated[
-        Path | None,
-        policy(
-            "--vec-normalize FILE",
-            "With --trust-pickles: its training's VecNormalize (.pkl), which can run any code, too.",
-        ),
-    ] = None
+    trust_pickles: bool = policy(
+        "--trust-pickles",
+        "Load what Stable-Baselines3 saved (.zip, PPO or SAC, MlpPolicy), which can run any code here.",
+        default=False,
+    )
+    trained_period: float | None = policy(
+        "--trained-period S",
+        "With --trust-pickles: control period of its training (s). Default: the environment's.",
+        positive("s", 1),
+    )
+    vec_normalize: Path | None = policy(
+        "--vec-normalize FILE",
+        "With --trust-pickles: its training's VecNormalize (.pkl), which can run any code, too.",
+    )
 
     def reader(self, environment: EnvironmentConfig) -> ForeignReader | None:
         """What reads such files, or None where they are not trusted."""

@@ -6,10 +6,10 @@ The program's border puts the option's name in front of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from sayd_env.config.explain import shown
 from sayd_env.config.units import KMH
@@ -40,7 +40,7 @@ class Number:
         except ValueError:
             value = math.nan
         if not self.low <= value <= self.high or math.isinf(value) or (self.above and value == self.low):
-            raise ValueError(f"{shown(text)[1:-1]}: expected {self}")
+            raise ValueError(f"{shown(text)[1:-1] or 'an empty place'}: expected {self}")
         return value
 
     def __str__(self) -> str:
@@ -57,33 +57,32 @@ def positive(unit: str = "", high: float = math.inf) -> Number:
     return Number(0, high, unit, above=True)
 
 
-@dataclass(frozen=True)
-class NumberList:
-    """Reader of numbers, separated by commas."""
+SPEED = positive("km/h")
 
-    one: Number
+
+def name(text: str) -> str:
+    """Read a name; whether there is such is checked where it is used."""
+    if not text.strip():
+        raise ValueError("found an empty place; expected names, separated by commas")
+    return text.strip()
+
+
+@dataclass(frozen=True)
+class ListOf:
+    """Reader of what is separated by commas, each part by a reader of its own."""
+
+    one: Callable[[str], Any]
     distinct: bool = False
 
-    def __call__(self, text: str) -> Numbers:
+    def __call__(self, text: str) -> tuple[Any, ...]:
         """Read them."""
-        values = tuple(self.one(part) for part in text.split(","))
-        if self.distinct and len(set(values)) < len(values):
+        found = tuple(map(self.one, text.split(",")))
+        if self.distinct and len(set(found)) < len(found):
             raise ValueError(f"{shown(text)}: a number stands there twice")
-        return values
-
-
-@dataclass(frozen=True)
-class NameList:
-    """Reader of names, separated by commas; whether there are such is checked where they are used."""
-
-    example: str
-
-    def __call__(self, text: str) -> Names:
-        """Read them."""
-        found = tuple(part.strip() for part in text.split(","))
-        if not all(found):
-            raise ValueError(f"{shown(text)}: found an empty place; expected names (use {self.example})")
         return found
+
+
+SPEED_LIST = ListOf(SPEED)
 
 
 def speeds(text: str) -> Numbers:
@@ -100,33 +99,25 @@ def speeds(text: str) -> Numbers:
         Not a number, not positive, not finite, not rising, empty, or more than `MAX_SPEEDS` values.
     """
     try:
-        found = _grid(text) if ":" in text else [_speed(part) for part in text.split(",")]
+        found = _grid(text) if ":" in text else SPEED_LIST(text)
         for before, after in pairwise(found):
             if after <= before:
                 raise ValueError(f"{after:g} follows {before:g}; speeds must rise")
     except ValueError as error:
-        raise ValueError(f"{shown(text)}: {error} (use {SPEEDS})") from None
+        raise ValueError(f"{error} (use {SPEEDS})") from None
     return tuple(value / KMH for value in found)
 
 
-def _grid(text: str) -> list[float]:
+def _grid(text: str) -> Numbers:
+    """Numbers from first to last by step."""
     parts = text.split(":")
     if len(parts) != 3:
-        raise ValueError("expected first:last:step, for example 320:445:25")
-    first, last, step = map(_speed, parts)
+        raise ValueError(f"{shown(text)}: expected first:last:step")
+    first, last, step = map(SPEED, parts)
     if last < first:
-        raise ValueError(f"the last speed {last:g} is below the first {first:g}")
+        raise ValueError(f"{shown(text)}: the last speed {last:g} is below the first {first:g}")
     # Half a millionth of a step forgives the rounding of decimal steps such as 0.1.
     steps = (last - first) / step + 5e-7
     if steps >= MAX_SPEEDS:
-        raise ValueError(f"gives {steps + 1:.4g} speeds; at most {MAX_SPEEDS} are allowed")
+        raise ValueError(f"{shown(text)}: gives {steps + 1:.4g} speeds; at most {MAX_SPEEDS} are allowed")
     return [first + index * step for index in range(math.floor(steps) + 1)]
-
-
-def _speed(part: str) -> float:
-    if not part.strip():
-        raise ValueError("found an empty place; expected numbers in km/h")
-    try:
-        return positive("km/h")(part)
-    except ValueError as error:
-        raise ValueError(f"found {error}".replace(": expected", "; expected")) from None

@@ -12,13 +12,12 @@ from sayd_env.cli import options, parsers
 from sayd_env.cli.command import Plan, command, result_folder
 from sayd_env.cli.options import option, output, policy, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
-from sayd_env.cli.parsers import Names, Numbers, positive
+from sayd_env.cli.parsers import SPEED, Names, Numbers, positive
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
     from sayd_env.cli.output import Output
-    from sayd_env.studies.comparison.compare import CompareResult
     from sayd_env.studies.tuning.tune import TuneResult
 
 GROUP = "Policies"
@@ -85,7 +84,7 @@ def map_(
         parsers.speeds,
     ),
     constants: bool = option(
-        "--constants --no-constants", "Look for the best constant currents, too.", default=True
+        "--constants/--no-constants", "Look for the best constant currents, too.", default=True
     ),
     quick: options.Quick = False,
     seed: options.Seed = 0,
@@ -111,12 +110,8 @@ def map_(
             "--condition-speeds: are those of the best constant currents; leave out --no-constants"
         )
     chosen, setup = grid.first(choice), load_environment(grid.environment)
-    given = {
-        "wear": grid.wear,
-        "friction": grid.friction,
-        "speeds": grid.speeds,
-        "condition_speeds": condition_speeds,
-    }
+    given = {"wear": grid.wear, "friction": grid.friction, "speeds": grid.speeds}
+    given["condition_speeds"] = condition_speeds
     changes: dict[str, Any] = {key: tuple(values) for key, values in given.items() if values}
     where = replace(study.QUICK if quick else study.MapGrid(), **changes)
     specs = policy_specs(policies or study.POLICIES, foreign.reader(setup))
@@ -167,12 +162,10 @@ def compare(
     given = list(assignments or ()) + ([] if seed is None else [f"bootstrap.seed={seed}"])
     conditions = load_comparison(config or HELD_OUT, given)
     chosen = read_entrants(policies, foreign.reader(load_environment()))
-
-    def used(result: CompareResult) -> object:
-        return result.config
-
     return Plan(
-        lambda run: study(conditions, chosen, quick=quick, context=run), used, conditions.bootstrap.seed
+        lambda run: study(conditions, chosen, quick=quick, context=run),
+        lambda result: result.config,
+        conditions.bootstrap.seed,
     )
 
 
@@ -181,15 +174,13 @@ def render(
     choice: options.ScenarioOptions,
     foreign: options.ForeignOptions,
     *,
-    name: str = policy(
+    who: str = policy(
         "--policy NAME|FILE",
         f"Who commands the valves: a name ({options.WHICH}).",
         complete=options.policy_names,
         default="mppt2",
     ),
-    speed: float | None = scenario(
-        "--speed KMH", "Speed. Default: the environment draws it.", positive("km/h")
-    ),
+    speed: float | None = scenario("--speed KMH", "Speed. Default: the environment draws it.", SPEED),
     wear: options.Wear = None,
     friction: options.Friction = None,
     environment: options.Environment = "nominal",
@@ -218,8 +209,7 @@ def render(
     from sayd_env.studies import render as study  # noqa: PLC0415
 
     setup = load_environment(environment)
-    config = setup.study if choice.config is None else choice.config
-    chosen = replace(choice, config=config).load(wear, friction)
+    chosen = choice.load(wear, friction, setup.study)
     keys = [item.partition("=")[0].strip() for item in choice.assignments or ()]
     fixed = {
         "wear": choice.profile is not None or wear is not None or "wear" in keys,
@@ -228,7 +218,7 @@ def render(
     }
     left = study.fixed_laws(setup, [key for key, is_fixed in fixed.items() if is_fixed])
     target = file or (out or RESULTS / "render") / "render.gif"
-    spec = policy_spec(name, foreign.reader(setup))
+    spec = policy_spec(who, foreign.reader(setup))
     film = study.Film(spec, target, seconds, fps, exaggeration)
     metric = None if speed is None else speed / KMH
     return Plan(

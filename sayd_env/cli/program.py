@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
 from sayd_env.cli.options import option, scenario
-from sayd_env.cli.parsers import Number, positive
+from sayd_env.cli.parsers import SPEED, Number
 from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ GROUP = "Program"
 def bench(
     scenario: options.ScenarioOptions,
     *,
-    speed: float = scenario("--speed KMH", "Of the simulator's vehicles.", positive("km/h"), default=350.0),
+    speed: float = scenario("--speed KMH", "Of the simulator's vehicles.", SPEED, default=350.0),
     wear: options.Wear = None,
     friction: options.Friction = None,
     quick: options.Quick = False,

@@ -10,12 +10,11 @@ import typer
 from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
 from sayd_env.cli.options import option
-from sayd_env.cli.parsers import NameList, Names, Number, NumberList, Numbers, positive
+from sayd_env.cli.parsers import SPEED, ListOf, Names, Number, Numbers, name, positive
 from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
     from sayd_env.cli.output import Output
-    from sayd_env.studies.assess import RecordingResult
     from sayd_env.studies.paper.reproduce import ReproduceResult
     from sayd_env.studies.tuning.calibrate import CalibrationResult
 
@@ -57,13 +56,11 @@ def reproduce(
     *,
     friction: options.Friction = None,
     strict: bool = option("--strict", "Exit with status 1 if a row does not hold.", default=False),
-    allow: Names | None = option(
-        "--allow ROW,...", "Rows that may fail with --strict: P2,M7.", NameList("P2,M7")
-    ),
+    allow: Names | None = option("--allow ROW,...", "Rows that may fail with --strict: P2,M7.", ListOf(name)),
     control_periods: Numbers | None = option(
         "--control-periods S,...",
         "Judge rows S1 to S6 at these control periods (s), too: 0.002,0.005,0.01.",
-        NumberList(positive("s", 1)),
+        ListOf(positive("s", 1)),
     ),
     creep_laws: options.CreepLaws = None,
     quick: options.Quick = False,
@@ -143,7 +140,7 @@ def modes(
 def assess(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV file of the recording.")],
     *,
-    speed: float | None = option("--speed KMH", "Speed, if no column gives it.", positive("km/h")),
+    speed: float | None = option("--speed KMH", "Speed, if no column gives it.", SPEED),
     sample_rate: float | None = option("--sample-rate HZ", "If no column gives the time.", positive("Hz")),
     column: list[str] | None = option(
         "--column NAME", "Column to assess; repeatable. Default: every signal."
@@ -163,14 +160,11 @@ def assess(
     settings = load_assessment("en14363" if config is None else config, assignments or ())
     metric = None if speed is None else speed / KMH
 
-    def used(result: RecordingResult) -> object:
-        return result.settings
-
     return Plan(
         lambda _: assess_file(
             file, settings, speed=metric, sample_rate=sample_rate, columns=column, run_in=run_in
         ),
-        used,
+        lambda result: result.settings,
     )
 
 
@@ -188,15 +182,13 @@ def hysteresis(
     scenario: options.ScenarioOptions,
     *,
     amplitudes: Numbers | None = option(
-        "--amplitudes MM,...", "Amplitudes in mm: 1,2,4.", NumberList(positive("mm", 1000))
+        "--amplitudes MM,...", "Amplitudes in mm: 1,2,4.", ListOf(positive("mm", 1000))
     ),
     frequencies: Numbers | None = option(
-        "--frequencies HZ,...", "Frequencies in Hz: 1,2,4,6,8,10.", NumberList(positive("Hz", 1000))
+        "--frequencies HZ,...", "Frequencies in Hz: 1,2,4,6,8,10.", ListOf(positive("Hz", 1000))
     ),
     current: Numbers | None = option(
-        "--current 0..1,...",
-        "Valve currents of a semi-active damper: 0,0.25,0.5,1.",
-        NumberList(options.SHARE),
+        "--current 0..1,...", "Valve currents of a semi-active damper: 0,0.25,0.5,1.", ListOf(options.SHARE)
     ),
 ) -> Plan:
     """Move a yaw damper on a test rig: force over displacement at several amplitudes and frequencies."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from sayd_env.cli.options import FRICTION, SEED, SHARE, one_of, policy_names
-from sayd_env.cli.parsers import NameList, Number, NumberList, positive, speeds
+from sayd_env.cli.parsers import ListOf, Number, name, positive, speeds
 
 
 @pytest.mark.parametrize(
@@ -37,8 +37,8 @@ def test_a_decimal_step_reaches_the_last_speed():
         ("", "an empty place"),
         ("300,,400", "an empty place"),
         ("300,", "an empty place"),
-        ("fast", "found fast; expected a finite number above 0 km/h"),
-        ("0", "found 0; expected a finite number above 0"),
+        ("fast", "fast: expected a finite number above 0 km/h"),
+        ("0", "0: expected a finite number above 0"),
         ("-300", "above 0"),
         ("nan", "above 0"),
         ("inf", "above 0"),
@@ -111,11 +111,11 @@ def test_a_message_shows_what_was_typed_without_control_characters():
 @pytest.mark.parametrize(
     ("parser", "text", "problem"),
     [
-        (NumberList(SHARE), "0,2", "2: expected a number from 0 to 1"),
-        (NumberList(SHARE), "0,", ": expected a number from 0 to 1"),
-        (NumberList(SHARE, distinct=True), "0.5,0.50", "'0.5,0.50': a number stands there twice"),
-        (NameList("P2,M7"), "P2,,M7", "'P2,,M7': found an empty place; expected names (use P2,M7)"),
-        (NumberList(Number(1, 9, whole=True)), "1,10", "10: expected a whole number from 1 to 9"),
+        (ListOf(SHARE), "0,2", "2: expected a number from 0 to 1"),
+        (ListOf(SHARE), "0,", "an empty place: expected a number from 0 to 1"),
+        (ListOf(SHARE, distinct=True), "0.5,0.50", "'0.5,0.50': a number stands there twice"),
+        (ListOf(name), "P2,,M7", "found an empty place; expected names, separated by commas"),
+        (ListOf(Number(1, 9, whole=True)), "1,10", "10: expected a whole number from 1 to 9"),
     ],
 )
 def test_bad_lists(parser: Callable[[str], object], text: str, problem: str):
@@ -125,8 +125,8 @@ def test_bad_lists(parser: Callable[[str], object], text: str, problem: str):
 
 
 def test_lists_keep_their_order():
-    assert NumberList(SHARE, distinct=True)("1,0, 0.5") == (1.0, 0.0, 0.5)
-    assert NameList("x")("b, a=x+y") == ("b", "a=x+y")
+    assert ListOf(SHARE, distinct=True)("1,0, 0.5") == (1.0, 0.0, 0.5)
+    assert ListOf(name)("b, a=x+y") == ("b", "a=x+y")
 
 
 def test_completion_knows_every_policy_and_goes_on_behind_a_comma():

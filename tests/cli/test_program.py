@@ -82,7 +82,11 @@ def sayd(
         (["probe", "long"], 2, "sayd: error: xxx"),
         (["probe", "x", "--seed", "3"], 2, "sayd: error: No such option: --seed"),
         (["probe", "x", "--json=1"], 2, "sayd: error: Option '--json' does not take a value"),
-        (["probe", "x", "--speeds", "0"], 2, "sayd: error: --speeds '0': found 0"),
+        (
+            ["probe", "x", "--speeds", "0"],
+            2,
+            "sayd: error: --speeds 0: expected a finite number above 0 km/h",
+        ),
         (["probe", "x", "--wear", "2"], 2, "sayd: error: --wear 2: expected a number from 0 to 1"),
         (["probe", "x", "--sped", "300"], 2, "sayd: error: No such option: --sped"),
         (["probe", "x", "--out", "/proc/none"], 2, "sayd: error: --out /proc/none: cannot be written"),
