@@ -23,6 +23,8 @@ def _show_version(wanted: bool) -> None:
 
 @app.callback(epilog="Example: sayd evaluate --policies passive,mppt2 --speeds 300 --seeds 2")
 def sayd(
-    version: bool = option("--version", "Print the version.", default=False, callback=_show_version),
+    version: bool = option(
+        "--version", "Print the version.", default=False, callback=_show_version, is_eager=True
+    ),
 ) -> None:
     """High-speed rail vehicle with semi-active yaw dampers: simulation and EN 14363 assessment."""

@@ -28,7 +28,7 @@ def train(
     ] = None,
     *,
     config: str | None = scenario(
-        "--config NAME|FILE", options.CONFIG, complete=options.one_of(kind="train")
+        "--config NAME|FILE", options.CONFIG, autocompletion=options.one_of(kind="train")
     ),
     assignments: options.Set = None,
     resume: Path | None = option(
@@ -47,7 +47,7 @@ def train(
     executor: str | None = runs(
         "--executor KIND",
         "Who makes the evaluations' runs: threads (default), processes, ray, ray://ADDRESS, dask, dask://ADDRESS.",
-        complete=options.EXECUTORS,
+        autocompletion=options.EXECUTORS,
     ),
     out: Path | None = output(
         "--out DIR", "New directory of the run. Default: results/train-ALGORITHM-sSEED."

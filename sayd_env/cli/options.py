@@ -12,8 +12,8 @@ import typer
 from rich.markup import escape
 from typer.models import OptionInfo
 
-from sayd_env.cli import parsers
-from sayd_env.cli.parsers import ListOf, Names, Number, Numbers, name, positive
+from sayd_env.cli.parsers import SPEEDS as SPEEDS_USAGE
+from sayd_env.cli.parsers import ListOf, Names, Number, Numbers, name, positive, speeds
 
 if TYPE_CHECKING:
     from sayd_env.config.environment import EnvironmentConfig
@@ -29,14 +29,7 @@ SEEDS = Number(1, 10_000, whole=True)
 
 
 def option(
-    usage: str,
-    text: str,
-    parser: Callable[[str], Any] | None = None,
-    *,
-    default: Any = ...,
-    complete: Callable[..., list[str]] | None = None,
-    callback: Callable[..., None] | None = None,
-    panel: str | None = None,
+    usage: str, text: str, parser: Callable[[str], Any] | None = None, *, default: Any = ..., **more: Any
 ) -> Any:
     """An option of a command.
 
@@ -50,26 +43,13 @@ def option(
         Reads what follows; a `ValueError` says what was found and what is allowed.
     default
         Its value where it is not given; left out beside a parameter's own default, else None.
-    complete : callable, optional
-        Gives a shell what may follow.
-    callback : callable, optional
-        Called with its value before all others.
-    panel : str, optional
-        Its group in the help.
+    **more
+        Further properties as Typer calls them.
     """
     words = usage.split()
     names = [word for word in words if word.startswith("-")]
-    return typer.Option(
-        default,
-        *names,
-        metavar=" ".join(words[len(names) :]),
-        help=escape(text),
-        parser=parser,
-        autocompletion=complete,
-        callback=callback,
-        is_eager=callback is not None,
-        rich_help_panel=panel,
-    )
+    metavar = " ".join(words[len(names) :])
+    return typer.Option(default, *names, metavar=metavar, help=escape(text), parser=parser, **more)
 
 
 def settled(default: Any) -> Any:
@@ -79,10 +59,10 @@ def settled(default: Any) -> Any:
     return default
 
 
-scenario = partial(option, panel="Scenario")
-policy = partial(option, panel="Policies")
-runs = partial(option, panel="Runs")
-output = partial(option, panel="Output")
+scenario = partial(option, rich_help_panel="Scenario")
+policy = partial(option, rich_help_panel="Policies")
+runs = partial(option, rich_help_panel="Runs")
+output = partial(option, rich_help_panel="Output")
 
 
 def one_of(*names: str, kind: str = "") -> Callable[[str], list[str]]:
@@ -108,50 +88,35 @@ def policy_names(incomplete: str) -> list[str]:
 
 
 CONFIG = "Configuration: a packaged name or a YAML file."
-Config = Annotated[str | None, scenario("--config NAME|FILE", CONFIG, complete=one_of(kind="study"))]
-Set = Annotated[
-    list[str] | None, scenario("--set KEY=VALUE", "Override one key of the configuration; repeatable.")
-]
+Config = Annotated[str | None, scenario("--config NAME|FILE", CONFIG, autocompletion=one_of(kind="study"))]
+Set = Annotated[list[str] | None, scenario("--set KEY=VALUE", "One key of the configuration; repeatable.")]
 Seed = Annotated[int, runs("--seed S", "First random seed.", SEED)]
-Seeds = Annotated[int, runs("--seeds N", "Number of track realisations: seeds S to S+N-1.", SEEDS)]
-QuickSeeds = Annotated[
-    int | None, runs("--seeds N", "Number of track realisations: seeds S to S+N-1 (default above).", SEEDS)
-]
+SEEDS_TEXT = "Number of track realisations: seeds S to S+N-1"
+Seeds = Annotated[int, runs("--seeds N", f"{SEEDS_TEXT}.", SEEDS)]
+QuickSeeds = Annotated[int | None, runs("--seeds N", f"{SEEDS_TEXT} (default above).", SEEDS)]
 Quick = Annotated[bool, runs("--quick", "A look, not a result: fewer seeds, shorter.")]
-Threads = Annotated[
-    int | None, runs("--workers N", "Threads (default: all cores); results do not change.", WORKERS)
-]
+STAY = "(default: all cores); results do not change."
+Threads = Annotated[int | None, runs("--workers N", f"Threads {STAY}", WORKERS)]
 OUT = "Directory of the result's files. Default: results/{0}, with --quick {0}-quick (none with --json)."
 Out = Annotated[Path | None, output("--out DIR", OUT.format("COMMAND"))]
 Json = Annotated[bool, output("--json", "Print the result as JSON and nothing else.")]
-Speeds = Annotated[
-    Numbers | None, scenario("--speeds KMH,...", f"Speeds in km/h: {parsers.SPEEDS}.", parsers.speeds)
-]
-Wear = Annotated[float | None, scenario("--wear 0..1", "Tread wear, 0 is new.", SHARE)]
-Friction = Annotated[
-    float | None, scenario("--friction MU", "Friction coefficient of wheel and rail.", FRICTION)
-]
+Speeds = Annotated[Numbers | None, scenario("--speeds KMH,...", f"In km/h: {SPEEDS_USAGE}.", speeds)]
+MU = "Friction coefficient of wheel and rail"
+LAWS = "Give critical speeds by these creep laws, too: table, polach, fastsim."
+CreepLaws = Annotated[Names | None, option("--creep-laws LAW,...", LAWS, ListOf(name))]
 Environment = Annotated[
     str,
     scenario(
         "--environment NAME|FILE",
         "Sensors, control period, episodes, what is drawn: nominal, randomized, faults or a YAML file.",
-        complete=one_of(kind="env"),
-    ),
-]
-CreepLaws = Annotated[
-    Names | None,
-    option(
-        "--creep-laws LAW,...",
-        "Give critical speeds by these creep laws, too: table, polach, fastsim.",
-        ListOf(name),
+        autocompletion=one_of(kind="env"),
     ),
 ]
 WHICH = (
     "'sayd policies' lists all), constant:V, files of learned policies (.npz, .onnx, .zip) or of controllers "
     "(.yaml), or code of one's own (module:factory, file.py:factory"
 )
-policies = partial(policy, "--policies A,B,...", parser=ListOf(name), complete=policy_names)
+policies = partial(policy, "--policies A,B,...", parser=ListOf(name), autocompletion=policy_names)
 EXECUTORS = one_of("threads", "processes", "ray", "dask")
 
 
@@ -172,14 +137,12 @@ class Group:
 class RunOptions(Group):
     """Options of commands that make many runs."""
 
-    workers: int | None = runs(
-        "--workers N", "Threads or processes (default: all cores); results do not change.", WORKERS
-    )
+    workers: int | None = runs("--workers N", f"Threads or processes {STAY}", WORKERS)
     executor: str | None = runs(
         "--executor KIND",
         "Who computes: threads, processes, ray, ray://ADDRESS, dask, dask://ADDRESS; results stay. "
         "Default: processes where there are many runs, else threads.",
-        complete=EXECUTORS,
+        autocompletion=EXECUTORS,
     )
 
 
@@ -197,22 +160,20 @@ class ScenarioOptions(Group):
     profile: str | None = scenario(
         "--profile NAME|FILE",
         "Wheel profile: new, worn, a name or a YAML file.",
-        complete=one_of(*WEAR_OF, kind="profile"),
+        autocompletion=one_of(*WEAR_OF, kind="profile"),
     )
     track: str | None = scenario(
-        "--track NAME|FILE", "Track: a name or a YAML file.", complete=one_of(kind="track")
+        "--track NAME|FILE", "Track: a name or a YAML file.", autocompletion=one_of(kind="track")
     )
     damper: str | None = scenario(
         "--damper NAME|FILE",
         "Yaw dampers: passive, sayd or a YAML file. If --config has the kind, its numbers stay.",
-        complete=one_of(kind="damper"),
+        autocompletion=one_of(kind="damper"),
     )
     config: Config = None
     assignments: Set = None
 
-    def load(
-        self, wear: float | None = None, friction: float | None = None, default: str | None = None
-    ) -> Scenario:
+    def read(self, wear: float | None, friction: float | None, default: str | None = None) -> Scenario:
         """Read the configuration and apply the flags, then the assignments of ``--set``.
 
         ``--profile new`` and ``worn`` are the scenario's own wheels at wear 0 and 1, anything else is the
@@ -244,7 +205,18 @@ class ScenarioOptions(Group):
         return load_scenario(config, [*given, *(self.assignments or ())])
 
 
-class GridOptions(Group):
+class VehicleOptions(ScenarioOptions):
+    """Options that choose one scenario."""
+
+    wear: float | None = scenario("--wear 0..1", "Tread wear, 0 is new.", SHARE)
+    friction: float | None = scenario("--friction MU", f"{MU}.", FRICTION)
+
+    def load(self, default: str | None = None) -> Scenario:
+        """Read the scenario."""
+        return self.read(self.wear, self.friction, default)
+
+
+class GridOptions(ScenarioOptions):
     """Options of a study over speeds, wear and friction in an environment."""
 
     speeds: Speeds = None
@@ -252,23 +224,21 @@ class GridOptions(Group):
         "--wear 0..1,...", "Tread wear, 0 is new; one or several.", ListOf(SHARE, distinct=True)
     )
     friction: Numbers | None = scenario(
-        "--friction MU,...",
-        "Friction coefficient of wheel and rail; one or several.",
-        ListOf(FRICTION, distinct=True),
+        "--friction MU,...", f"{MU}; one or several.", ListOf(FRICTION, distinct=True)
     )
     environment: Environment = "nominal"
     reward: str | None = scenario(
         "--reward NAME",
         "Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's); others by --set "
         "cost.force_weight=0.3.",
-        complete=one_of("mppt1", "mppt2"),
+        autocompletion=one_of("mppt1", "mppt2"),
     )
 
-    def first(self, choice: ScenarioOptions) -> Scenario:
+    def load(self) -> Scenario:
         """Scenario of the first wear and friction."""
         from sayd_env.studies.evaluate import with_reward  # noqa: PLC0415 - keeps --help fast
 
-        found = choice.load(self.wear[0] if self.wear else None, self.friction[0] if self.friction else None)
+        found = self.read(self.wear[0] if self.wear else None, self.friction[0] if self.friction else None)
         return found if self.reward is None else with_reward(found, self.reward)
 
 

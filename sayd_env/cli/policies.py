@@ -26,7 +26,6 @@ SPEEDS = parsers.speeds("300,350,400")
 
 @command(GROUP, "--policies passive,mppt2,ppo --profile worn --seeds 2", runs=True)
 def evaluate(
-    choice: options.ScenarioOptions,
     grid: options.GridOptions,
     foreign: options.ForeignOptions,
     *,
@@ -52,7 +51,7 @@ def evaluate(
     from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
 
-    chosen, setup = grid.first(choice), load_environment(grid.environment)
+    chosen, setup = grid.load(), load_environment(grid.environment)
     specs = policy_specs(policies or (), foreign.reader(setup))
     return Plan(
         lambda run: study(
@@ -73,7 +72,6 @@ def evaluate(
 
 @command(GROUP, "--quick --policies passive,mppt2", name="map", runs=True)
 def map_(
-    choice: options.ScenarioOptions,
     grid: options.GridOptions,
     foreign: options.ForeignOptions,
     *,
@@ -109,7 +107,7 @@ def map_(
         raise ConfigError(
             "--condition-speeds: are those of the best constant currents; leave out --no-constants"
         )
-    chosen, setup = grid.first(choice), load_environment(grid.environment)
+    chosen, setup = grid.load(), load_environment(grid.environment)
     given = {"wear": grid.wear, "friction": grid.friction, "speeds": grid.speeds}
     given["condition_speeds"] = condition_speeds
     changes: dict[str, Any] = {key: tuple(values) for key, values in given.items() if values}
@@ -137,7 +135,7 @@ def compare(
     config: str | None = scenario(
         "--config NAME|FILE",
         "Conditions: a YAML file. Default: the held-out ones, which nothing was trained on.",
-        complete=lambda: ["heldout"],
+        autocompletion=lambda: ["heldout"],
     ),
     assignments: options.Set = None,
     quick: options.Quick = False,
@@ -171,18 +169,16 @@ def compare(
 
 @command(GROUP, "--policy ppo --speed 350 --seconds 5 -o ride.gif", without=("damper", "wide"))
 def render(
-    choice: options.ScenarioOptions,
+    choice: options.VehicleOptions,
     foreign: options.ForeignOptions,
     *,
     who: str = policy(
         "--policy NAME|FILE",
         f"Who commands the valves: a name ({options.WHICH}).",
-        complete=options.policy_names,
+        autocompletion=options.policy_names,
         default="mppt2",
     ),
     speed: float | None = scenario("--speed KMH", "Speed. Default: the environment draws it.", SPEED),
-    wear: options.Wear = None,
-    friction: options.Friction = None,
     environment: options.Environment = "nominal",
     seconds: float = option("--seconds S", "Length.", positive("s", 600), default=10.0),
     fps: float = option("--fps N", "Pictures per second.", positive("per second", 1000), default=25.0),
@@ -209,11 +205,11 @@ def render(
     from sayd_env.studies import render as study  # noqa: PLC0415
 
     setup = load_environment(environment)
-    chosen = choice.load(wear, friction, setup.study)
+    chosen = choice.load(setup.study)
     keys = [item.partition("=")[0].strip() for item in choice.assignments or ()]
     fixed = {
-        "wear": choice.profile is not None or wear is not None or "wear" in keys,
-        "friction": friction is not None or "friction" in keys,
+        "wear": choice.profile is not None or choice.wear is not None or "wear" in keys,
+        "friction": choice.friction is not None or "friction" in keys,
         "tracks": choice.track is not None or any(key.split(".")[0] == "track" for key in keys),
     }
     left = study.fixed_laws(setup, [key for key, is_fixed in fixed.items() if is_fixed])

@@ -19,11 +19,9 @@ GROUP = "Program"
 
 @command(GROUP, "--quick", without=("damper",))
 def bench(
-    scenario: options.ScenarioOptions,
+    choice: options.VehicleOptions,
     *,
     speed: float = scenario("--speed KMH", "Of the simulator's vehicles.", SPEED, default=350.0),
-    wear: options.Wear = None,
-    friction: options.Friction = None,
     quick: options.Quick = False,
     workers: options.Threads = None,
 ) -> Plan:
@@ -33,7 +31,7 @@ def bench(
     """
     from sayd_env.studies.bench.bench import bench as study  # noqa: PLC0415 - keeps --help fast
 
-    chosen = scenario.load(wear, friction)
+    chosen = choice.load()
     return Plan(
         lambda run: study(chosen, speed / KMH, quick=quick, workers=workers, progress=run.progress), chosen
     )

@@ -24,11 +24,9 @@ COMPONENTS = "Components"
 
 @command(GROUP, "--profile worn --speeds 320:445:25 --seeds 2", runs=True)
 def critical_speed(
-    scenario: options.ScenarioOptions,
+    scenario: options.VehicleOptions,
     *,
     speeds: options.Speeds = None,
-    wear: options.Wear = None,
-    friction: options.Friction = None,
     creep_laws: options.CreepLaws = None,
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
@@ -41,7 +39,7 @@ def critical_speed(
 
     laws = creep_laws or ()
     study.check_laws(laws, "--creep-laws")
-    chosen = scenario.load(wear, friction)
+    chosen = scenario.load()
     numbers = range(seed, seed + seeds)
     return Plan(
         lambda run: study.find_critical_speed(chosen, speeds, numbers, creep_laws=laws, context=run),
@@ -50,11 +48,10 @@ def critical_speed(
     )
 
 
-@command(GROUP, "--quick", runs=True, without=("profile", "damper"))
+@command(GROUP, "--quick", runs=True, without=("profile", "damper", "wear"))
 def reproduce(
-    scenario: options.ScenarioOptions,
+    scenario: options.VehicleOptions,
     *,
-    friction: options.Friction = None,
     strict: bool = option("--strict", "Exit with status 1 if a row does not hold.", default=False),
     allow: Names | None = option("--allow ROW,...", "Rows that may fail with --strict: P2,M7.", ListOf(name)),
     control_periods: Numbers | None = option(
@@ -81,7 +78,7 @@ def reproduce(
     if unknown:
         raise ConfigError(f"--allow {unknown[0]}: unknown row; expected {', '.join(ROWS)}")
     check_laws(laws, "--creep-laws")
-    chosen = scenario.load(friction=friction)
+    chosen = scenario.load()
     numbers = range(seed, seed + (seeds or (2 if quick else 10)))
 
     def judge(result: ReproduceResult, _: Output) -> None:
@@ -120,11 +117,9 @@ def calibrate(
 
 @command(GROUP, "--speeds 200:400:20 --wear 1", without=("damper",))
 def modes(
-    scenario: options.ScenarioOptions,
+    scenario: options.VehicleOptions,
     *,
     speeds: options.Speeds = None,
-    wear: options.Wear = None,
-    friction: options.Friction = None,
     amplitude: float = option(
         "--amplitude MM", "Lateral amplitude at which contact is linearised.", positive("mm"), default=3.0
     ),
@@ -132,7 +127,7 @@ def modes(
     """Compute the vehicle's modes over speed and the linear critical speed, at which it starts to hunt."""
     from sayd_env.studies.modes import modes as study  # noqa: PLC0415 - keeps --help fast
 
-    chosen = scenario.load(wear, friction)
+    chosen = scenario.load()
     return Plan(lambda run: study(chosen, speeds, amplitude * 1e-3, progress=run.progress), chosen)
 
 
@@ -168,18 +163,22 @@ def assess(
     )
 
 
-@command(COMPONENTS, "--profile lmb10", without=("damper",))
-def conicity(scenario: options.ScenarioOptions, *, wear: options.Wear = None) -> Plan:
+@command(COMPONENTS, "--profile lmb10", without=("damper", "friction"))
+def conicity(scenario: options.VehicleOptions) -> Plan:
     """Compute the equivalent conicity of wheel and rail by EN 15302."""
     from sayd_env.studies.components.conicity import conicity as study  # noqa: PLC0415 - keeps --help fast
 
-    chosen = scenario.load(wear)
+    chosen = scenario.load()
     return Plan(lambda _: study(chosen), chosen)
 
 
-@command(COMPONENTS, "--damper sayd --current 0,0.5,1 --amplitudes 2", without=("profile", "track"))
+@command(
+    COMPONENTS,
+    "--damper sayd --current 0,0.5,1 --amplitudes 2",
+    without=("profile", "track", "wear", "friction"),
+)
 def hysteresis(
-    scenario: options.ScenarioOptions,
+    scenario: options.VehicleOptions,
     *,
     amplitudes: Numbers | None = option(
         "--amplitudes MM,...", "Amplitudes in mm: 1,2,4.", ListOf(positive("mm", 1000))

@@ -34,8 +34,8 @@ class Result:
     def summary(self, console, wide=False): console.print("the summary" + " in all its columns" * wide)
 
 @command("Program", "x")
-def probe(what: Annotated[str, typer.Argument()], speeds: options.Speeds = None, wear: options.Wear = None,
-          quick: options.Quick = False) -> Plan:
+def probe(what: Annotated[str, typer.Argument()], vehicle: options.VehicleOptions,
+          speeds: options.Speeds = None, quick: options.Quick = False) -> Plan:
     if what == "config": raise ConfigError("x.yaml: unknown key 'masss', did you mean 'mass'?")
     if what == "escape": raise ConfigError("unknown key '\\x1b[2J\\x00'")
     if what == "long": raise ConfigError("x" * 100000)
