@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal
-
-import typer
+from typing import Literal
 
 from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
-from sayd_env.cli.options import option, output, runs, scenario
+from sayd_env.cli.options import argument, option, output, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import Number
 from sayd_env.config.errors import ConfigError
@@ -20,12 +18,9 @@ GROUP = "Learning"
 
 @command(GROUP, "ppo --seed 7 --set total_steps=200000", without=("wide",))
 def train(
-    algorithm: Annotated[
-        Literal["ppo", "sac"] | None,
-        typer.Argument(
-            metavar="ALGORITHM", help="ppo or sac: its packaged configuration.", show_default=False
-        ),
-    ] = None,
+    algorithm: Literal["ppo", "sac"] | None = argument(
+        "ALGORITHM", "ppo or sac: its packaged configuration.", default=None
+    ),
     *,
     config: str | None = scenario(
         "--config NAME|FILE", options.CONFIG, autocompletion=options.one_of(kind="train")
@@ -63,9 +58,10 @@ def train(
     from sayd_env.studies.learning import train as study  # noqa: PLC0415
 
     evaluations = ExecutorChoice.parse(executor, workers)
-    evaluations = ExecutorChoice.parse(executor, workers)
     if resume is not None:
-        for name, value in {"the algorithm": algorithm, "--config": config, "--out": out}.items():
+        threads = workers if executor is None else None
+        left_out = {"the algorithm": algorithm, "--config": config, "--workers": threads, "--out": out}
+        for name, value in left_out.items():
             if value is not None:
                 raise ConfigError(f"--resume: goes on with the run as it is; leave out {name}")
         config, out = str(resume / "config.yaml"), resume
@@ -98,15 +94,12 @@ def train(
 
 @command(GROUP, "ppo-s3 --out my-policy", without=("wide",))
 def export(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DIR|FILE|NAME",
-            help="Directory of a run (its best policy), a policy file, or a ready policy such as ppo-s3.",
-            autocompletion=options.policy_names,
-        ),
-    ],
     foreign: options.ForeignOptions,
+    source: Path = argument(
+        "DIR|FILE|NAME",
+        "Directory of a run (its best policy), a policy file, or a ready policy such as ppo-s3.",
+        autocompletion=options.policy_names,
+    ),
     *,
     onnx: bool = option("--onnx", "Write an ONNX model besides; needs 'sayd-env[onnx]'.", default=False),
     out: options.Out = None,

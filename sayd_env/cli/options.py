@@ -52,6 +52,11 @@ def option(
     return typer.Option(default, *names, metavar=metavar, help=escape(text), parser=parser, **more)
 
 
+def argument(metavar: str, text: str, *, default: Any = ..., **more: Any) -> Any:
+    """An argument of a command, required unless it has a default."""
+    return typer.Argument(default, metavar=metavar, help=escape(text), show_default=False, **more)
+
+
 def settled(default: Any) -> Any:
     """A parameter's default; an option without one is None where it is not given."""
     if isinstance(default, OptionInfo) and default.default is ...:

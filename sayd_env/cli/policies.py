@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-import typer
+from typing import TYPE_CHECKING, Any, Literal
 
 from sayd_env.cli import options, parsers
 from sayd_env.cli.command import Plan, command, result_folder
-from sayd_env.cli.options import option, output, policy, runs, scenario
+from sayd_env.cli.options import argument, option, output, policy, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import SPEED, Names, Numbers, positive
 from sayd_env.config.errors import ConfigError
@@ -234,10 +232,7 @@ def policies() -> Plan:
 
 @command(GROUP, "mppt2 --quick", runs=True)
 def tune(
-    controller: Annotated[
-        Literal["mppt2", "constant"],
-        typer.Argument(metavar="CONTROLLER", help="mppt2 or constant.", show_default=False),
-    ],
+    controller: Literal["mppt2", "constant"] = argument("CONTROLLER", "mppt2 or constant."),
     *,
     config: options.Config = None,
     assignments: options.Set = None,

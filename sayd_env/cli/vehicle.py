@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
-from sayd_env.cli.options import option
+from sayd_env.cli.options import argument, option
 from sayd_env.cli.parsers import SPEED, ListOf, Names, Number, Numbers, name, positive
 from sayd_env.config.units import KMH
 
@@ -133,7 +131,7 @@ def modes(
 
 @command(GROUP, "ride.csv --speed 300")
 def assess(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV file of the recording.")],
+    file: Path = argument("FILE", "CSV file of the recording."),
     *,
     speed: float | None = option("--speed KMH", "Speed, if no column gives it.", SPEED),
     sample_rate: float | None = option("--sample-rate HZ", "If no column gives the time.", positive("Hz")),
