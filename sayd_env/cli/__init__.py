@@ -7,12 +7,15 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 INPUT_ERROR = 2
 FAILURE = 1
 INTERRUPTED = 130
+LONGEST_MESSAGE = 2000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,6 +37,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # SciPy's, which is not
     # Nothing here opens a window, and Matplotlib cannot be imported with a backend that is not installed.
     os.environ.pop("MPLBACKEND", None)
+    # Who closes the standard streams does not want to read.
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - as long as the process
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     try:
         # A terminated run cleans up like an interrupted one.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -57,10 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The last border: even a defect speaks in one line.
         if os.environ.get("SAYD_DEBUG"):
             traceback.print_exc()
-        detail = " ".join(str(error).split()) or "no message"
         _complain(
-            f"internal error: {type(error).__name__}: {detail}; please report it with the command "
-            "(SAYD_DEBUG=1 shows where it happened)"
+            f"internal error: {type(error).__name__}: {str(error) or 'no message'}; please report it with "
+            "the command (SAYD_DEBUG=1 shows where it happened)"
         )
         return FAILURE
 
@@ -88,8 +93,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except TyperException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see '{context.command_path} --help')" if context is not None else ""
-        message = " ".join(error.format_message().split()).removesuffix(".").replace("Value error, ", "")
-        _complain(f"error: {message}{hint}")
+        _complain(f"error: {_reason(error).removesuffix('.')}{hint}")
         return INPUT_ERROR
     except typer.Abort:
         return _interrupted()
@@ -98,13 +102,22 @@ def _run(arguments: Sequence[str] | None) -> int:
     return status if isinstance(status, int) else 0
 
 
+def _reason(error: Any) -> str:
+    """What is wrong with an argument: after its option's name, what our parser or Typer says."""
+    if getattr(error, "param", None) is None or type(error).__name__ != "BadParameter":
+        return str(error.format_message())
+    return f"{error.param.opts[-1]} {error.message.removeprefix('Value error, ')}"
+
+
 def _interrupted() -> int:
     _complain("interrupted; no result was written")
     return INTERRUPTED
 
 
 def _complain(message: str) -> None:
-    print(f"sayd: {message}", file=sys.stderr)
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
+    with suppress(OSError):  # nobody reads it
+        print(f"sayd: {line[:LONGEST_MESSAGE]}", file=sys.stderr)
 
 
 def _drop_stdout() -> None:

@@ -1,33 +1,18 @@
-"""The program ``sayd``: its global options and the list of its commands."""
+"""The program ``sayd``: its global options, and its commands in the order of its help."""
 
 from __future__ import annotations
 
-import inspect
-from typing import Annotated
-
 import typer
-from rich.markup import escape
 
 from sayd_env import __version__
-from sayd_env.cli import (
-    comparison,
-    components,
-    learning,
-    performance,
-    pictures,
-    policies,
-    stability,
-    tuning,
-    vehicle,
-)
+from sayd_env.cli import learning, policies, program, vehicle
+from sayd_env.cli.command import app
+from sayd_env.cli.options import option
 
-app = typer.Typer(
-    name="sayd",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+__all__ = ["app"]
+
+GROUPS = (vehicle.GROUP, policies.GROUP, learning.GROUP, vehicle.COMPONENTS, program.GROUP)
+app.registered_commands.sort(key=lambda command: GROUPS.index(str(command.rich_help_panel)))
 
 
 def _show_version(wanted: bool) -> None:
@@ -36,34 +21,10 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(epilog="Example: sayd evaluate --policies passive,mppt2 --speeds 300 --seeds 2")
 def sayd(
-    version: Annotated[
-        bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version."),
-    ] = False,
+    version: bool = option(
+        "--version", "Print the version.", default=False, callback=_show_version, is_eager=True
+    ),
 ) -> None:
     """High-speed rail vehicle with semi-active yaw dampers: simulation and EN 14363 assessment."""
-
-
-app.command()(vehicle.critical_speed)
-app.command()(policies.evaluate)
-app.command("map")(policies.map_)
-app.command()(policies.policies)
-app.command()(vehicle.reproduce)
-app.command()(vehicle.calibrate)
-app.command()(stability.assess)
-app.command()(components.conicity)
-app.command()(components.hysteresis)
-app.command()(stability.modes)
-app.command()(tuning.tune)
-app.command()(comparison.compare)
-app.command()(learning.train)
-app.command()(learning.export)
-app.command()(pictures.render)
-app.command()(performance.bench)
-app.command()(performance.soak)
-
-for command in app.registered_commands:
-    # Help is shown by rich, to which an extra's name in brackets would be markup.
-    command.help = escape(inspect.getdoc(command.callback) or "")

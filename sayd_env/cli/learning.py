@@ -3,73 +3,51 @@
 from __future__ import annotations
 
 import json
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
-
-import typer
-from rich.markup import escape
+from typing import Literal
 
 from sayd_env.cli import options
-from sayd_env.cli.job import Job, command_text
+from sayd_env.cli.command import Plan, command
+from sayd_env.cli.options import argument, option, output, runs, scenario
+from sayd_env.cli.output import RESULTS, command_text
+from sayd_env.cli.parsers import Number
 from sayd_env.config.errors import ConfigError
 
-LARGEST_SEED = 999_999
-RESULTS = Path("results")
+GROUP = "Learning"
 
 
-class Algorithm(StrEnum):
-    """How a policy learns."""
-
-    PPO = "ppo"
-    SAC = "sac"
-
-
+@command(GROUP, "ppo --seed 7 --set total_steps=200000", without=("wide",))
 def train(
-    algorithm: Annotated[
-        Algorithm | None, typer.Argument(help="ppo or sac: its packaged configuration.", show_default=False)
-    ] = None,
+    algorithm: Literal["ppo", "sac"] | None = argument(
+        "ALGORITHM", "ppo or sac: its packaged configuration.", default=None
+    ),
     *,
-    config: options.Config = None,
+    config: str | None = scenario(
+        "--config NAME|FILE", options.CONFIG, autocompletion=options.one_of(kind="train")
+    ),
     assignments: options.Set = None,
-    resume: Annotated[
-        Path | None,
-        typer.Option(
-            "--resume",
-            metavar="DIR",
-            help="Go on with the run in this directory, with its configuration. Only total_steps may change.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            "--seed",
-            parser=options.whole("--seed", 0, LARGEST_SEED),
-            metavar="S",
-            help="Seed of weights, exploration and episodes. Default: the configuration's.",
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers",
-            parser=options.whole("--workers", 1, options.MAX_WORKERS),
-            metavar="N",
-            help="Threads of the simulator (default: all cores); results do not change.",
-        ),
-    ] = None,
-    executor: options.Executor = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            rich_help_panel=options.OUTPUT,
-            help="New directory of the run. Default: results/train-ALGORITHM-sSEED.",
-        ),
-    ] = None,
-    as_json: options.Json = False,
-) -> None:
+    resume: Path | None = option(
+        "--resume DIR", "Go on with the run in this directory. Only total_steps may change."
+    ),
+    seed: int | None = runs(
+        "--seed S",
+        "Seed of weights, exploration and episodes. Default: the configuration's.",
+        Number(0, 999_999, whole=True),
+    ),
+    workers: int | None = runs(
+        "--workers N",
+        "Threads of the simulator (default: the configuration's, 1); of --executor (default: all cores).",
+        options.WORKERS,
+    ),
+    executor: str | None = runs(
+        "--executor KIND",
+        "Who makes the evaluations' runs: threads (default), processes, ray, ray://ADDRESS, dask, dask://ADDRESS.",
+        autocompletion=options.EXECUTORS,
+    ),
+    out: Path | None = output(
+        "--out DIR", "New directory of the run. Default: results/train-ALGORITHM-sSEED."
+    ),
+) -> Plan:
     """Train a policy; needs pip install 'sayd-env[train]'.
 
     The run's directory gets the configuration, logs (CSV and TensorBoard), the best and the last policy and
@@ -81,7 +59,11 @@ def train(
 
     evaluations = ExecutorChoice.parse(executor, workers)
     if resume is not None:
-        _refuse_with_resume(algorithm, config, out)
+        threads = workers if executor is None else None
+        left_out = {"the algorithm": algorithm, "--config": config, "--workers": threads, "--out": out}
+        for name, value in left_out.items():
+            if value is not None:
+                raise ConfigError(f"--resume: goes on with the run as it is; leave out {name}")
         config, out = str(resume / "config.yaml"), resume
         if not Path(config).is_file():
             raise ConfigError(f"--resume {resume}: holds no run of 'sayd train' (no config.yaml)")
@@ -89,61 +71,43 @@ def train(
         raise ConfigError("train: what is to learn? Give ppo or sac, --config FILE, or --resume DIR")
     given = list(assignments or ())
     given += [] if seed is None else [f"seed={json.dumps(seed)}"]
-    if workers is not None and resume is None:
-        given.append(f"environment.threads={workers}")
+    given += [] if workers is None or resume is not None else [f"environment.threads={workers}"]
     chosen = load_train(config or str(algorithm), given)
-    if algorithm is not None and chosen.learning.algorithm != algorithm:
-        raise ConfigError(
-            f"train {algorithm}: the configuration {config} is one of {chosen.learning.algorithm}"
-        )
-    folder = out or RESULTS / f"train-{chosen.learning.algorithm}-s{chosen.seed}"
-    job = Job("train", folder, as_json)
-    with job.progress() as progress:
-        result = study(
+    learns = chosen.learning.algorithm
+    if algorithm not in {None, learns}:
+        raise ConfigError(f"train {algorithm}: the configuration {config} is one of {learns}")
+    folder = out or RESULTS / f"train-{learns}-s{chosen.seed}"
+    return Plan(
+        lambda run: study(
             chosen,
             folder,
             resume=resume is not None,
             command=command_text(),
             executor=evaluations,
-            progress=progress,
-        )
-    job.finish(result, config=chosen, seed=chosen.seed)
-
-
-def _refuse_with_resume(algorithm: Algorithm | None, config: str | None, out: Path | None) -> None:
-    given = {"the algorithm": algorithm, "--config": config, "--out": out}
-    for name, value in given.items():
-        if value is not None:
-            raise ConfigError(f"--resume: goes on with the run as it is; leave out {name}")
-
-
-def export(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DIR|FILE|NAME",
-            help="Directory of a run (its best policy), a policy file, or a ready policy such as ppo-s3.",
+            progress=run.progress,
         ),
-    ],
+        chosen,
+        chosen.seed,
+        folder,
+    )
+
+
+@command(GROUP, "ppo-s3 --out my-policy", without=("wide",))
+def export(
+    foreign: options.ForeignOptions,
+    source: Path = argument(
+        "DIR|FILE|NAME",
+        "Directory of a run (its best policy), a policy file, or a ready policy such as ppo-s3.",
+        autocompletion=options.policy_names,
+    ),
     *,
-    onnx: Annotated[
-        bool,
-        typer.Option("--onnx", help=escape("Write an ONNX model besides; needs 'sayd-env[onnx]'.")),
-    ] = False,
-    trust_pickles: options.TrustPickles = False,
-    trained_period: options.TrainedPeriod = None,
-    vec_normalize: options.VecNormalize = None,
+    onnx: bool = option("--onnx", "Write an ONNX model besides; needs 'sayd-env[onnx]'.", default=False),
     out: options.Out = None,
-    as_json: options.Json = False,
-) -> None:
+) -> Plan:
     """Write a learned policy as files for others: weights with their description, and an ONNX model."""
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415
-    from sayd_env.studies.learning import export as study  # noqa: PLC0415
-    from sayd_env.studies.learning import read_source  # noqa: PLC0415
+    from sayd_env.studies import learning as study  # noqa: PLC0415
 
-    foreign = foreign_reader(trust_pickles, load_environment(), trained_period, vec_normalize)
-    stored = read_source(source, foreign)  # before the directory is made
+    stored = study.read_source(source, foreign.reader(load_environment()))
     target = out or RESULTS / "export"
-    job = Job("export", target, as_json)
-    job.finish(study(stored, target, onnx=onnx))
+    return Plan(lambda _: study.export(stored, target, onnx=onnx), folder=target)

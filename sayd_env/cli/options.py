@@ -2,400 +2,271 @@
 
 from __future__ import annotations
 
-import math
+import json
 from collections.abc import Callable
-from enum import StrEnum
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+from rich.markup import escape
+from typer.models import OptionInfo
 
-from sayd_env.config.errors import ConfigError
+from sayd_env.cli.parsers import SPEEDS as SPEEDS_USAGE
+from sayd_env.cli.parsers import ListOf, Names, Number, Numbers, name, positive, speeds
 
-MAX_SPEEDS = 1000
-MAX_SEEDS = 10_000
-LARGEST_SEED = 2**32 - 1
-MAX_WORKERS = 1024
-OUTPUT = "Output"
-SCENARIO = "Scenario"
+if TYPE_CHECKING:
+    from sayd_env.config.environment import EnvironmentConfig
+    from sayd_env.config.scenario import Scenario
+    from sayd_env.runs.policies import ForeignReader
 
-
-class Speeds(tuple[float, ...]):
-    """Running speeds in km/h, positive and rising."""
-
-    __slots__ = ()
-
-
-class Numbers(tuple[float, ...]):
-    """Finite numbers, at least one."""
-
-    __slots__ = ()
+WEAR_OF = {"new": 0.0, "worn": 1.0}
+SHARE = Number(0, 1)
+FRICTION = positive(high=1)
+WORKERS = Number(1, 1024, whole=True)
+SEED = Number(0, 2**32 - 1, whole=True)
+SEEDS = Number(1, 10_000, whole=True)
 
 
-class Names(tuple[str, ...]):
-    """Names as they were typed, at least one."""
-
-    __slots__ = ()
-
-
-class PolicyNames(tuple[str, ...]):
-    """Policies as they were typed, at least one."""
-
-    __slots__ = ()
-
-
-class Damper(StrEnum):
-    """The yaw damper's kind."""
-
-    PASSIVE = "passive"
-    SAYD = "sayd"
-
-
-def speed_list(option: str) -> Callable[[str], Speeds]:
-    """Make the reader of an option that takes speeds: see `parse_speeds`."""
-    return lambda text: parse_speeds(text, option)
-
-
-def parse_speeds(text: str, option: str = "--speeds") -> Speeds:
-    """Read ``300,350,400`` or ``320:445:25`` (first, last, step; last included when a step meets it).
+def option(
+    usage: str, text: str, parser: Callable[[str], Any] | None = None, *, default: Any = ..., **more: Any
+) -> Any:
+    """An option of a command.
 
     Parameters
     ----------
+    usage : str
+        Its names and, unless it is a switch, what follows: ``-o --file FILE``.
     text : str
-        Speeds in km/h.
-    option : str
-        What a message names.
-
-    Raises
-    ------
-    ConfigError
-        Not a number, not positive, not finite, not rising, empty, or more than `MAX_SPEEDS` values.
+        What it does.
+    parser : callable, optional
+        Reads what follows; a `ValueError` says what was found and what is allowed.
+    default
+        Its value where it is not given; left out beside a parameter's own default, else None.
+    **more
+        Further properties as Typer calls them.
     """
-    given = f"{option} '{text}'"
-    if ":" in text:
-        return Speeds(_grid(text, given))
-    speeds = Speeds(_speed(part, given) for part in text.split(","))
-    for before, after in pairwise(speeds):
-        if after <= before:
-            raise _speeds_error(given, f"{after:g} follows {before:g}; speeds must rise")
-    return speeds
+    words = usage.split()
+    names = [word for word in words if word.startswith("-")]
+    metavar = " ".join(words[len(names) :])
+    return typer.Option(default, *names, metavar=metavar, help=escape(text), parser=parser, **more)
 
 
-def _grid(text: str, given: str) -> list[float]:
-    parts = text.split(":")
-    if len(parts) != 3:
-        raise _speeds_error(given, "expected first:last:step, for example 320:445:25")
-    first, last, step = (_speed(part, given) for part in parts)
-    if last < first:
-        raise _speeds_error(given, f"the last speed {last:g} is below the first {first:g}")
-    # Half a millionth of a step forgives the rounding of decimal steps such as 0.1.
-    steps = (last - first) / step + 5e-7
-    if steps >= MAX_SPEEDS:
-        raise _speeds_error(given, f"gives {steps + 1:.4g} speeds; at most {MAX_SPEEDS} are allowed")
-    return [first + index * step for index in range(math.floor(steps) + 1)]
+def argument(metavar: str, text: str, *, default: Any = ..., **more: Any) -> Any:
+    """An argument of a command, required unless it has a default."""
+    return typer.Argument(default, metavar=metavar, help=escape(text), show_default=False, **more)
 
 
-def _speed(part: str, given: str) -> float:
-    try:
-        value = float(part)
-    except ValueError:
-        found = f"'{part.strip()}'" if part.strip() else "an empty place"
-        raise _speeds_error(given, f"found {found}; expected numbers in km/h") from None
-    if not (value > 0.0 and math.isfinite(value)):
-        raise _speeds_error(given, f"found {part.strip()}; expected a finite number above 0 km/h")
-    return value
+def settled(default: Any) -> Any:
+    """A parameter's default; an option without one is None where it is not given."""
+    if isinstance(default, OptionInfo) and default.default is ...:
+        default.default = None
+    return default
 
 
-def _speeds_error(given: str, problem: str) -> ConfigError:
-    return ConfigError(f"{given}: {problem} (use 300,350,400 or 320:445:25)")
+scenario = partial(option, rich_help_panel="Scenario")
+policy = partial(option, rich_help_panel="Policies")
+runs = partial(option, rich_help_panel="Runs")
+output = partial(option, rich_help_panel="Output")
 
 
-def parse_policies(text: str) -> PolicyNames:
-    """Read ``passive,mppt1,constant:0.3``; whether there are such policies is checked where they are made."""
-    return PolicyNames(_names(text, "--policies", "passive,mppt1,constant:0.3"))
+def one_of(*names: str, kind: str = "") -> Callable[[str], list[str]]:
+    """Completion by some names and those of the packaged configurations of a kind."""
+
+    def complete(incomplete: str) -> list[str]:
+        from sayd_env.config.loader import packaged_names  # noqa: PLC0415 - keeps --help fast
+
+        known = (*names, *(packaged_names(kind) if kind else ()))
+        return [name for name in known if name.startswith(incomplete)]
+
+    return complete
 
 
-def names(option: str, example: str) -> Callable[[str], Names]:
-    """Make the reader of an option that takes names, separated by commas."""
-    return lambda text: Names(_names(text, option, example))
+def policy_names(incomplete: str) -> list[str]:
+    """Completion by the names of all policies, of the last one in a list."""
+    from sayd_env.agents import pretrained  # noqa: PLC0415 - keeps --help fast
+
+    before, comma, last = incomplete.rpartition(",")
+    # Each controller has a configuration; 'online' there is that of what all of them measure.
+    known = one_of("passive", *pretrained.names(), kind="control")(last)
+    return [f"{before}{comma}{name}" for name in known if name != "online"]
 
 
-def _names(text: str, option: str, example: str) -> list[str]:
-    found = [part.strip() for part in text.split(",")]
-    if not all(found):
-        raise ConfigError(f"{option} '{text}': found an empty place; expected names (use {example})")
-    return found
-
-
-def parse_wear(text: str) -> float:
-    """Read the wear of the wheel profile: 0 (new) to 1 (worn)."""
-    return _bounded("--wear", text, 0.0, 1.0)
-
-
-def parse_friction(text: str) -> float:
-    """Read the friction coefficient of wheel and rail: above 0, at most 1."""
-    return positive("--friction", "", 1.0)(text)
-
-
-def whole(option: str, least: int, most: int) -> Callable[[str], int]:
-    """Make the reader of an option that takes one whole number."""
-
-    def read(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if not least <= value <= most:
-            raise ConfigError(f"{option} {text}: expected a whole number from {least} to {most}")
-        return value
-
-    return read
-
-
-def positive(option: str, unit: str, most: float = math.inf) -> Callable[[str], float]:
-    """Make the reader of an option that takes one finite number above 0; `unit` may be empty."""
-    allowed = f"above 0 {unit}".rstrip() + ("" if math.isinf(most) else f", at most {most:g}")
-
-    def read(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not (0.0 < value <= most and math.isfinite(value)):
-            raise ConfigError(f"{option} {text}: expected a finite number {allowed}")
-        return value
-
-    return read
-
-
-def positive_list(option: str, unit: str, most: float = math.inf) -> Callable[[str], Numbers]:
-    """Make the reader of an option that takes finite numbers above 0, separated by commas."""
-    one = positive(option, unit, most)
-    return lambda text: Numbers(one(part) for part in text.split(","))
-
-
-def share(option: str) -> Callable[[str], float]:
-    """Make the reader of an option that takes one number from 0 to 1."""
-    return lambda text: _bounded(option, text, 0.0, 1.0)
-
-
-def share_list(option: str) -> Callable[[str], Numbers]:
-    """Make the reader of an option that takes numbers from 0 to 1, separated by commas."""
-    return lambda text: Numbers(_bounded(option, part, 0.0, 1.0) for part in text.split(","))
-
-
-def several(one: Callable[[str], float], option: str) -> Callable[[str], Numbers]:
-    """Make the reader of an option that takes different numbers, separated by commas, each read by `one`."""
-
-    def read(text: str) -> Numbers:
-        values = Numbers(one(part.strip()) for part in text.split(","))
-        if len(set(values)) < len(values):
-            raise ConfigError(f"{option} {text}: a number stands there twice")
-        return values
-
-    return read
-
-
-def _bounded(option: str, text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not low <= value <= high:
-        raise ConfigError(f"{option} {text}: expected a number from {low:g} to {high:g}")
-    return value
-
-
-Config = Annotated[
-    str | None,
-    typer.Option("--config", metavar="NAME|FILE", help="Configuration: a packaged name or a YAML file."),
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override one key of the configuration; repeatable."),
-]
-Seed = Annotated[
-    int,
-    typer.Option("--seed", parser=whole("--seed", 0, LARGEST_SEED), metavar="S", help="First random seed."),
-]
-Seeds = Annotated[
-    int,
-    typer.Option(
-        "--seeds",
-        parser=whole("--seeds", 1, MAX_SEEDS),
-        metavar="N",
-        help="Number of track realisations: seeds S to S+N-1.",
-    ),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        parser=whole("--workers", 1, MAX_WORKERS),
-        metavar="N",
-        help="Threads (default: all cores); results do not change.",
-    ),
-]
-Executor = Annotated[
-    str | None,
-    typer.Option(
-        "--executor",
-        metavar="KIND",
-        help="Who computes: threads, processes, ray, ray://ADDRESS, dask or dask://ADDRESS; results do not "
-        "change. Default: processes where there are many runs, else threads.",
-    ),
-]
-NoSeed = Annotated[
-    int,
-    typer.Option(
-        "--seed",
-        metavar="S",
-        parser=whole("--seed", 0, LARGEST_SEED),
-        help="Accepted; nothing here is random.",
-    ),
-]
-NoWorkers = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        metavar="N",
-        parser=whole("--workers", 1, MAX_WORKERS),
-        help="Accepted; this is one short computation.",
-    ),
-]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        metavar="DIR",
-        rich_help_panel=OUTPUT,
-        help="Directory of result.json, tables and plots. Default: results/COMMAND (none with --json).",
-    ),
-]
-Json = Annotated[
-    bool,
-    typer.Option("--json", rich_help_panel=OUTPUT, help="Print the result as JSON and nothing else."),
-]
-SpeedList = Annotated[
-    Speeds | None,
-    typer.Option(
-        "--speeds",
-        parser=parse_speeds,
-        metavar="KMH",
-        rich_help_panel=SCENARIO,
-        help="Speeds in km/h: 300,350,400 or 320:445:25.",
-    ),
-]
-Profile = Annotated[
-    str | None,
-    typer.Option(
-        "--profile",
-        metavar="NAME",
-        rich_help_panel=SCENARIO,
-        help="Wheel profile: new, worn or a name.",
-    ),
-]
-Wear = Annotated[
-    float | None,
-    typer.Option(
-        "--wear",
-        parser=parse_wear,
-        metavar="0..1",
-        rich_help_panel=SCENARIO,
-        help="Tread wear, 0 is new.",
-    ),
-]
-Friction = Annotated[
-    float | None,
-    typer.Option(
-        "--friction",
-        parser=parse_friction,
-        metavar="MU",
-        rich_help_panel=SCENARIO,
-        help="Friction coefficient of wheel and rail.",
-    ),
-]
-Wears = Annotated[
-    Numbers | None,
-    typer.Option(
-        "--wear",
-        parser=several(parse_wear, "--wear"),
-        metavar="0..1,...",
-        rich_help_panel=SCENARIO,
-        help="Tread wear, 0 is new; one or several.",
-    ),
-]
-Frictions = Annotated[
-    Numbers | None,
-    typer.Option(
-        "--friction",
-        parser=several(parse_friction, "--friction"),
-        metavar="MU,...",
-        rich_help_panel=SCENARIO,
-        help="Friction coefficient of wheel and rail; one or several.",
-    ),
-]
-Policies = Annotated[
-    PolicyNames | None,
-    typer.Option(
-        "--policies",
-        parser=parse_policies,
-        metavar="A,B,...",
-        help="Names ('sayd policies' lists all), constant:V, files of learned policies (.npz, .onnx, .zip) "
-        "or of controllers (.yaml), or code of one's own: module:factory, file.py:factory.",
-    ),
-]
-TrustPickles = Annotated[
-    bool,
-    typer.Option(
-        "--trust-pickles",
-        help="Load a policy that Stable-Baselines3 saved (.zip, PPO or SAC with MlpPolicy). Such a file can "
-        "run any code on this machine while it is loaded.",
-    ),
-]
-TrainedPeriod = Annotated[
-    float | None,
-    typer.Option(
-        "--trained-period",
-        parser=positive("--trained-period", "s", 1.0),
-        metavar="S",
-        help="With --trust-pickles: control period of its training (s), which the file does not say. "
-        "Default: the environment's.",
-    ),
-]
-VecNormalize = Annotated[
-    Path | None,
-    typer.Option(
-        "--vec-normalize",
-        metavar="FILE",
-        help="With --trust-pickles: statistics of the VecNormalize behind which it has learned (.pkl), which "
-        "can run any code, too.",
-    ),
-]
-Reward = Annotated[
-    str | None,
-    typer.Option(
-        "--reward",
-        metavar="NAME",
-        help="Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's). "
-        "Others by --set cost.force_weight=0.3.",
-    ),
-]
+CONFIG = "Configuration: a packaged name or a YAML file."
+Config = Annotated[str | None, scenario("--config NAME|FILE", CONFIG, autocompletion=one_of(kind="study"))]
+Set = Annotated[list[str] | None, scenario("--set KEY=VALUE", "One key of the configuration; repeatable.")]
+Seed = Annotated[int, runs("--seed S", "First random seed.", SEED)]
+SEEDS_TEXT = "Number of track realisations: seeds S to S+N-1"
+Seeds = Annotated[int, runs("--seeds N", f"{SEEDS_TEXT}.", SEEDS)]
+QuickSeeds = Annotated[int | None, runs("--seeds N", f"{SEEDS_TEXT} (default above).", SEEDS)]
+Quick = Annotated[bool, runs("--quick", "A look, not a result: fewer seeds, shorter.")]
+STAY = "(default: all cores); results do not change."
+Threads = Annotated[int | None, runs("--workers N", f"Threads {STAY}", WORKERS)]
+OUT = "Directory of the result's files. Default: results/{0}, with --quick {0}-quick (none with --json)."
+Out = Annotated[Path | None, output("--out DIR", OUT.format("COMMAND"))]
+Json = Annotated[bool, output("--json", "Print the result as JSON and nothing else.")]
+Speeds = Annotated[Numbers | None, scenario("--speeds KMH,...", f"In km/h: {SPEEDS_USAGE}.", speeds)]
+MU = "Friction coefficient of wheel and rail"
+LAWS = "Give critical speeds by these creep laws, too: table, polach, fastsim."
+CreepLaws = Annotated[Names | None, option("--creep-laws LAW,...", LAWS, ListOf(name))]
 Environment = Annotated[
     str,
-    typer.Option(
-        "--environment",
-        metavar="NAME|FILE",
-        help="Sensors, control period and length of an episode: nominal, randomized, faults or a YAML file.",
+    scenario(
+        "--environment NAME|FILE",
+        "Sensors, control period, episodes, what is drawn: nominal, randomized, faults or a YAML file.",
+        autocompletion=one_of(kind="env"),
     ),
 ]
-Track = Annotated[
-    str | None,
-    typer.Option(
-        "--track", metavar="NAME|FILE", rich_help_panel=SCENARIO, help="Track: a name or a YAML file."
-    ),
-]
-DamperKind = Annotated[
-    Damper | None, typer.Option("--damper", rich_help_panel=SCENARIO, help="The yaw dampers.")
-]
+WHICH = (
+    "'sayd policies' lists all), constant:V, files of learned policies (.npz, .onnx, .zip) or of controllers "
+    "(.yaml), or code of one's own (module:factory, file.py:factory"
+)
+policies = partial(policy, "--policies A,B,...", parser=ListOf(name), autocompletion=policy_names)
+EXECUTORS = one_of("threads", "processes", "ray", "dask")
+
+
+class Group:
+    """Options that belong together: a command with a parameter of this kind offers all of them."""
+
+    def __init__(self, **given: Any) -> None:
+        for key, (_, default) in self.offered().items():
+            setattr(self, key, given.get(key, getattr(default, "default", default)))
+
+    @classmethod
+    def offered(cls) -> dict[str, tuple[Any, Any]]:
+        """Annotation and default of each option."""
+        hints = get_type_hints(cls, include_extras=True)
+        return {key: (hint, settled(getattr(cls, key))) for key, hint in hints.items()}
+
+
+class RunOptions(Group):
+    """Options of commands that make many runs."""
+
+    workers: int | None = runs("--workers N", f"Threads or processes {STAY}", WORKERS)
+    executor: str | None = runs(
+        "--executor KIND",
+        "Who computes: threads, processes, ray, ray://ADDRESS, dask, dask://ADDRESS; results stay. "
+        "Default: processes where there are many runs, else threads.",
+        autocompletion=EXECUTORS,
+    )
+
+
+class OutputOptions(Group):
+    """Options of all commands."""
+
+    out: Out = None
+    as_json: Json = False
+    wide: bool = output("--wide", "Print all columns of tables, beyond 80 characters.", default=False)
+
+
+class ScenarioOptions(Group):
+    """Options that choose vehicle, wheels, track and dampers."""
+
+    profile: str | None = scenario(
+        "--profile NAME|FILE",
+        "Wheel profile: new, worn, a name or a YAML file.",
+        autocompletion=one_of(*WEAR_OF, kind="profile"),
+    )
+    track: str | None = scenario(
+        "--track NAME|FILE", "Track: a name or a YAML file.", autocompletion=one_of(kind="track")
+    )
+    damper: str | None = scenario(
+        "--damper NAME|FILE",
+        "Yaw dampers: passive, sayd or a YAML file. If --config has the kind, its numbers stay.",
+        autocompletion=one_of(kind="damper"),
+    )
+    config: Config = None
+    assignments: Set = None
+
+    def read(self, wear: float | None, friction: float | None, default: str | None = None) -> Scenario:
+        """Read the configuration and apply the flags, then the assignments of ``--set``.
+
+        ``--profile new`` and ``worn`` are the scenario's own wheels at wear 0 and 1, anything else is the
+        name or path of a wheel profile, unworn unless `wear` says otherwise.
+
+        Parameters
+        ----------
+        wear, friction : float, optional
+            ``--wear`` (stronger than new and worn) and ``--friction``.
+        default : str, optional
+            Configuration where ``--config`` is not given.
+
+        Raises
+        ------
+        ConfigError
+            A name, file or value that cannot be used.
+        """
+        from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
+
+        if wear is None and self.profile is not None:
+            wear = WEAR_OF.get(self.profile, 0.0)
+        wheel = None if self.profile in WEAR_OF else self.profile
+        config, damper = default if self.config is None else self.config, self.damper
+        if damper is not None and load_scenario(config).damper.type == damper:
+            damper = None  # the configuration's own, whose numbers may differ from the packaged ones
+        flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track, "damper": damper}
+        # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.
+        given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
+        return load_scenario(config, [*given, *(self.assignments or ())])
+
+
+class VehicleOptions(ScenarioOptions):
+    """Options that choose one scenario."""
+
+    wear: float | None = scenario("--wear 0..1", "Tread wear, 0 is new.", SHARE)
+    friction: float | None = scenario("--friction MU", f"{MU}.", FRICTION)
+
+    def load(self, default: str | None = None) -> Scenario:
+        """Read the scenario."""
+        return self.read(self.wear, self.friction, default)
+
+
+class GridOptions(ScenarioOptions):
+    """Options of a study over speeds, wear and friction in an environment."""
+
+    speeds: Speeds = None
+    wear: Numbers | None = scenario(
+        "--wear 0..1,...", "Tread wear, 0 is new; one or several.", ListOf(SHARE, distinct=True)
+    )
+    friction: Numbers | None = scenario(
+        "--friction MU,...", f"{MU}; one or several.", ListOf(FRICTION, distinct=True)
+    )
+    environment: Environment = "nominal"
+    reward: str | None = scenario(
+        "--reward NAME",
+        "Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's); others by --set "
+        "cost.force_weight=0.3.",
+        autocompletion=one_of("mppt1", "mppt2"),
+    )
+
+    def load(self) -> Scenario:
+        """Scenario of the first wear and friction."""
+        from sayd_env.studies.evaluate import with_reward  # noqa: PLC0415 - keeps --help fast
+
+        found = self.read(self.wear[0] if self.wear else None, self.friction[0] if self.friction else None)
+        return found if self.reward is None else with_reward(found, self.reward)
+
+
+class ForeignOptions(Group):
+    """Options for policies that Stable-Baselines3 saved."""
+
+    trust_pickles: bool = policy(
+        "--trust-pickles",
+        "Load what Stable-Baselines3 saved (.zip, PPO or SAC, MlpPolicy), which can run any code here.",
+        default=False,
+    )
+    trained_period: float | None = policy(
+        "--trained-period S",
+        "With --trust-pickles: control period of its training (s). Default: the environment's.",
+        positive("s", 1),
+    )
+    vec_normalize: Path | None = policy(
+        "--vec-normalize FILE",
+        "With --trust-pickles: its training's VecNormalize (.pkl), which can run any code, too.",
+    )
+
+    def reader(self, environment: EnvironmentConfig) -> ForeignReader | None:
+        """What reads such files, or None where they are not trusted."""
+        from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415 - keeps --help fast
+
+        return foreign_reader(self.trust_pickles, environment, self.trained_period, self.vec_normalize)

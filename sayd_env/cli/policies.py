@@ -1,55 +1,39 @@
-"""Commands that compare policies."""
+"""Commands that compare, tune, draw and list policies."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
-import typer
-
-from sayd_env.cli import options
-from sayd_env.cli.job import Job
-from sayd_env.cli.scenario import scenario_from
+from sayd_env.cli import options, parsers
+from sayd_env.cli.command import Plan, command, result_folder
+from sayd_env.cli.options import argument, option, output, policy, runs, scenario
+from sayd_env.cli.output import RESULTS, command_text
+from sayd_env.cli.parsers import SPEED, Names, Numbers, positive
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from sayd_env.cli.output import Output
+    from sayd_env.studies.tuning.tune import TuneResult
 
-    from sayd_env.config.scenario import Scenario
+GROUP = "Policies"
+SPEEDS = parsers.speeds("300,350,400")
 
-KMH = 3.6
 
-
+@command(GROUP, "--policies passive,mppt2,ppo --profile worn --seeds 2", runs=True)
 def evaluate(
+    grid: options.GridOptions,
+    foreign: options.ForeignOptions,
     *,
-    policies: options.Policies = None,
-    speeds: options.SpeedList = None,
-    profile: options.Profile = None,
-    wear: options.Wears = None,
-    friction: options.Frictions = None,
-    track: options.Track = None,
-    damper: options.DamperKind = None,
-    reward: options.Reward = None,
-    environment: options.Environment = "nominal",
-    initial_current: Annotated[
-        float,
-        typer.Option(
-            "--initial-current",
-            parser=options.share("--initial-current"),
-            metavar="0..1",
-            help="Valve command of the run-in, before the policies act.",
-        ),
-    ] = "0",  # type: ignore[assignment] # the parser turns the text into a number
-    trust_pickles: options.TrustPickles = False,
-    trained_period: options.TrainedPeriod = None,
-    vec_normalize: options.VecNormalize = None,
+    policies: Names | None = options.policies(f"Names ({options.WHICH})."),
+    initial_current: float = policy(
+        "--initial-current 0..1", "Valve command of the run-in, before they act.", options.SHARE, default=0.0
+    ),
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
-    config: options.Config = None,
-    assignments: options.Set = None,
-    workers: options.Workers = None,
-    executor: options.Executor = None,
-    out: options.Out = None,
-    as_json: options.Json = False,
-) -> None:
+) -> Plan:
     """Compare policies at given speeds (default 300, 350, 400 km/h): cost, limits, forces, valves, comfort.
 
     All policies run through the environment, the passive vehicle too, on the same tracks: seed S is the same
@@ -62,152 +46,241 @@ def evaluate(
     filter of the assessment. The weights do not change what the controllers mppt1 and mppt2 minimise.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.runs.policies import foreign_reader, policy_specs  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
 
-    scenario = _scenario(config, assignments, profile, wear, friction, track, damper, reward)
-    laws = load_environment(environment)
-    specs = policy_specs(policies or (), foreign_reader(trust_pickles, laws, trained_period, vec_normalize))
-    job = Job("evaluate", out, as_json)
-    with job.runs(executor, workers) as context:
-        result = study(
-            scenario,
-            _metres_per_second(speeds or (300.0, 350.0, 400.0)),
+    chosen, setup = grid.load(), load_environment(grid.environment)
+    specs = policy_specs(policies or (), foreign.reader(setup))
+    return Plan(
+        lambda run: study(
+            chosen,
+            grid.speeds or SPEEDS,
             range(seed, seed + seeds),
             policies=specs,
-            wear=wear or (),
-            friction=friction or (),
-            environment=laws,
+            wear=grid.wear or (),
+            friction=grid.friction or (),
+            environment=setup,
             initial_current=initial_current,
-            context=context,
-        )
-    job.finish(result, config={**dict(scenario), "environment": laws}, seed=seed)
-
-
-def _scenario(
-    config: str | None,
-    assignments: list[str] | None,
-    profile: str | None,
-    wear: Sequence[float] | None,
-    friction: Sequence[float] | None,
-    track: str | None,
-    damper: str | None,
-    reward: str | None,
-) -> Scenario:
-    """Scenario of the first wear and friction of a list."""
-    from sayd_env.studies.evaluate import with_reward  # noqa: PLC0415 - keeps --help fast
-
-    scenario = scenario_from(
-        config,
-        assignments,
-        profile=profile,
-        wear=None if wear is None else wear[0],
-        friction=None if friction is None else friction[0],
-        track=track,
-        damper=damper,
+            context=run,
+        ),
+        {**dict(chosen), "environment": setup},
+        seed,
     )
-    return scenario if reward is None else with_reward(scenario, reward)
 
 
-def _metres_per_second(speeds: Iterable[float]) -> list[float]:
-    return [v / KMH for v in speeds]
-
-
+@command(GROUP, "--quick --policies passive,mppt2", name="map", runs=True)
 def map_(
+    grid: options.GridOptions,
+    foreign: options.ForeignOptions,
     *,
-    policies: options.Policies = None,
-    speeds: options.SpeedList = None,
-    condition_speeds: Annotated[
-        options.Speeds | None,
-        typer.Option(
-            "--condition-speeds",
-            parser=options.speed_list("--condition-speeds"),
-            metavar="KMH",
-            help="Speeds for which the best constant current is looked for (default 300, 400 km/h).",
-        ),
-    ] = None,
-    profile: options.Profile = None,
-    wear: options.Wears = None,
-    friction: options.Frictions = None,
-    track: options.Track = None,
-    damper: options.DamperKind = None,
-    reward: options.Reward = None,
-    environment: options.Environment = "nominal",
-    trust_pickles: options.TrustPickles = False,
-    trained_period: options.TrainedPeriod = None,
-    vec_normalize: options.VecNormalize = None,
-    constants: Annotated[
-        bool, typer.Option("--constants/--no-constants", help="Look for the best constant currents, too.")
-    ] = True,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A coarse map from one seed, within a minute or two.")
-    ] = False,
+    policies: Names | None = options.policies(f"Names ({options.WHICH})."),
+    condition_speeds: Numbers | None = scenario(
+        "--condition-speeds KMH,...",
+        "Speeds at which the best constant current is looked for (default 300, 400 km/h).",
+        parsers.speeds,
+    ),
+    constants: bool = option(
+        "--constants/--no-constants", "Look for the best constant currents, too.", default=True
+    ),
+    quick: options.Quick = False,
     seed: options.Seed = 0,
-    seeds: Annotated[
-        int | None,
-        typer.Option(
-            "--seeds",
-            parser=options.whole("--seeds", 1, options.MAX_SEEDS),
-            metavar="N",
-            help="Number of track realisations: seeds S to S+N-1 (default 2, with --quick 1).",
-        ),
-    ] = None,
-    config: options.Config = None,
-    assignments: options.Set = None,
-    workers: options.Workers = None,
-    executor: options.Executor = None,
-    out: options.Out = None,
-    as_json: options.Json = False,
-) -> None:
+    seeds: options.QuickSeeds = None,
+) -> Plan:
     """Map the critical speed over wear and friction by policy, and the best constant current with its J.
 
     Defaults: the passive vehicle and the paper's four controllers, wear 0 to 1 in steps of 0.25, friction 0.2
-    to 0.5, speeds 280:440:40 and the middle of the interval in which a limit is crossed. The best constant
-    current is that of the lowest J on line (as in evaluate) and off line, among a closed valve and currents
-    beyond the throttle's overlap, the closer the less the valve is open, and halfway around the best one.
-    Finished runs are kept in the output directory: an interrupted map goes on where it stopped.
-    """
-    from dataclasses import replace  # noqa: PLC0415 - keeps --help fast
+    to 0.5, speeds 280:440:40 and the middle of the interval in which a limit is crossed, 2 track
+    realisations. With --quick it is a coarse map from one, within a minute or two.
 
-    from sayd_env.config import ConfigError  # noqa: PLC0415
-    from sayd_env.config.environment import load_environment  # noqa: PLC0415
-    from sayd_env.runs.policies import foreign_reader, policy_specs  # noqa: PLC0415
-    from sayd_env.studies.map import POLICIES, QUICK, MapGrid, stability_map  # noqa: PLC0415
+    The best constant current is that of the lowest J on line (as in evaluate) and off line, among a closed
+    valve and currents beyond the throttle's overlap, the closer the less the valve is open, and halfway
+    around the best one. Finished runs are kept in the output directory: an interrupted map goes on where it
+    stopped.
+    """
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
+    from sayd_env.studies import map as study  # noqa: PLC0415
 
     if condition_speeds and not constants:
         raise ConfigError(
             "--condition-speeds: are those of the best constant currents; leave out --no-constants"
         )
-    scenario = _scenario(config, assignments, profile, wear, friction, track, damper, reward)
-    given: dict[str, Any] = {
-        "wear": wear,
-        "friction": friction,
-        "speeds": speeds and _metres_per_second(speeds),
-        "condition_speeds": condition_speeds and _metres_per_second(condition_speeds),
-    }
+    chosen, setup = grid.load(), load_environment(grid.environment)
+    given = {"wear": grid.wear, "friction": grid.friction, "speeds": grid.speeds}
+    given["condition_speeds"] = condition_speeds
     changes: dict[str, Any] = {key: tuple(values) for key, values in given.items() if values}
-    grid = replace(QUICK if quick else MapGrid(), **changes)
-    laws = load_environment(environment)
-    foreign = foreign_reader(trust_pickles, laws, trained_period, vec_normalize)
-    specs = policy_specs(policies or POLICIES, foreign)
-    job = Job("map", out, as_json)
-    count = seeds or (1 if quick else 2)
-    with job.runs(executor, workers) as context:
-        result = stability_map(
-            scenario,
-            specs,
-            range(seed, seed + count),
-            grid=grid,
-            best_constant=constants,
-            environment=laws,
-            context=context,
-        )
-    job.finish(result, config={**dict(scenario), "environment": laws}, seed=seed)
+    where = replace(study.QUICK if quick else study.MapGrid(), **changes)
+    specs = policy_specs(policies or study.POLICIES, foreign.reader(setup))
+    numbers = range(seed, seed + (seeds or (1 if quick else 2)))
+    return Plan(
+        lambda run: study.stability_map(
+            chosen, specs, numbers, grid=where, best_constant=constants, environment=setup, context=run
+        ),
+        {**dict(chosen), "environment": setup},
+        seed,
+    )
 
 
-def policies(*, out: options.Out = None, as_json: options.Json = False) -> None:
+@command(GROUP, "--quick --policies ppo,own=a.npz+b.npz", runs=True)
+def compare(
+    foreign: options.ForeignOptions,
+    *,
+    policies: Names | None = options.policies(
+        "Who takes part beside passive and mppt2: as for evaluate, ready policies by algorithm (ppo), "
+        "training seeds as NAME=FILE+FILE..., or a folder of policy files. Default: the paper's and tuned "
+        "controllers and all ready policies."
+    ),
+    config: str | None = scenario(
+        "--config NAME|FILE",
+        "Conditions: a YAML file. Default: the held-out ones, which nothing was trained on.",
+        autocompletion=lambda: ["heldout"],
+    ),
+    assignments: options.Set = None,
+    quick: options.Quick = False,
+    seed: int | None = runs(
+        "--seed S", "Of the bootstrap; the seeds of the scenarios are the configuration's.", options.SEED
+    ),
+) -> Plan:
+    """Compare policies on held-out conditions: J with intervals, limits, critical speed, training seeds.
+
+    All policies meet the same scenarios: speeds, wear, friction, tracks and seeds of the configuration, the
+    rest drawn from the seed; with --quick a few of the conditions, with one seed. J is that of evaluate, in
+    MPPT2's weighting; it is judged off line and with other weights of the force, too. Intervals are
+    bootstraps over training seeds and scenarios. The best constant current of each condition is the bound for
+    slow policies. Finished runs are kept in the output directory: an interrupted comparison goes on where it
+    stopped.
+    """
+    from sayd_env.config.comparison import HELD_OUT, load_comparison  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415
+    from sayd_env.studies.comparison.compare import compare as study  # noqa: PLC0415
+    from sayd_env.studies.comparison.entrants import read_entrants  # noqa: PLC0415
+
+    given = list(assignments or ()) + ([] if seed is None else [f"bootstrap.seed={seed}"])
+    conditions = load_comparison(config or HELD_OUT, given)
+    chosen = read_entrants(policies, foreign.reader(load_environment()))
+    return Plan(
+        lambda run: study(conditions, chosen, quick=quick, context=run),
+        lambda result: result.config,
+        conditions.bootstrap.seed,
+    )
+
+
+@command(GROUP, "--policy ppo --speed 350 --seconds 5 -o ride.gif", without=("damper", "wide"))
+def render(
+    choice: options.VehicleOptions,
+    foreign: options.ForeignOptions,
+    *,
+    who: str = policy(
+        "--policy NAME|FILE",
+        f"Who commands the valves: a name ({options.WHICH}).",
+        autocompletion=options.policy_names,
+        default="mppt2",
+    ),
+    speed: float | None = scenario("--speed KMH", "Speed. Default: the environment draws it.", SPEED),
+    environment: options.Environment = "nominal",
+    seconds: float = option("--seconds S", "Length.", positive("s", 600), default=10.0),
+    fps: float = option("--fps N", "Pictures per second.", positive("per second", 1000), default=25.0),
+    exaggeration: float | None = option(
+        "--exaggeration X",
+        "How many times as large displacements are drawn (default 20).",
+        positive(high=1000),
+    ),
+    seed: options.Seed = 0,
+    file: Path | None = output(
+        "-o --file FILE",
+        "File of the pictures: .gif, .mp4 or .png (the last picture). Default: render.gif in --out.",
+    ),
+    out: options.Out = None,
+) -> Plan:
+    """Draw a policy at work: the vehicle from above, its dampers and valves, running values and limits.
+
+    Shows episode 0 of the seed, as the environment with this seed runs it; the environment draws what the
+    options leave open. Needs pygame, an .mp4 also imageio-ffmpeg: pip install 'sayd-env[render]' or
+    'sayd-env[video]'.
+    """
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
+    from sayd_env.studies import render as study  # noqa: PLC0415
+
+    setup = load_environment(environment)
+    chosen = choice.load(setup.study)
+    keys = [item.partition("=")[0].strip() for item in choice.assignments or ()]
+    fixed = {
+        "wear": choice.profile is not None or choice.wear is not None or "wear" in keys,
+        "friction": choice.friction is not None or "friction" in keys,
+        "tracks": choice.track is not None or any(key.split(".")[0] == "track" for key in keys),
+    }
+    left = study.fixed_laws(setup, [key for key, is_fixed in fixed.items() if is_fixed])
+    target = file or (out or RESULTS / "render") / "render.gif"
+    spec = policy_spec(who, foreign.reader(setup))
+    film = study.Film(spec, target, seconds, fps, exaggeration)
+    metric = None if speed is None else speed / KMH
+    return Plan(
+        lambda run: study.render(film, chosen, left, seed=seed, speed=metric, progress=run.progress),
+        {**dict(chosen), "environment": setup},
+        seed,
+    )
+
+
+@command(GROUP, "--json")
+def policies() -> Plan:
     """List the policies that come with the program: controllers, and ready learned ones with their origin."""
     from sayd_env.studies.policies import policies as study  # noqa: PLC0415 - keeps --help fast
 
-    job = Job("policies", out, as_json)
-    job.finish(study())
+    return Plan(lambda _: study())
+
+
+@command(GROUP, "mppt2 --quick", runs=True)
+def tune(
+    controller: Literal["mppt2", "constant"] = argument("CONTROLLER", "mppt2 or constant."),
+    *,
+    config: options.Config = None,
+    assignments: options.Set = None,
+    quick: options.Quick = False,
+    seed: int = runs("--seed S", "Seed of the search; the scenarios have theirs.", options.SEED, default=0),
+    file: Path | None = output(
+        "-o --file FILE", "YAML file of the tuned parameters. Default: CONTROLLER-tuned.yaml in --out."
+    ),
+    out: Path | None = output("--out DIR", options.OUT.format("tune-CONTROLLER")),
+    as_json: options.Json = False,
+) -> Plan:
+    """Find the gains of a controller with the smallest mean J over a list of scenarios.
+
+    The list, the ranges and the budget are those of configs/study/tuning.yaml (--config, --set); J has the
+    weights of MPPT2. mppt2: differential evolution, then COBYQA, about ten minutes; constant: Brent's search,
+    a minute or two; --quick takes a few scenarios and evaluations.
+
+    The result is a file of parameters that --policies takes like a name, for example
+    results/tune-mppt2/mppt2-tuned.yaml; the packaged mppt2-tuned and constant-tuned were found so.
+    Evaluations are kept in the output directory: an interrupted tuning goes on where it stopped.
+    """
+    from sayd_env.config.storage import write_file  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.tuning import load_tuning  # noqa: PLC0415
+    from sayd_env.report.files import ResultDirectory  # noqa: PLC0415
+    from sayd_env.studies.tuning import tune as study  # noqa: PLC0415
+
+    settings = load_tuning("tuning" if config is None else config, assignments or ())
+    settings = settings.shortened() if quick else settings
+    if out is not None and out.suffix in (".yaml", ".yml"):
+        raise ConfigError(f"--out {out}: expected a directory; the file of parameters is -o {out}")
+    if file is not None and file.suffix not in (".yaml", ".yml"):
+        raise ConfigError(f"-o {file}: expected a file that ends in .yaml")
+    folder = result_folder(f"tune-{controller}", {"out": out, "as_json": as_json, "quick": quick})
+    target = file or (None if folder is None else folder / f"{controller}-tuned.yaml")
+    if target is not None:
+        study.refuse_packaged(target)
+        ResultDirectory(target.parent)  # cannot be written to? Say so before the work
+    name, typed = config or "configs/study/tuning.yaml", command_text()
+
+    def store(result: TuneResult, output: Output) -> None:
+        if target is not None:
+            write_file(target, result.control_file().encode())
+            output.say(str(target))
+
+    return Plan(
+        lambda run: study.tune(controller, settings, name=name, seed=seed, command=typed, context=run),
+        settings,
+        seed,
+        folder,
+        store,
+    )

@@ -1,174 +1,197 @@
-"""Commands that run the vehicle."""
+"""Commands that run the vehicle or look at a component of it, and those that judge a run."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sayd_env.cli import options
-from sayd_env.cli.job import Job
-from sayd_env.cli.scenario import scenario_from
+from sayd_env.cli.command import Plan, command
+from sayd_env.cli.options import argument, option
+from sayd_env.cli.parsers import SPEED, ListOf, Names, Number, Numbers, name, positive
+from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from sayd_env.cli.output import Output
+    from sayd_env.studies.paper.reproduce import ReproduceResult
+    from sayd_env.studies.tuning.calibrate import CalibrationResult
 
-KMH = 3.6
+GROUP = "Vehicle and paper"
+COMPONENTS = "Components"
 
 
+@command(GROUP, "--profile worn --speeds 320:445:25 --seeds 2", runs=True)
 def critical_speed(
+    scenario: options.VehicleOptions,
     *,
-    speeds: options.SpeedList = None,
-    profile: options.Profile = None,
-    wear: options.Wear = None,
-    friction: options.Friction = None,
-    track: options.Track = None,
-    damper: options.DamperKind = None,
+    speeds: options.Speeds = None,
+    creep_laws: options.CreepLaws = None,
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
-    creep_laws: Annotated[
-        options.Names | None,
-        typer.Option(
-            "--creep-laws",
-            parser=options.names("--creep-laws", "table,polach,fastsim"),
-            metavar="LAWS",
-            help="Give the critical speed by these creep laws, too, for example table,polach.",
-        ),
-    ] = None,
-    config: options.Config = None,
-    assignments: options.Set = None,
-    workers: options.Workers = None,
-    executor: options.Executor = None,
-    out: options.Out = None,
-    as_json: options.Json = False,
-) -> None:
+) -> Plan:
     """Find the critical speed by EN 14363: quantities over speed, and where they cross their limits.
 
     Default speeds: the paper's grid, 280 to 400 km/h on new and 320 to 445 km/h on worn wheels.
     """
-    from sayd_env.studies.critical_speed import check_laws, find_critical_speed  # noqa: PLC0415
+    from sayd_env.studies import critical_speed as study  # noqa: PLC0415 - keeps --help fast
 
-    check_laws(creep_laws or (), "--creep-laws")
-    scenario = scenario_from(
-        config, assignments, profile=profile, wear=wear, friction=friction, track=track, damper=damper
+    laws = creep_laws or ()
+    study.check_laws(laws, "--creep-laws")
+    chosen = scenario.load()
+    numbers = range(seed, seed + seeds)
+    return Plan(
+        lambda run: study.find_critical_speed(chosen, speeds, numbers, creep_laws=laws, context=run),
+        chosen,
+        seed,
     )
-    job = Job("critical-speed", out, as_json)
-    with job.runs(executor, workers) as context:
-        result = find_critical_speed(
-            scenario,
-            _metres_per_second(speeds),
-            range(seed, seed + seeds),
-            creep_laws=creep_laws or (),
-            context=context,
-        )
-    job.finish(result, config=scenario, seed=seed)
 
 
-def _metres_per_second(speeds: Sequence[float] | None) -> list[float] | None:
-    return None if speeds is None else [v / KMH for v in speeds]
-
-
-def calibrate(
-    *,
-    config: options.Config = None,
-    assignments: options.Set = None,
-    seed: options.Seed = 0,
-    workers: options.Workers = None,
-    executor: options.Executor = None,
-    out: options.Out = None,
-    as_json: options.Json = False,
-) -> None:
-    """Find what the paper leaves open from its statements on the passive vehicle, within sourced ranges.
-
-    Takes about a quarter of an hour. Finished runs are kept in the output directory, so an
-    interrupted calibration goes on where it stopped; the result is also a study file, nominal.yaml.
-    """
-    from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies.tuning.calibrate import calibrate as study  # noqa: PLC0415
-
-    settings = load_calibration("calibration" if config is None else config, tuple(assignments or ()))
-    job = Job("calibrate", out, as_json)
-    with job.runs(executor, workers) as context:
-        result = study(settings, seed=seed, context=context)
-    job.finish(result, config=settings, seed=seed)
-    if job.directory is not None:
-        job.directory.write({"nominal.yaml": result.study().encode()})
-
-
+@command(GROUP, "--quick", runs=True, without=("profile", "damper", "wear"))
 def reproduce(
+    scenario: options.VehicleOptions,
     *,
-    friction: options.Friction = None,
-    track: options.Track = None,
+    strict: bool = option("--strict", "Exit with status 1 if a row does not hold.", default=False),
+    allow: Names | None = option("--allow ROW,...", "Rows that may fail with --strict: P2,M7.", ListOf(name)),
+    control_periods: Numbers | None = option(
+        "--control-periods S,...",
+        "Judge rows S1 to S6 at these control periods (s), too: 0.002,0.005,0.01.",
+        ListOf(positive("s", 1)),
+    ),
+    creep_laws: options.CreepLaws = None,
+    quick: options.Quick = False,
     seed: options.Seed = 0,
-    seeds: Annotated[
-        int | None,
-        typer.Option(
-            "--seeds",
-            parser=options.whole("--seeds", 1, options.MAX_SEEDS),
-            metavar="N",
-            help="Number of track realisations: seeds S to S+N-1 (default 10, with --quick 2).",
-        ),
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Two seeds: a look, not a verdict.")] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with status 1 if a row does not hold.")
-    ] = False,
-    allow: Annotated[
-        options.Names | None,
-        typer.Option(
-            "--allow",
-            parser=options.names("--allow", "P2,M7"),
-            metavar="ROWS",
-            help="Rows that may fail with --strict, for example P2,M7.",
-        ),
-    ] = None,
-    control_periods: Annotated[
-        options.Numbers | None,
-        typer.Option(
-            "--control-periods",
-            parser=options.positive_list("--control-periods", "s", 1.0),
-            metavar="S",
-            help="Judge rows S1 to S6 at these control periods (s), too, for example 0.002,0.005,0.01.",
-        ),
-    ] = None,
-    creep_laws: Annotated[
-        options.Names | None,
-        typer.Option(
-            "--creep-laws",
-            parser=options.names("--creep-laws", "table,polach,fastsim"),
-            metavar="LAWS",
-            help="Give the critical speeds of rows P2 and P5 by these creep laws, too.",
-        ),
-    ] = None,
-    config: options.Config = None,
-    assignments: options.Set = None,
-    workers: options.Workers = None,
-    executor: options.Executor = None,
-    out: options.Out = None,
-    as_json: options.Json = False,
-) -> None:
-    """Measure what the paper shows, row by row: the passive vehicle, the controllers, all figures."""
+    seeds: options.QuickSeeds = None,
+) -> Plan:
+    """Measure what the paper shows, row by row: the passive vehicle, the controllers, all figures.
+
+    Takes 10 track realisations, with --quick 2. --creep-laws gives the critical speeds of rows P2 and P5.
+    """
     from sayd_env.config import ConfigError, StudyError  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies.critical_speed import check_laws  # noqa: PLC0415
     from sayd_env.studies.paper.reproduce import ROWS  # noqa: PLC0415
     from sayd_env.studies.paper.reproduce import reproduce as study  # noqa: PLC0415
 
-    unknown = [row for row in allow or () if row not in ROWS]
+    allowed, laws, periods = allow or (), creep_laws or (), control_periods or ()
+    unknown = [row for row in allowed if row not in ROWS]
     if unknown:
         raise ConfigError(f"--allow {unknown[0]}: unknown row; expected {', '.join(ROWS)}")
-    check_laws(creep_laws or (), "--creep-laws")
-    scenario = scenario_from(config, assignments, friction=friction, track=track)
-    job = Job("reproduce", out, as_json)
-    with job.runs(executor, workers) as context:
-        chosen = range(seed, seed + (seeds or (2 if quick else 10)))
-        result = study(
-            scenario,
-            chosen,
-            control_periods=control_periods or (),
-            creep_laws=creep_laws or (),
-            context=context,
-        )
-    job.finish(result, config=scenario, seed=seed)
-    failed = [row for row in result.failed if row not in (allow or ())]
-    if strict and failed:
-        raise StudyError(f"rows that do not hold: {', '.join(failed)}")
+    check_laws(laws, "--creep-laws")
+    chosen = scenario.load()
+    numbers = range(seed, seed + (seeds or (2 if quick else 10)))
+
+    def judge(result: ReproduceResult, _: Output) -> None:
+        failed = [row for row in result.failed if row not in allowed]
+        if strict and failed:
+            raise StudyError(f"rows that do not hold: {', '.join(failed)}")
+
+    return Plan(
+        lambda run: study(chosen, numbers, control_periods=periods, creep_laws=laws, context=run),
+        chosen,
+        seed,
+        after=judge,
+    )
+
+
+@command(GROUP, "--out results/calibrate", runs=True)
+def calibrate(
+    *, config: options.Config = None, assignments: options.Set = None, seed: options.Seed = 0
+) -> Plan:
+    """Find what the paper leaves open from its statements on the passive vehicle, within sourced ranges.
+
+    Takes about a quarter of an hour. Finished runs are kept in the output directory, so an interrupted
+    calibration goes on where it stopped; the result is also a study file, nominal.yaml.
+    """
+    from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.tuning.calibrate import calibrate as study  # noqa: PLC0415
+
+    settings = load_calibration("calibration" if config is None else config, tuple(assignments or ()))
+
+    def store(result: CalibrationResult, output: Output) -> None:
+        if output.directory is not None:
+            output.directory.write({"nominal.yaml": result.study().encode()})
+
+    return Plan(lambda run: study(settings, seed=seed, context=run), settings, seed, after=store)
+
+
+@command(GROUP, "--speeds 200:400:20 --wear 1", without=("damper",))
+def modes(
+    scenario: options.VehicleOptions,
+    *,
+    speeds: options.Speeds = None,
+    amplitude: float = option(
+        "--amplitude MM", "Lateral amplitude at which contact is linearised.", positive("mm"), default=3.0
+    ),
+) -> Plan:
+    """Compute the vehicle's modes over speed and the linear critical speed, at which it starts to hunt."""
+    from sayd_env.studies.modes import modes as study  # noqa: PLC0415 - keeps --help fast
+
+    chosen = scenario.load()
+    return Plan(lambda run: study(chosen, speeds, amplitude * 1e-3, progress=run.progress), chosen)
+
+
+@command(GROUP, "ride.csv --speed 300")
+def assess(
+    file: Path = argument("FILE", "CSV file of the recording."),
+    *,
+    speed: float | None = option("--speed KMH", "Speed, if no column gives it.", SPEED),
+    sample_rate: float | None = option("--sample-rate HZ", "If no column gives the time.", positive("Hz")),
+    column: list[str] | None = option(
+        "--column NAME", "Column to assess; repeatable. Default: every signal."
+    ),
+    run_in: float = option("--run-in M", "Distance left out at the start.", Number(0, 1e6, "m"), default=0.0),
+    config: options.Config = None,
+    assignments: options.Set = None,
+) -> Plan:
+    """Say whether a recorded run of a train meets the stability limits of EN 14363.
+
+    The header of the file names columns with their units: time_s, speed_kmh or speed_m_s, NAME_m_s2 (lateral
+    acceleration of the bogie frame above a wheelset), NAME_kn or NAME_n (track shift force of a wheelset).
+    """
+    from sayd_env.config.assessment import load_assessment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.assess import assess_file  # noqa: PLC0415
+
+    settings = load_assessment("en14363" if config is None else config, assignments or ())
+    metric = None if speed is None else speed / KMH
+
+    return Plan(
+        lambda _: assess_file(
+            file, settings, speed=metric, sample_rate=sample_rate, columns=column, run_in=run_in
+        ),
+        lambda result: result.settings,
+    )
+
+
+@command(COMPONENTS, "--profile lmb10", without=("damper", "friction"))
+def conicity(scenario: options.VehicleOptions) -> Plan:
+    """Compute the equivalent conicity of wheel and rail by EN 15302."""
+    from sayd_env.studies.components.conicity import conicity as study  # noqa: PLC0415 - keeps --help fast
+
+    chosen = scenario.load()
+    return Plan(lambda _: study(chosen), chosen)
+
+
+@command(
+    COMPONENTS,
+    "--damper sayd --current 0,0.5,1 --amplitudes 2",
+    without=("profile", "track", "wear", "friction"),
+)
+def hysteresis(
+    scenario: options.VehicleOptions,
+    *,
+    amplitudes: Numbers | None = option(
+        "--amplitudes MM,...", "Amplitudes in mm: 1,2,4.", ListOf(positive("mm", 1000))
+    ),
+    frequencies: Numbers | None = option(
+        "--frequencies HZ,...", "Frequencies in Hz: 1,2,4,6,8,10.", ListOf(positive("Hz", 1000))
+    ),
+    current: Numbers | None = option(
+        "--current 0..1,...", "Valve currents of a semi-active damper: 0,0.25,0.5,1.", ListOf(options.SHARE)
+    ),
+) -> Plan:
+    """Move a yaw damper on a test rig: force over displacement at several amplitudes and frequencies."""
+    from sayd_env.studies.components import hysteresis as study  # noqa: PLC0415 - keeps --help fast
+
+    chosen = scenario.load()
+    metres = study.AMPLITUDES if amplitudes is None else [value * 1e-3 for value in amplitudes]
+    hertz = frequencies or study.FREQUENCIES
+    return Plan(lambda run: study.hysteresis(chosen, metres, hertz, current, progress=run.progress), chosen)

@@ -15,40 +15,42 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sayd_env.cli import learning, main, pictures
+from sayd_env.cli import learning, main, policies
 
 # A program with one more command, which does what it is told.
 PROGRAM = """
-import sys, time, warnings
-from sayd_env.cli import main
-from sayd_env.cli.app import app
-from sayd_env.cli.job import Job
-from sayd_env.cli import options
+import sys, time
+from typing import Annotated
+import typer
+from sayd_env.cli import app, main, options
+from sayd_env.cli.command import Plan, command
 from sayd_env.config import ConfigError, StudyError
+app.GROUPS  # all commands are there
 
 class Result:
     def as_dict(self): return {"answer": float("nan")}
     def tables(self): return {"answers": (("answer",), [(42,)])}
     def plots(self): return {}
-    def summary(self, console): console.print("the summary")
+    def summary(self, console, wide=False): console.print("the summary" + " in all its columns" * wide)
 
-@app.command()
-def probe(what: str, speeds: options.SpeedList = None, wear: options.Wear = None,
-          out: options.Out = None, as_json: options.Json = False):
+@command("Program", "x")
+def probe(what: Annotated[str, typer.Argument()], vehicle: options.VehicleOptions,
+          speeds: options.Speeds = None, quick: options.Quick = False) -> Plan:
     if what == "config": raise ConfigError("x.yaml: unknown key 'masss', did you mean 'mass'?")
-    if what == "study": raise StudyError("the vehicle derails at 400 km/h")
-    if what == "defect": raise RuntimeError("first line\\nsecond line")
-    if what == "interrupt": raise KeyboardInterrupt
-    if what == "lines":
-        for line in range(100000): print(line)
-        return
-    job = Job("probe", out, as_json)
-    with job.progress() as progress:
+    if what == "escape": raise ConfigError("unknown key '\\x1b[2J\\x00'")
+    if what == "long": raise ConfigError("x" * 100000)
+    def study(context):
+        if what == "study": raise StudyError("the vehicle derails at 400 km/h")
+        if what == "defect": raise RuntimeError("first line\\nsecond line")
+        if what == "interrupt": raise KeyboardInterrupt
+        if what == "lines":
+            for line in range(100000): print(line)
         if what == "sleep":
             print("ready", flush=True)
             time.sleep(60)
-        progress(1, 2, "half")
-    job.finish(Result(), config={"speeds": speeds}, seed=3)
+        context.progress(1, 2, "half")
+        return Result()
+    return Plan(study, {"speeds": speeds}, 3)
 
 sys.exit(main())
 """
@@ -76,7 +78,15 @@ def sayd(
         (["probe", "defect"], 1, "sayd: internal error: RuntimeError: first line second line; please report"),
         (["probe", "interrupt"], 130, "sayd: interrupted"),
         (["probe"], 2, "sayd: error: Missing argument 'what' (see 'sayd probe --help')"),
-        (["probe", "x", "--speeds", "0"], 2, "sayd: error: --speeds '0': found 0"),
+        (["probe", "escape"], 2, "sayd: error: unknown key '\\x1b[2J\\x00'"),
+        (["probe", "long"], 2, "sayd: error: xxx"),
+        (["probe", "x", "--seed", "3"], 2, "sayd: error: No such option: --seed"),
+        (["probe", "x", "--json=1"], 2, "sayd: error: Option '--json' does not take a value"),
+        (
+            ["probe", "x", "--speeds", "0"],
+            2,
+            "sayd: error: --speeds 0: expected a finite number above 0 km/h",
+        ),
         (["probe", "x", "--wear", "2"], 2, "sayd: error: --wear 2: expected a number from 0 to 1"),
         (["probe", "x", "--sped", "300"], 2, "sayd: error: No such option: --sped"),
         (["probe", "x", "--out", "/proc/none"], 2, "sayd: error: --out /proc/none: cannot be written"),
@@ -90,8 +100,10 @@ def test_every_error_is_one_line_with_its_status(
     assert done.returncode == status
     assert done.stderr.startswith(message)
     assert done.stderr.count("\n") == 1
+    assert done.stderr[:-1].isprintable()
+    assert len(done.stderr) < 2100
     assert done.stdout == ""
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.rglob("*.*")) == []
 
 
 def test_a_defect_shows_its_place_on_demand():
@@ -103,7 +115,8 @@ def test_json_stands_alone_on_standard_output_and_writes_no_file(tmp_path: Path)
     assert done.returncode == 0
     content = json.loads(done.stdout)
     assert content["answer"] is None
-    assert content["config"] == {"speeds": [300.0, 350.0, 400.0]}
+    assert content["config"] == {"speeds": [300.0 / 3.6, 350.0 / 3.6, 400.0 / 3.6]}
+    assert "quick" not in content
     assert content["seed"] == 3
     assert "the summary" in done.stderr
     assert list(tmp_path.iterdir()) == []
@@ -118,6 +131,21 @@ def test_results_go_to_a_directory_named_by_the_command(tmp_path: Path):
         "answers.csv",
         "result.json",
     ]
+
+
+def test_a_look_says_so_and_never_replaces_a_result(tmp_path: Path):
+    sayd("probe", "x", cwd=tmp_path)
+    done = sayd("probe", "x", "--quick", cwd=tmp_path)
+    assert done.stdout.splitlines()[1:] == [
+        "--quick: a look, not a result",
+        "results/probe-quick: answers.csv, result.json",
+    ]
+    assert json.loads((tmp_path / "results/probe-quick/result.json").read_text())["quick"] is True
+    assert "quick" not in json.loads((tmp_path / "results/probe/result.json").read_text())
+
+
+def test_all_columns_are_an_option():
+    assert "the summary in all its columns" in sayd("probe", "x", "--wide", "--json").stderr
 
 
 def test_json_with_a_directory_writes_the_same_document(tmp_path: Path):
@@ -171,12 +199,32 @@ def test_a_full_standard_output_is_one_message():
     assert done.stderr == "sayd: error: standard output: No space left on device\n"
 
 
-def test_help_and_version_import_no_numerical_library():
+@pytest.mark.parametrize(
+    ("arguments", "closed", "status"),
+    [
+        ("--version", ">&-", 0),
+        ("probe x --json", ">&- 2>&-", 0),
+        ("nothing", "2>&-", 2),
+        ("probe config", "<&- >&- 2>&-", 2),
+        ("probe study", ">&- 2>&-", 1),
+    ],
+)
+def test_closed_streams_change_no_status(arguments: str, closed: str, status: int, tmp_path: Path):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    shell = f"exec {sys.executable} program.py {arguments} {closed}"
+    done = subprocess.run(["sh", "-c", shell], cwd=tmp_path, check=False, capture_output=True, text=True)
+    assert done.returncode == status
+    assert "Traceback" not in done.stderr + done.stdout
+    assert "internal error" not in done.stderr + done.stdout
+
+
+def test_help_and_version_import_no_compiler():
     for option in ("--help", "--version"):
         code = (
             "import sys; from sayd_env.cli import main\n"
             f"assert main(['{option}']) == 0\n"
-            "print(sorted({'numpy', 'scipy', 'numba', 'matplotlib', 'torch'} & set(sys.modules)))"
+            "print(sorted({'scipy', 'numba', 'matplotlib', 'torch'} & set(sys.modules)))"
         )
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
         assert done.stdout.splitlines()[-1] == "[]"
@@ -185,7 +233,7 @@ def test_help_and_version_import_no_numerical_library():
 @pytest.mark.parametrize("command", ["train", "render", "export"])
 def test_help_shows_the_names_of_all_extras(command: str, capsys: pytest.CaptureFixture[str]):
     """Rich would take a name in brackets for a style."""
-    function = {"train": learning.train, "render": pictures.render, "export": learning.export}[command]
+    function = {"train": learning.train, "render": policies.render, "export": learning.export}[command]
     named = set(re.findall(r"sayd-env\[\w+\]", inspect.getsource(function)))
     assert named
     assert main([command, "--help"]) == 0

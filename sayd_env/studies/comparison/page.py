@@ -102,8 +102,6 @@ def tables(result: Comparison) -> dict[str, Table]:
 
 def show(result: Comparison, console: Console, wide: bool = False) -> None:
     """Print the scores, the targets, and what a reader has to know about them."""
-    if result.quick:
-        console.print("--quick: a few of the conditions, one seed of each; a look, no result")
     title = (
         f"{len(result.grid.conditions)} conditions x {len(result.config.seeds)} seeds: J on line, "
         "and IQM of its ratio to MPPT2's (95 %)"

@@ -137,7 +137,7 @@ def test_command_writes_figures_loops_and_pictures(
     [
         (["--amplitudes", "1,x"], "--amplitudes x: expected a finite number above 0 mm"),
         (["--frequencies", "0"], "--frequencies 0: expected a finite number above 0 Hz"),
-        (["--amplitudes", ""], "--amplitudes : expected a finite number above 0 mm"),
+        (["--amplitudes", ""], "--amplitudes an empty place: expected a finite number above 0 mm"),
     ],
 )
 def test_bad_grids_are_refused(

@@ -1,0 +1,169 @@
+"""What all commands have in common: their options, their output, and how they end.
+
+A command is a function that reads its own options into a `Plan`; `command` offers these and the common ones
+on the command line, opens the output, gives the study its run context, stores and shows the result.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+import typer
+from rich.markup import escape
+
+from sayd_env.cli.options import Group, OutputOptions, RunOptions, settled
+from sayd_env.cli.output import RESULTS, Output
+
+if TYPE_CHECKING:
+    from sayd_env.report.files import Result
+    from sayd_env.runs.context import RunContext
+    from sayd_env.runs.executors import ExecutorChoice
+
+app = typer.Typer(
+    name="sayd",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a command is to do. All that was typed has been checked; nothing has been computed or written."""
+
+    study: Callable[[RunContext], Result]
+    config: Any = None
+    """The full resolved configuration, or a function that takes it from the result."""
+    seed: int | None = None
+    """First seed of the random draws; None where nothing is random."""
+    folder: Path | None = None
+    """Where the result goes if not where `result_folder` says."""
+    after: Callable[[Any, Output], None] | None = None
+    """Called with the result when it is stored and shown."""
+
+
+Body = TypeVar("Body", bound=Callable[..., Plan])
+Parameters: TypeAlias = dict[str, inspect.Parameter]
+
+
+def command(
+    group: str, example: str, *, name: str = "", runs: bool = False, without: Collection[str] = ()
+) -> Callable[[Body], Body]:
+    """Make a function a command.
+
+    Its parameters are arguments and options; one whose type is a `Group` stands for all of its options.
+
+    Parameters
+    ----------
+    group : str
+        Under which the list of commands shows it.
+    example : str
+        Its arguments in a line to copy.
+    name : str
+        By default that of the function.
+    runs : bool
+        It makes many runs: an executor makes them, and finished ones are kept in the result's directory.
+    without : collection of str
+        Common options, or those of a group, that it cannot use.
+    """
+
+    def register(body: Body) -> Body:
+        called = name or body.__name__.replace("_", "-")
+        own = dict(inspect.signature(body, eval_str=True).parameters)
+        groups = _groups(own)
+
+        def invoke(**given: Any) -> None:
+            plain = {name: given[name] for name in own if name not in groups}
+            _run(called, body(**plain, **{name: kind(**given) for name, kind in groups.items()}), given, runs)
+
+        common: list[type[Group]] = [RunOptions] * runs + [OutputOptions]
+        signature = inspect.Signature(list(_offered(own, common, without).values()))
+        invoke.__signature__ = signature  # type: ignore[attr-defined]
+        # The help has lines of another width than the docstring.
+        paragraphs = [" ".join(part.split()) for part in (inspect.getdoc(body) or "").split("\n\n")]
+        app.command(
+            called,
+            help=escape("\n\n".join(paragraphs)),
+            epilog=escape(f"Example: sayd {called} {example}".strip()),
+            rich_help_panel=group,
+        )(invoke)
+        return body
+
+    return register
+
+
+def result_folder(name: str, given: Mapping[str, Any]) -> Path | None:
+    """``--out``, none with ``--json`` alone, or a directory where a look replaces no result."""
+    folder: Path | None = given["out"]
+    if folder is not None or given["as_json"]:
+        return folder
+    return RESULTS / (f"{name}-quick" if given.get("quick") else name)
+
+
+def _groups(own: Parameters) -> dict[str, type[Group]]:
+    """Parameters that stand for several options."""
+    kinds = {name: parameter.annotation for name, parameter in own.items()}
+    return {name: kind for name, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, Group)}
+
+
+def _offered(own: Parameters, common: Iterable[type[Group]], without: Collection[str]) -> Parameters:
+    """Arguments and options of a command, its own first."""
+    groups = _groups(own)
+    offered = {
+        name: parameter.replace(default=settled(parameter.default))
+        for name, parameter in own.items()
+        if name not in groups
+    }
+    for group in (*groups.values(), *common):
+        for name, (annotation, default) in group.offered().items():
+            if name not in {*without, *offered}:
+                offered[name] = inspect.Parameter(
+                    name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default
+                )
+    return offered
+
+
+def _run(name: str, plan: Plan, given: Mapping[str, Any], keeps: bool) -> None:
+    from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415 - keeps --help fast
+
+    # Where nothing is kept, workers are what the command itself makes of them.
+    executor = ExecutorChoice.parse(given["executor"], given["workers"]) if keeps else ExecutorChoice()
+    folder = plan.folder or result_folder(name, given)
+    output = Output(name, folder, as_json=given["as_json"], wide=given.get("wide", False))
+    result = _compute(plan, output, executor, keeps=keeps)
+    config = plan.config(result) if callable(plan.config) else plan.config
+    output.finish(result, config, plan.seed, quick=given.get("quick", False))
+    if plan.after is not None:
+        plan.after(result, output)
+
+
+def _compute(plan: Plan, output: Output, executor: ExecutorChoice, *, keeps: bool) -> Result:
+    """Run the study.
+
+    Raises
+    ------
+    Interrupted
+        By Ctrl-C, where finished runs are kept.
+    """
+    from sayd_env.config.errors import Interrupted  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.cache import RunCache  # noqa: PLC0415
+    from sayd_env.runs.context import RunContext  # noqa: PLC0415
+
+    folder = output.directory.path / "runs" if keeps and output.directory is not None else None
+    cache = RunCache(folder)
+    try:
+        with output.progress() as progress:
+            result = plan.study(RunContext(executor, cache, progress))
+    except KeyboardInterrupt:
+        if folder is None:
+            raise
+        raise Interrupted(f"finished runs are in {folder}; the same command goes on") from None
+    cache.forget_former()
+    if cache.reused:
+        output.say(f"{cache.reused} runs had been finished by an earlier start")
+    return result

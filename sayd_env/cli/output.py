@@ -1,0 +1,138 @@
+"""Where a command's result goes and how it reports progress."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+if TYPE_CHECKING:
+    from sayd_env.report.files import Result
+    from sayd_env.runs.context import Progress
+
+RESULTS = Path("results")
+QUIET_SECONDS = 2.0
+LINE_SECONDS = 10.0
+PLAIN_WIDTH = 80
+WIDE_WIDTH = 160
+
+
+class Output:
+    """A command's way out.
+
+    Parameters
+    ----------
+    command : str
+        The command's name.
+    folder : Path, optional
+        Directory of the result, checked at once; without, nothing is stored.
+    as_json : bool
+        Print the result as JSON on standard output, and nothing else there.
+    wide : bool
+        Print all columns of the tables.
+
+    Raises
+    ------
+    ConfigError
+        When the directory cannot be written to.
+    """
+
+    def __init__(self, command: str, folder: Path | None, *, as_json: bool, wide: bool) -> None:
+        from sayd_env.report.files import ResultDirectory  # noqa: PLC0415 - keeps --help fast
+
+        self.command = command
+        self.as_json = as_json
+        self.wide = wide
+        self.console = _console(to_stderr=as_json, width=WIDE_WIDTH if wide else PLAIN_WIDTH)
+        self.directory = None if folder is None else ResultDirectory(folder)
+
+    def finish(self, result: Result, config: Any, seed: int | None, *, quick: bool) -> None:
+        """Store the result, then show it: JSON or the study's summary."""
+        from sayd_env.report.files import document, json_text  # noqa: PLC0415 - keeps --help fast
+
+        content = document(result, config, seed, command_text()) | ({"quick": True} if quick else {})
+        files = [] if self.directory is None else self.directory.save(result, content)
+        result.summary(self.console, wide=self.wide)
+        if quick:
+            self.say("--quick: a look, not a result")
+        if self.directory is not None:
+            self.say(f"{self.directory.path}: {', '.join(path.name for path in files)}")
+        if self.as_json:
+            sys.stdout.write(json_text(content))
+
+    def say(self, text: str) -> None:
+        """Print a line as it is."""
+        _line(self.console, text)
+
+    @contextmanager
+    def progress(self) -> Iterator[Progress]:
+        """Give the study a way to report progress: a bar on a terminal, else a line now and then.
+
+        Both go to standard error, as does a word before and after the first start's compilation; a run that
+        ends within two seconds shows no line.
+        """
+        from sayd_env.physics.kernel import announced_compilation  # noqa: PLC0415 - keeps --help fast
+
+        errors = _console(to_stderr=True)
+        with announced_compilation(lambda text: _line(errors, f"sayd {self.command}: {text}")):
+            if errors.is_terminal:
+                with _bar(self.command, errors) as report:
+                    yield report
+            else:
+                yield _Lines(self.command, errors)
+
+
+def command_text() -> str:
+    """What was typed, as a shell would take it again."""
+    return shlex.join(["sayd", *sys.argv[1:]])
+
+
+@contextmanager
+def _bar(command: str, console: Console) -> Iterator[Progress]:
+    from rich import progress as bars  # noqa: PLC0415 - only a terminal needs it
+
+    what = bars.TextColumn("{task.description}", markup=False)
+    parts = (
+        bars.BarColumn(),
+        bars.MofNCompleteColumn(),
+        bars.TimeElapsedColumn(),
+        bars.TimeRemainingColumn(),
+    )
+    with bars.Progress(bars.TextColumn(command), *parts, what, console=console, transient=True) as bar:
+        task = bar.add_task("", total=None)
+
+        def report(done: float, total: float, what: str = "") -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        yield report
+
+
+class _Lines:
+    """Progress for logs: nothing in the first two seconds, then at most one line in ten seconds."""
+
+    def __init__(self, command: str, console: Console) -> None:
+        self.command = command
+        self.console = console
+        self.next = time.monotonic() + QUIET_SECONDS
+
+    def __call__(self, done: float, total: float, what: str = "") -> None:
+        now = time.monotonic()
+        if now >= self.next:
+            self.next = now + LINE_SECONDS
+            _line(self.console, f"sayd {self.command}: {done:g} of {total:g} {what}".rstrip())
+
+
+def _line(console: Console, text: str) -> None:
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _console(*, to_stderr: bool, width: int = PLAIN_WIDTH) -> Console:
+    console = Console(stderr=to_stderr)
+    # A file or a pipe has no width, whatever the environment says.
+    return console if console.is_terminal else Console(stderr=to_stderr, width=width)

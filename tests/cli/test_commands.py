@@ -1,0 +1,105 @@
+"""Every command: which options it offers, its help, its example."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Any
+
+import pytest
+import typer
+
+from sayd_env.cli import main
+from sayd_env.cli.app import GROUPS, app
+
+PROGRAM: Any = typer.main.get_command(app)
+SHOWN = {"out", "json", "wide", "help"}
+RUNS = {"workers", "executor"}
+CONFIG = {"config", "set"}
+WHEELS = {"profile", "wear", "track", *CONFIG}
+VEHICLE = {*WHEELS, "friction"}
+FOREIGN = {"trust-pickles", "trained-period", "vec-normalize"}
+GRID = {*VEHICLE, "damper", "speeds", "environment", "reward", "policies", *FOREIGN}
+
+OFFERED = {
+    "critical-speed": {*VEHICLE, *RUNS, *SHOWN, "speeds", "damper", "creep-laws", "seed", "seeds"},
+    "reproduce": {*CONFIG, *RUNS, *SHOWN, "friction", "track", "strict", "allow", "control-periods"}
+    | {"creep-laws", "quick", "seed", "seeds"},
+    "calibrate": {*CONFIG, *RUNS, *SHOWN, "seed"},
+    "modes": {*VEHICLE, *SHOWN, "speeds", "amplitude"},
+    "assess": {*CONFIG, *SHOWN, "speed", "sample-rate", "column", "run-in"},
+    "evaluate": {*GRID, *RUNS, *SHOWN, "initial-current", "seed", "seeds"},
+    "map": {*GRID, *RUNS, *SHOWN, "condition-speeds", "constants", "quick", "seed", "seeds"},
+    "compare": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick", "seed"},
+    "render": {*VEHICLE, *SHOWN, *FOREIGN, "policy", "speed", "environment", "seconds", "fps", "file"}
+    | {"exaggeration", "seed"},
+    "policies": SHOWN,
+    "tune": {*CONFIG, *RUNS, *SHOWN, "quick", "seed", "file"},
+    "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed"} - {"wide"},
+    "export": {*FOREIGN, *SHOWN, "onnx"} - {"wide"},
+    "conicity": {*WHEELS, *SHOWN},
+    "hysteresis": {*CONFIG, *SHOWN, "damper", "amplitudes", "frequencies", "current"},
+    "bench": {*VEHICLE, *SHOWN, "speed", "quick", "workers"},
+    "soak": {*SHOWN, "set", "steps", "environment", "environments", "seed", "workers"},
+}
+OFFERED["render"] -= {"wide"}
+
+
+def options_of(command: Any) -> list[Any]:
+    return [each for each in command.get_params(typer.Context(command)) if each.param_type_name == "option"]
+
+
+def test_the_program_has_these_commands_in_groups():
+    assert list(PROGRAM.commands) == list(OFFERED)
+    assert [command.rich_help_panel for command in PROGRAM.commands.values()] == sorted(
+        (command.rich_help_panel for command in PROGRAM.commands.values()), key=GROUPS.index
+    )
+
+
+@pytest.mark.parametrize("name", OFFERED)
+def test_a_command_offers_the_options_that_it_can_use(name: str):
+    found = {
+        next(word for word in each.opts if word.startswith("--"))[2:]
+        for each in options_of(PROGRAM.commands[name])
+    }
+    assert found == OFFERED[name]
+
+
+@pytest.mark.parametrize("name", ["", *OFFERED])
+def test_help_fits_80_columns_and_describes_everything(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([name, "--help"] if name else ["--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(len(line) for line in lines) <= 80
+    command = PROGRAM.commands[name] if name else PROGRAM
+    words = "\n".join(lines).split()
+    for each in options_of(command):
+        assert each.help
+        assert set(each.opts) <= set(words)
+        if each.metavar:  # whole, not broken into two lines
+            assert each.metavar in words
+    assert "\u2026" not in "".join(words)  # nothing is cut
+
+
+@pytest.mark.parametrize("name", OFFERED)
+def test_the_example_is_one_line_that_can_be_typed(name: str, capsys: pytest.CaptureFixture[str]):
+    """It is parsed: each option exists and takes its value."""
+    main([name, "--help"])
+    shown = [line.strip() for line in capsys.readouterr().out.splitlines() if "Example: " in line]
+    assert shown == [PROGRAM.commands[name].epilog.replace("\\[", "[")]
+    program, command, *arguments = shlex.split(shown[0].removeprefix("Example: "))
+    assert (program, command) == ("sayd", name)
+    PROGRAM.commands[name].make_context(name, list(arguments))
+
+
+def test_an_option_has_one_meaning_wherever_it_is_offered():
+    """What --quick, --json, --wide and --set say is the same everywhere."""
+    for option in ("--quick", "--json", "--wide", "--set"):
+        texts = {
+            each.help
+            for command in PROGRAM.commands.values()
+            for each in options_of(command)
+            if option in each.opts
+        }
+        assert len(texts) == 1
