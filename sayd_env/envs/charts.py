@@ -113,12 +113,13 @@ class _Panel:
         axes.set_xlim(-WINDOW, 0.0)
         ago = (WINDOW, 0.5 * WINDOW, 0.0)
         axes.set_xticks([-s for s in ago], [f"\N{MINUS SIGN}{s:g} s" if s else "now" for s in ago])
+        axes.get_xticklabels()[-1].set_ha("right")
         axes.set_title(chart.title, loc="left", x=-0.09, fontsize=9, fontweight="bold", color=INK, pad=8.0)
         self.lines = [axes.plot([], [], color=c, linewidth=1.5, animated=True)[0] for c in chart.colours]
         newest: Any = {"transform": axes.transAxes, "ha": "right", "fontsize": 9, "fontweight": "bold"}
         places = 1.0 - 0.13 * np.arange(len(chart.colours))[::-1]
         self.numbers = [
-            axes.text(x, 1.07, "", color=c, animated=True, **newest)
+            axes.text(x, 1.08, "", color=c, animated=True, **newest)
             for x, c in zip(places, chart.colours, strict=True)
         ]
         self.limit = axes.axhline(np.nan, color=LIMIT, linestyle="--", linewidth=1.0)

@@ -144,7 +144,7 @@ def print_table(
         for row in group:
             values = [column.of(row) for column in shown]
             cells = [
-                Text(column.words(value), column.style(value, least))
+                Text.assemble((column.words(value), column.style(value, least)))
                 for column, value, least in zip(shown, values, lowest, strict=True)
             ]
             table.add_row(*cells, end_section=row is group[-1])

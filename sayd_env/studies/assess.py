@@ -15,7 +15,7 @@ from sayd_env.config import ConfigError, DataError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.palette import SKY, VERMILION
 from sayd_env.config.units import KMH, Array
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, panels
 from sayd_env.stability import (
     Assessment,
@@ -77,12 +77,13 @@ class ChannelResult:
         return self.rms_max <= self.limit
 
     def row(self) -> dict[str, Any]:
-        """Values by `COLUMNS`."""
+        """Values by `COLUMNS`, and the unit as it is printed."""
         unit = _UNITS[self.channel.quantity]
         return {
             "name": self.channel.name,
             "quantity": self.channel.quantity.value,
-            "unit": unit.name,
+            "unit": unit.key,
+            "shown_unit": unit.name,
             "dominant_frequency_hz": self.dominant_frequency,
             "rms_max": self.rms_max * unit.scale,
             "limit": self.limit * unit.scale,
@@ -95,7 +96,7 @@ class ChannelResult:
 COLUMNS = (
     Column("name", "channel"),
     Column("quantity", "quantity", wide=True),
-    Column("unit", "unit"),
+    Column("unit"),
     Column("dominant_frequency_hz", "f_0", "Hz", digits=2),
     Column("rms_max", "max. RMS", digits=2),
     Column("limit", "limit", digits=2),
@@ -164,7 +165,7 @@ class RecordingResult:
                 "acceleration_rms": self.limits.acceleration,
                 "track_shift_rms_kn": self.limits.track_shift_force / 1e3,
             },
-            "channels": [channel.row() for channel in self.channels],
+            "channels": json_rows(COLUMNS, [channel.row() for channel in self.channels]),
         }
 
     def tables(self) -> dict[str, Table]:
@@ -191,7 +192,8 @@ class RecordingResult:
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print one line for each channel and the verdict."""
         rows = [channel.row() for channel in self.channels]
-        print_table(console, "largest sliding RMS by EN 14363", COLUMNS, rows, wide=wide)
+        columns = (COLUMNS[0], Column("shown_unit", "unit"), *COLUMNS[1:])
+        print_table(console, "largest sliding RMS by EN 14363", columns, rows, wide=wide)
         distance = self.as_dict()["assessed_distance_m"]
         verdict = "stable" if self.stable else "unstable"
         console.print(f"{self.file}: {verdict} by EN 14363 over {distance:.0f} m", markup=False)
