@@ -13,7 +13,6 @@ from sayd_env.agents.config import InputConfig, OutputConfig
 from sayd_env.config import ConfigError, nearest
 from sayd_env.envs.interface import Interface
 
-Array = npt.NDArray[np.float64]
 Observation = npt.NDArray[np.float32]
 
 FLOOR = 1e-12

@@ -31,7 +31,7 @@ from sayd_env.envs.environment import action_box, observation_box
 from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import ACTIONS, Interface
 
-Array = npt.NDArray[np.float32]
+Single = npt.NDArray[np.float32]
 
 ENDING = ".zip"
 _ACTIVATIONS = ({"tanh"}, {"relu"})
@@ -268,8 +268,8 @@ def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any], 
     return StoredPolicy(description, layers if squashed else _doubled(layers), str(path), normalisation)
 
 
-def _numbers(tensor: Any) -> Array:
-    values: Array = tensor.detach().numpy().astype(np.float32)
+def _numbers(tensor: Any) -> Single:
+    values: Single = tensor.detach().numpy().astype(np.float32)
     return values
 
 

@@ -14,8 +14,8 @@ from sayd_env.agents.bogie_encoding import make_encoding
 from sayd_env.agents.config import TrainConfig
 from sayd_env.agents.encoding import Encoding, Observation
 from sayd_env.agents.sb3_vec import SaydVecEnv, Step
+from sayd_env.config.units import Array
 
-Array = npt.NDArray[np.float64]
 Numbers = Callable[[], Array]
 
 SEEDS_APART = 1_000_000

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from sayd_env.config import ConfigError, DataError, parse_yaml
 from sayd_env.config.explain import shown
 
-Array = npt.NDArray[Any]
+AnyArray = npt.NDArray[Any]
 Arrays = Mapping[str, tuple[tuple[int, ...], str]]
 """Shape and type of each array."""
 
@@ -77,7 +77,7 @@ def shown_path(path: Path | str) -> str:
     return text if text.isprintable() and len(text) < 1000 else shown(text)
 
 
-def pack(description: str, arrays: Mapping[str, Array]) -> bytes:
+def pack(description: str, arrays: Mapping[str, AnyArray]) -> bytes:
     """Content of a policy file."""
     stream = io.BytesIO()
     np.savez(stream, **dict(arrays))  # type: ignore[arg-type] # no array is called allow_pickle
@@ -134,7 +134,7 @@ class PolicyArchive:
         """Whether the archive has arrays that it may have."""
         return any(f"{name}.npy" in self._members for name in names)
 
-    def arrays(self, expected: Arrays) -> dict[str, Array]:
+    def arrays(self, expected: Arrays) -> dict[str, AnyArray]:
         """The arrays, which are read-only.
 
         Raises
@@ -148,7 +148,7 @@ class PolicyArchive:
             raise DataError(f"{self._name}: {problem} {shown(name)}, against its description")
         return {name: self._array(name, shape, kind) for name, (shape, kind) in expected.items()}
 
-    def _array(self, name: str, shape: tuple[int, ...], kind: str) -> Array:
+    def _array(self, name: str, shape: tuple[int, ...], kind: str) -> AnyArray:
         size = math.prod(shape) * np.dtype(kind).itemsize
         member = self._members[f"{name}.npy"]
         what = f"{self._name}: {name}: expected finite numbers of type {kind} and shape {shape}"

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 
