@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import butter, get_window
+from scipy.signal import get_window
 
 from sayd_env.config import ConfigError
 from sayd_env.config.assessment import AssessmentConfig
@@ -24,6 +24,7 @@ from sayd_env.config.control import OnlineConfig
 from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.ragged import Cube, Index, IndexMatrix, Matrix
+from sayd_env.stability.signals import band_sections
 
 CHUNK = 16
 """Block means that the spectrum takes at once, their phases from a table; a multiple of four."""
@@ -127,9 +128,7 @@ def band(online: OnlineConfig, assessment: AssessmentConfig, rate: float) -> Ban
 
 
 def _sections(f0: float, assessment: AssessmentConfig, rate: float) -> Array:
-    edges = (max(f0 - assessment.band_half_width, assessment.band_min), f0 + assessment.band_half_width)
-    sections: Array = butter(assessment.filter_order, edges, "bandpass", fs=rate, output="sos")
-    return sections[:, [0, 1, 2, 4, 5]]  # without a0, which is one
+    return band_sections(float(f0), assessment, rate)[:, [0, 1, 2, 4, 5]]  # without a0, which is one
 
 
 def _phases(frequency: Array, step: float, interval: float) -> Array:

@@ -148,11 +148,22 @@ def band_pass(signals: Array, sample_rate: float, frequency: Array, settings: As
     for channel, f0 in enumerate(frequency):
         if np.isnan(f0):
             continue
-        edges = (max(f0 - settings.band_half_width, settings.band_min), f0 + settings.band_half_width)
-        sections = butter(settings.filter_order, edges, "bandpass", fs=sample_rate, output="sos")
+        sections = band_sections(float(f0), settings, sample_rate)
         row = np.ascontiguousarray(signals[:, channel])
         filtered[:, channel] = sosfiltfilt(sections, row, padtype="even", padlen=padding)
     return filtered
+
+
+def band_sections(f0: float, settings: AssessmentConfig, sample_rate: float) -> Array:
+    """Butterworth band-pass around f_0 (Hz) as second-order sections, designed once; not to be changed."""
+    edges = (max(f0 - settings.band_half_width, settings.band_min), f0 + settings.band_half_width)
+    return _designed(settings.filter_order, edges, sample_rate)
+
+
+@lru_cache(maxsize=1024)
+def _designed(order: int, edges: tuple[float, float], sample_rate: float) -> Array:
+    sections: Array = butter(order, edges, "bandpass", fs=sample_rate, output="sos")
+    return sections
 
 
 def sliding_rms(
