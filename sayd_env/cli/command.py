@@ -153,12 +153,13 @@ def _compute(plan: Plan, output: Output, executor: ExecutorChoice, *, keeps: boo
     from sayd_env.config.errors import Interrupted  # noqa: PLC0415 - keeps --help fast
     from sayd_env.runs.cache import RunCache  # noqa: PLC0415
     from sayd_env.runs.context import RunContext  # noqa: PLC0415
+    from sayd_env.runs.executors import KeptExecutor  # noqa: PLC0415
 
     folder = output.directory.path / "runs" if keeps and output.directory is not None else None
     cache = RunCache(folder)
     try:
-        with output.progress() as progress:
-            result = plan.study(RunContext(executor, cache, progress))
+        with output.progress() as progress, KeptExecutor(executor) as kept:
+            result = plan.study(RunContext(executor, cache, progress, kept))
     except KeyboardInterrupt:
         if folder is None:
             raise

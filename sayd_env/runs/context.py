@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from sayd_env.runs.cache import RunCache, fingerprint
-from sayd_env.runs.executors import ExecutorChoice, computed
+from sayd_env.runs.executors import ExecutorChoice, KeptExecutor, computed
 
 Record = TypeVar("Record")
 ABREAST = 8
@@ -49,6 +49,8 @@ class RunContext:
     cache: RunCache = field(default_factory=RunCache)
     """By default one in memory."""
     progress: Progress = silent
+    kept: KeptExecutor | None = None
+    """The executor, where it is to serve several of the study's parts."""
 
     def part(self, before: float, whole: float, name: str = "") -> RunContext:
         """The same for a part of a study: its progress counts from `before` on, of a `whole`."""
@@ -91,7 +93,8 @@ class RunContext:
         found = {i: record for i, key in enumerate(keys) if (record := self.cache.get(key, kind)) is not None}
         missing = [i for i in range(len(specs)) if i not in found]
         parts = pieces(specs, missing, self.executor.count)
-        for number, records in computed(work, [[specs[i] for i in part] for part in parts], self.executor):
+        how = self.executor, self.kept
+        for number, records in computed(work, [[specs[i] for i in part] for part in parts], *how):
             for i, record in zip(parts[number], records, strict=True):
                 self.cache.put(keys[i], record)
                 found[i] = record

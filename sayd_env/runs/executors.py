@@ -12,6 +12,7 @@ import multiprocessing.connection
 import os
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
@@ -37,7 +38,7 @@ U = TypeVar("U")
 THREADS, PROCESSES, RAY, DASK = KINDS = ("threads", "processes", "ray", "dask")
 ATTEMPTS = 3
 """Executors in a row that may break without having finished anything."""
-PROCESSES_FROM = 24
+PROCESSES_FROM = 8
 """Pieces of work for which starting processes, some seconds each, pays."""
 CONNECT_SECONDS = 20
 
@@ -90,18 +91,52 @@ class ExecutorChoice:
         ConfigError
             Ray or Dask are not installed, or nobody answers at the address.
         """
-        kind = self.kind or (PROCESSES if pieces >= PROCESSES_FROM and self.count > 1 else THREADS)
-        executor = _STARTED[kind](self)
-        try:
-            yield executor
-        except BaseException:
+        with KeptExecutor(self) as kept:
+            yield kept.get(pieces)
+
+
+class KeptExecutor:
+    """An executor that is started when there is work and kept for more of it, until its context ends."""
+
+    def __init__(self, choice: ExecutorChoice) -> None:
+        self.choice = choice
+        self._executor: Executor | None = None
+        self._kind = ""
+
+    def __enter__(self) -> KeptExecutor:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.close(at_once=kind is not None)
+
+    def get(self, pieces: int) -> Executor:
+        """The executor for some pieces of work; errors as of `ExecutorChoice.open`."""
+        kind = self.choice.kind or self._kind
+        if not self.choice.kind and kind != PROCESSES:
+            kind = PROCESSES if pieces >= PROCESSES_FROM and self.choice.count > 1 else THREADS
+        if self._executor is None or kind != self._kind:
+            self.close()
+            self._executor, self._kind = _STARTED[kind](self.choice), kind
+        return self._executor
+
+    def close(self, *, at_once: bool = False) -> None:
+        """End the executor; at once, its work is abandoned."""
+        executor, self._executor = self._executor, None
+        if executor is None:
+            return
+        if not at_once:
+            executor.shutdown()
+        elif isinstance(executor, ProcessPoolExecutor):
+            for process in multiprocessing.active_children():
+                process.terminate()
+            executor.shutdown(cancel_futures=True)
+        else:
             executor.shutdown(wait=False, cancel_futures=True)
-            _end_processes(executor)
-            raise
-        executor.shutdown()
 
 
-def computed(work: Callable[[T], U], pieces: Sequence[T], choice: ExecutorChoice) -> Iterator[tuple[int, U]]:
+def computed(
+    work: Callable[[T], U], pieces: Sequence[T], choice: ExecutorChoice, kept: KeptExecutor | None = None
+) -> Iterator[tuple[int, U]]:
     """Compute pieces of work; give each one's number and result as soon as it is finished.
 
     Parameters
@@ -110,6 +145,8 @@ def computed(work: Callable[[T], U], pieces: Sequence[T], choice: ExecutorChoice
         A function of a module; it, the pieces and the results travel as pickles unless threads compute.
     pieces : sequence
     choice : ExecutorChoice
+    kept : KeptExecutor, optional
+        The executor of this choice that serves several calls.
 
     Raises
     ------
@@ -118,22 +155,29 @@ def computed(work: Callable[[T], U], pieces: Sequence[T], choice: ExecutorChoice
     Exception
         The first one that `work` raises ends it all.
     """
+    if kept is None:
+        with KeptExecutor(choice) as own:
+            yield from computed(work, pieces, choice, own)
+        return
     todo = dict(enumerate(pieces))
     broken = 0
     while todo:
         try:
-            with choice.open(len(todo)) as executor:
-                for i, result in _finished(executor, work, todo):
-                    del todo[i]
-                    broken = 0
-                    yield i, result
+            for i, result in _finished(kept.get(len(todo)), work, todo):
+                del todo[i]
+                broken = 0
+                yield i, result
         except BrokenExecutor as error:
+            kept.close(at_once=True)
             broken += 1
             if broken == ATTEMPTS:
                 raise StudyError(
                     f"--executor {choice}: the workers ended {ATTEMPTS} times without a result "
                     f"({' '.join(str(error).split())[:200]}); what is finished is kept"
                 ) from None
+        except BaseException:
+            kept.close(at_once=True)
+            raise
 
 
 def _finished(executor: Executor, work: Callable[[T], U], pieces: dict[int, T]) -> Iterator[tuple[int, U]]:
@@ -193,20 +237,19 @@ def _prepare_process() -> None:
     """Let one process be one thread that ends with its parent and leaves Ctrl-C to it."""
     threadpool_limits(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
 
 
+def _leave(*_: object) -> None:
+    sys.exit()  # unlike the system's way this gives back Numba's semaphore, of which a warning would remain
+
+
 def _end_with(sentinel: int) -> None:
     multiprocessing.connection.wait([sentinel])
     os._exit(1)
-
-
-def _end_processes(executor: Executor) -> None:
-    if isinstance(executor, ProcessPoolExecutor):
-        for process in multiprocessing.active_children():
-            process.terminate()
 
 
 @contextmanager
