@@ -61,10 +61,10 @@ class SaydVecEnv(VecEnv):
         first, others = self._options[0], self._options[1:]
         if all(options == first for options in others):
             observations, infos = self.vector.reset(seed=self._seeds, options=dict(first))
-            told = rows(infos, self.num_envs)
+            reported = rows(infos, self.num_envs)
         else:
-            observations, told = self._reset_apart()
-        self.reset_infos = told
+            observations, reported = self._reset_apart()
+        self.reset_infos = reported
         self._begun = True
         self._reset_seeds()
         self._reset_options()
@@ -76,13 +76,13 @@ class SaydVecEnv(VecEnv):
         if not self._begun:  # all vehicles must be there before one of them can be reset alone
             seeds = [int(np.random.default_rng().integers(SEEDS)) if s is None else s for s in seeds]
             self.vector.reset(seed=seeds)
-        observations, told = np.empty(0, np.float32), []
+        observations, reported = np.empty(0, np.float32), []
         for i in range(self.num_envs):
             alone = [seed if vehicle == i else None for vehicle, seed in enumerate(seeds)]
             options = self._options[i] | {"reset_mask": np.arange(self.num_envs) == i}
             observations, infos = self.vector.reset(seed=alone, options=options)
-            told.append(rows(infos, self.num_envs)[i])
-        return observations, told
+            reported.append(rows(infos, self.num_envs)[i])
+        return observations, reported
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
         """Keep the valve commands for `step_wait`."""

@@ -78,7 +78,7 @@ class ListOf:
         """Read them."""
         found = tuple(map(self.one, text.split(",")))
         if self.distinct and len(set(found)) < len(found):
-            raise ValueError(f"{shown(text)}: a number stands there twice")
+            raise ValueError(f"{shown(text)}: duplicate number")
         return found
 
 

@@ -15,7 +15,7 @@ Path = tuple[int | str, ...]
 
 LONGEST_FOUND = 60
 TAGS = ("type", "law", "kind", "algorithm")
-"""Fields by which the members of a union are told apart."""
+"""Fields by which the members of a union are distinguished."""
 
 
 @dataclass(frozen=True)

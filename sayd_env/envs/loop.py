@@ -414,7 +414,7 @@ def observe_period(
             break
         if memory.counter[0] >= 0 and memory.counter[0] % per_second == 0:
             begin_second(band, passed, felt, loop, memory, samples)
-    # What is told of a run that has ended is its last sample, whatever the period went on to.
+    # What is reported of a run that has ended is its last sample, whatever the period went on to.
     for j in range(rows.shape[1]):
         rows[samples - 1, j] = rows[taken - 1, j]
     for k in range(SIGNALS):

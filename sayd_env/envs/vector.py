@@ -217,8 +217,8 @@ class SaydVectorEnv(
                 infos = self._add_info(infos, final, i)
             stepped = stepped & ~done
         infos = self._with_basics(infos, stepped)
-        told = stepped if self._full else stepped & terminated
-        for i in map(int, np.flatnonzero(told)):
+        reported = stepped if self._full else stepped & terminated
+        for i in map(int, np.flatnonzero(reported)):
             infos = self._add_info(infos, self._rare(i), i)
         if which and self._mode is AutoresetMode.SAME_STEP:
             self._begin(which, [None] * len(which))
@@ -236,12 +236,12 @@ class SaydVectorEnv(
         if not stepped.any():
             return infos
         acceleration, force = cost_terms(self.batch)
-        told = {
+        reported = {
             "cost_acceleration": np.where(stepped, acceleration, 0.0),
             "cost_force": np.where(stepped, force, 0.0),
             "dominant_frequency": np.where(stepped[:, None], self.batch.dominant_frequency(), 0.0),
         }
-        for key, values in told.items():
+        for key, values in reported.items():
             infos[key], infos["_" + key] = values, stepped.copy()
         return infos
 

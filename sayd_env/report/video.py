@@ -39,7 +39,7 @@ def write_png(path: Path, pictures: Iterable[Picture], fps: float, colours: Pict
 
 
 def write_gif(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
-    """Write pictures that repeat for ever, with one palette for all, so that no colour flickers."""
+    """Write pictures that repeat endlessly, with one palette for all, so that no colour flickers."""
     waiting = iter(pictures)
     first = next(waiting)
     rows = np.resize(colours, (8, first.shape[1], 3))

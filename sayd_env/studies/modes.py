@@ -31,7 +31,7 @@ LOWEST, HIGHEST = 100.0 / KMH, 500.0 / KMH
 SPEEDS = tuple(np.arange(100.0, 501.0, 20.0) / KMH)
 """Speeds of the root locus (m/s)."""
 
-_SPACING = 10.0 / KMH  # m/s; modes of speeds this near to each other are told apart by their shapes
+_SPACING = 10.0 / KMH  # m/s; modes of speeds this near to each other are distinguished by their shapes
 _SHOWN_MODES = 8
 _SHOWN_SPEEDS, _NARROW_SPEEDS = 5, 3
 _SHOWN_FREQUENCY = 20.0  # Hz; above it stand the modes of wheelsets and track, which do not decide stability

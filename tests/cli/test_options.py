@@ -113,7 +113,7 @@ def test_a_message_shows_what_was_typed_without_control_characters():
     [
         (ListOf(SHARE), "0,2", "2: expected a number from 0 to 1"),
         (ListOf(SHARE), "0,", "an empty place: expected a number from 0 to 1"),
-        (ListOf(SHARE, distinct=True), "0.5,0.50", "'0.5,0.50': a number stands there twice"),
+        (ListOf(SHARE, distinct=True), "0.5,0.50", "'0.5,0.50': duplicate number"),
         (ListOf(name), "P2,,M7", "found an empty place; expected names, separated by commas"),
         (ListOf(Number(1, 9, whole=True)), "1,10", "10: expected a whole number from 1 to 9"),
     ],

@@ -19,7 +19,7 @@ from sayd_env.config.units import KMH
 from sayd_env.studies.bench.spread import Effort, Quantity, quantities
 
 # What `sayd` does, in a process of its own, which tells its peak memory (kB) at the end where it can. The
-# usage that a parent is told counts the parent's own memory, too, since a process begins as its copy.
+# usage that is reported to a parent counts the parent's own memory, too, since a process begins as its copy.
 _PROGRAM = "from sayd_env.cli import main; status = main()"
 _PEAK = """
 import sys

@@ -61,7 +61,7 @@ class TrainingRates:
 def measure_training(
     effort: Effort, threads: int, did: Callable[[], None] = lambda: None
 ) -> TrainingRates | None:
-    """Measure the packaged trainings with so many threads of the simulator; `did` is told of repetitions.
+    """Measure the packaged trainings with so many threads of the simulator; `did` is called for repetitions.
 
     Returns
     -------

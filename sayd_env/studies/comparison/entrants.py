@@ -77,7 +77,7 @@ def provenance(policy: PolicySpec) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        The file has gone.
+        The file no longer exists.
     """
     stored = policy.learned
     assert stored is not None  # only learned policies come from somewhere

@@ -257,7 +257,7 @@ def targets(
     stability : Stability
         On worn wheels.
     largest : float
-        Largest ratio to a limit of EN 14363 of all runs in the comparison's conditions, to be told beside it.
+        Largest ratio to a limit of EN 14363 of all runs in the comparison's conditions, reported beside it.
     """
     name, count = entrant.name, len(entrant.members)
     rows = [_reduced(name, variant, found) for variant, found in scores.items()]

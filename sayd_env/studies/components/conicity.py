@@ -1,6 +1,6 @@
 """How does a wheelset steer? Equivalent conicity of a wheel profile on a rail profile (EN 15302).
 
-Two contacts are told apart. That of *rigid* profiles is what EN 15302 defines and measured profiles give;
+Two contacts are distinguished. That of *rigid* profiles is what EN 15302 defines and measured profiles give;
 where its contact point jumps, so does its rolling radius. The *regularised* one, averaged over the patch that
 the static wheel load presses, is the contact table of the simulation.
 """

@@ -356,7 +356,7 @@ def _skyhook_rows(m: ControlledMeasures) -> list[Claim]:
 def _switching_row(m: ControlledMeasures) -> Claim:
     runs = m.runs.at(ON_OFF, 400)
     two_valued = np.array([bool(np.isin(run.command, (0.0, 1.0)).all()) for run in runs])
-    # A command that never switches stays for ever.
+    # A command that never switches dwells until the end.
     dwells = [dwell if dwell.size else np.array([np.inf]) for dwell in map(dwell_times, runs)]
     short, middle = (np.array([np.quantile(d, q, method="higher") for d in dwells]) for q in (0.1, 0.5))
     return by_seed(

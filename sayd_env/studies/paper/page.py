@@ -165,7 +165,7 @@ def _claims_section(claims: Sequence[Claim], seeds: int) -> Section:
         "Kovacic and Bruni, Vehicle System Dynamics 60(8), 2608-2633 (2022). A row judged by seed holds if "
         "at least 80 % of the seeds pass it; one judged by median, if the median over the seeds passes and "
         "at least 80 % of 1,000 bootstraps over the seeds do; one judged once has no randomness. What "
-        "the paper's figures show is told from its text."
+        "the paper's figures show is taken from its text."
     )
     return Section("Statements", [Text(words), _claims_grid(claims)])
 
