@@ -88,14 +88,7 @@ class Row:
 
 
 def rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:
-    """Make runs, or take them from the cache, and judge them.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-    context : RunContext
-    what : str
-        Names the runs where progress is reported.
+    """Make runs, or take them from the cache, and judge them; `what` names them where progress is reported.
 
     Raises
     ------
@@ -114,14 +107,7 @@ def judged(runs: list[Run]) -> list[Row]:
 
 
 def policy_row(run: Run, rollout: Rollout) -> Row:
-    """Judge a run.
-
-    Parameters
-    ----------
-    run : Run
-        What ran.
-    rollout : Rollout
-        Its run-in and at least the assessed length, unless it ended early.
+    """Judge a run from its rollout over run-in and assessed length, or less where it ended early.
 
     Raises
     ------
@@ -211,16 +197,13 @@ def comfort_index(rollout: Rollout, settings: AssessmentConfig) -> float:
     return max(mean_comfort(place, rate, int(first), int(last)) for place in places)
 
 
-def switchings(command: npt.NDArray[np.float32]) -> float:
-    """Passages of the commands between the lower and the upper quarter of the range, mean over the valves.
+def switchings(command: npt.NDArray[np.float32], lower: float = LOWER, upper: float = UPPER) -> float:
+    """Passages of commands, shape (steps, valves), from one end of their range to the other, their mean.
 
-    Parameters
-    ----------
-    command : ndarray, shape (steps, valves)
-        Commands, 0 to 1. What lies between the quarters does not count, nor does a return to the quarter from
-        which the command came; so the number does not depend on how often a command is given.
+    The ends lie up to `lower` and from `upper` on. What lies between them does not count, nor does a return
+    to the end from which the command came: the number does not depend on how often a command is given.
     """
-    ends = np.where(command >= UPPER, 1, np.where(command <= LOWER, -1, 0))
+    ends = np.where(command >= upper, 1, np.where(command <= lower, -1, 0))
     visited = (column[column != 0] for column in ends.T)
     return float(np.mean([np.count_nonzero(np.diff(each)) for each in visited]))
 

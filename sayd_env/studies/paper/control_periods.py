@@ -17,9 +17,6 @@ from sayd_env.runs.controlled import controlled_runs, controlled_specs
 from sayd_env.studies.paper.claims import Claim
 from sayd_env.studies.paper.controlled_claims import skyhook_claims, skyhook_runs
 
-PERIODS = (0.002, 0.005, 0.01)
-"""s."""
-
 
 @dataclass(frozen=True)
 class PeriodSensitivity:
@@ -28,21 +25,12 @@ class PeriodSensitivity:
     claims: dict[float, list[Claim]]
     """By control period (s)."""
 
-    @property
-    def rows(self) -> tuple[str, ...]:
-        """Names of the rows."""
-        return tuple(dict.fromkeys(claim.id for claims in self.claims.values() for claim in claims))
-
-    def claim(self, row: str, period: float) -> Claim:
-        """Verdict on a row at a control period (s)."""
-        return next(claim for claim in self.claims[period] if claim.id == row)
-
     def as_dict(self) -> list[dict[str, Any]]:
         """One entry for each row and period."""
         return [
-            {"control_period_s": period, **self.claim(row, period).as_dict()}
-            for row in self.rows
-            for period in self.claims
+            {"control_period_s": period, **claim.as_dict()}
+            for same_row in zip(*self.claims.values(), strict=True)
+            for period, claim in zip(self.claims, same_row, strict=True)
         ]
 
     def table(self) -> Table:
@@ -53,25 +41,13 @@ class PeriodSensitivity:
 
 def period_sensitivity(
     scenario: Scenario,
-    seeds: Sequence[int] = range(10),
-    periods: Sequence[float] = PERIODS,
+    seeds: Sequence[int],
+    periods: Sequence[float],
     *,
     environment: EnvironmentConfig | None = None,
     context: RunContext | None = None,
 ) -> PeriodSensitivity:
-    """Judge rows S1 to S6 with controllers that act at several periods.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The configuration, on worn wheels.
-    seeds : sequence of int
-        Track seeds, the same at each period.
-    periods : sequence of float
-        Control periods (s), different ones.
-    environment : EnvironmentConfig, optional
-        Sensors of the controllers; those of ``nominal`` by default.
-    context : RunContext, optional
+    """Judge rows S1 to S6 on worn wheels with controllers that act at several periods (s).
 
     Raises
     ------

@@ -136,19 +136,7 @@ FIGURES = (
 def reproduce_page(
     claims: Sequence[Claim], images: Mapping[str, bytes], document: Mapping[str, Any], seeds: int
 ) -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-        All rows.
-    images : mapping
-        PNG pictures by names that start with ``figure_NN``.
-    document : mapping
-        Content of ``result.json``.
-    seeds : int
-        Number of track seeds.
-    """
+    """Return the page of all claims, PNG pictures whose names start with ``figure_NN``, ``result.json``."""
     verdicts = {claim.id: claim for claim in claims}
     figures = [
         Section(f"Figure {figure.number}: {figure.heading}", _figure_blocks(figure, images, verdicts))

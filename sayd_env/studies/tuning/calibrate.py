@@ -21,13 +21,13 @@ from sayd_env.config.calibration import CalibrationConfig, Search
 from sayd_env.config.palette import cycled
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import KMH, Array
+from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, label, panels
 from sayd_env.runs.context import RunContext, silent
 from sayd_env.runs.passive import Sweep, sweep
 from sayd_env.stability import Limits
-from sayd_env.studies.critical_speed import model_limits
 from sayd_env.studies.paper.passive_claims import PassiveMeasures
 
 if TYPE_CHECKING:

@@ -39,7 +39,6 @@ def test_periods_stand_side_by_side_and_are_run_once(tmp_path: Path):
     scenario = load_scenario("estimates", ("assessment.run_in=200", "assessment.length=600"))
     caches = [RunCache(tmp_path), RunCache(tmp_path)]
     first = period_sensitivity(scenario, [0], (0.005, 0.01), context=RunContext(cache=caches[0]))
-    assert first.rows == ("S1", "S2", "S3", "S4", "S5", "S6")
     header, rows = first.table()
     assert [(row[0], row[1]) for row in rows[:4]] == [
         ("S1", 0.005),

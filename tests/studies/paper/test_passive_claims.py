@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sayd_env.runs.passive import Sweep
+from sayd_env.runs.passive import NEW_SPEEDS, WORN_SPEEDS, Sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.paper.claims import Claim
-from sayd_env.studies.paper.passive_claims import NEW_SPEEDS, WORN_SPEEDS, PassiveMeasures, passive_claims
+from sayd_env.studies.paper.passive_claims import PassiveMeasures, passive_claims
 
 NEW = [280, 310, 340, 370, 400]
 WORN = [320, 350, 370, 395, 420, 445]
