@@ -19,10 +19,9 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.envs.loop import LOG_ACCELERATION, LOG_FORCE, LOG_HYDRAULIC, LOG_TRACK_SHIFT
 from sayd_env.envs.rollout import Rollout
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.passive import Assessed, Sweep, assessed_run, gathered, runs_table
+from sayd_env.runs.passive import Assessed, Sweep, assessed_part, assessed_run, gathered, runs_table
 from sayd_env.runs.policies import PolicySpec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
-from sayd_env.stability import assessed_span, distance_run
 
 HIGH_FREQUENCY = 10.0
 """Hz; above it lies what the paper calls the high-frequency part of the damper force."""
@@ -60,16 +59,22 @@ class ControlledRun(Assessed):
     """Time between two values of the trace, s."""
 
 
-def controlled_specs(
+def controlled_runs(
     scenario: Scenario,
     environment: EnvironmentConfig,
     seeds: Sequence[int],
     required: Iterable[tuple[str, float, float]],
-) -> list[Run]:
-    """Runs that the rows of a claim need, for each seed.
+    context: RunContext,
+) -> ControlledRuns:
+    """Make and assess the runs that the rows of a claim need, or take them from the cache.
 
-    `required` holds controllers with their speed (m/s) and initial current; semi-active dampers replace the
-    passive ones of the scenario.
+    `required` holds controllers with their speed (m/s) and initial current; each is run with every seed, and
+    semi-active dampers replace the passive ones of the scenario.
+
+    Raises
+    ------
+    ConfigError, StudyError
+        See `roll_out_runs` and `controlled_run_of`.
     """
     runs: list[Run] = []
     for name, speed, current in required:
@@ -77,18 +82,7 @@ def controlled_specs(
         fitted = for_policy(scenario, policy)
         config = environment_of(fitted, environment)
         runs += [Run(policy, fitted, config, speed, seed, current) for seed in seeds]
-    return runs
-
-
-def controlled_runs(runs: Sequence[Run], context: RunContext, what: str = "") -> ControlledRuns:
-    """Make and assess runs, or take them from the cache.
-
-    Raises
-    ------
-    ConfigError, StudyError
-        See `roll_out_runs` and `controlled_run_of`.
-    """
-    return ControlledRuns(context.records(assessed_controlled, runs, ControlledRun, what))
+    return ControlledRuns(context.records(assessed_controlled, runs, ControlledRun))
 
 
 def assessed_controlled(runs: list[Run]) -> list[ControlledRun]:
@@ -125,10 +119,9 @@ def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig)
     acceleration = signals[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]
     track_shift = signals[:, LOG_TRACK_SHIFT:LOG_FORCE]
     assessed = assessed_run(acceleration, track_shift, episode.speed, episode.seed, settings)
-    distance = distance_run(episode.speed, rate, len(signals))
-    first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
-    force = signals[first:last, LOG_FORCE:LOG_HYDRAULIC]
-    trace, trace_period = _trace(signals[first:, LOG_FORCE + _REAR_DAMPER], rate)
+    part = assessed_part(len(signals), rate, episode.speed, settings)
+    force = signals[part, LOG_FORCE:LOG_HYDRAULIC]
+    trace, trace_period = _trace(signals[part.start :, LOG_FORCE + _REAR_DAMPER], rate)
     return ControlledRun(
         **vars(assessed),
         policy=policy,
@@ -136,7 +129,7 @@ def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig)
         force_rms=float(np.sqrt(np.mean(force**2))),
         force_peak=float(np.max(np.abs(force))),
         force_power_high=high_frequency_power(force, rate),
-        command=rollout.actions[: int((last - first) / rate / period + 1e-6)],
+        command=rollout.actions[: int(len(force) / rate / period + 1e-6)],
         control_period=period,
         force_trace=trace,
         trace_period=trace_period,

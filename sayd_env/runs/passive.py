@@ -21,7 +21,9 @@ from sayd_env.stability import (
     Crossing,
     Limits,
     assess,
+    assessed_span,
     critical_speed,
+    distance_run,
     grid_sensitivity,
     thinned_grids,
 )
@@ -196,6 +198,13 @@ def assessed_run(
     w = acceleration.shape[1]
     f, peak = result.dominant_frequency, result.maximum
     return Assessed(speed, seed, f[:w], f[w:], peak[:w], peak[w:])
+
+
+def assessed_part(samples: int, rate: float, speed: float, settings: AssessmentConfig) -> slice:
+    """Samples of the assessed length among those of a run at constant speed (m/s), rate in Hz."""
+    distance = distance_run(speed, rate, samples)
+    first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
+    return slice(int(first), int(last))
 
 
 def gathered(runs: Sequence[Assessed], speeds: Sequence[float], seeds: Sequence[int]) -> Sweep:

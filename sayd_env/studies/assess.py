@@ -120,17 +120,12 @@ class RecordingResult:
     @property
     def channels(self) -> list[ChannelResult]:
         """Verdict on each channel, in the order of the file."""
-        maximum = self.assessment.maximum
-        position = self.assessment.position[self.assessment.rms.argmax(axis=0)]
+        found = self.assessment
+        position = found.position[found.rms.argmax(axis=0)]
+        numbers = np.column_stack([found.dominant_frequency, found.maximum, position]).tolist()
         return [
-            ChannelResult(
-                channel,
-                float(self.assessment.dominant_frequency[i]),
-                float(maximum[i]),
-                float(position[i]),
-                self.limit(channel),
-            )
-            for i, channel in enumerate(self.recording.channels)
+            ChannelResult(channel, *each, self.limit(channel))
+            for channel, each in zip(self.recording.channels, numbers, strict=True)
         ]
 
     @property
@@ -220,15 +215,9 @@ class RecordingResult:
         channel = self.recording.channels[k]
         unit = _UNITS[channel.quantity]
         axis.plot(distance, signal * unit.scale, color=SKY, linewidth=0.5, label="band-passed signal")
-        axis.plot(
-            self.assessment.position,
-            self.assessment.rms[:, k] * unit.scale,
-            color=VERMILION,
-            marker="x",
-            markersize=3,
-            linewidth=0.8,
-            label="sliding RMS",
-        )
+        rms = self.assessment.rms[:, k] * unit.scale
+        line: dict[str, Any] = {"marker": "x", "markersize": 3, "linewidth": 0.8, "label": "sliding RMS"}
+        axis.plot(self.assessment.position, rms, color=VERMILION, **line)
         limit_line(axis, self.limit(channel) * unit.scale, "limit")
         axis.set_ylabel(unit.name)
         axis.set_title(
@@ -255,21 +244,14 @@ def assess_file(
         CSV file, see `sayd_env.stability.read_recording`.
     settings : AssessmentConfig
         The procedure; its run-in and length are those of simulated runs and do not apply.
-    speed : float, optional
-        Constant speed (m/s) of a file without a speed column.
-    sample_rate : float, optional
-        Sampling rate (Hz) of a file without a time column.
+    speed, sample_rate : float, optional
+        Constant speed (m/s) and sampling rate (Hz) of a file without such a column, or one of time.
     columns : sequence of str, optional
         Channels to assess; all by default.
     run_in : float
         Distance at the start that is not assessed (m).
     axle_load, bogie_mass : float, optional
         Vehicle of the recording (N, kg), if it is not that of the settings.
-
-    Returns
-    -------
-    RecordingResult
-        Verdict on each channel.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, csv_table
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.controlled import controlled_runs, controlled_specs
+from sayd_env.runs.controlled import controlled_runs
 from sayd_env.studies.paper.claims import Claim
 from sayd_env.studies.paper.controlled_claims import skyhook_claims, skyhook_runs
 
@@ -63,8 +63,9 @@ def period_sensitivity(
     claims: dict[float, list[Claim]] = {}
     for number, (period, config) in enumerate(zip(periods, configs, strict=True)):
         part = context.part(number * each, len(periods) * each, f"control period {1e3 * period:g} ms")
-        specs = controlled_specs(scenario, config, seeds, skyhook_runs())
-        claims[period] = skyhook_claims(controlled_runs(specs, part), limits)
+        claims[period] = skyhook_claims(
+            controlled_runs(scenario, config, seeds, skyhook_runs(), part), limits
+        )
     return PeriodSensitivity(claims)
 
 

@@ -37,22 +37,10 @@ class PassiveMeasures:
         at = int(np.argmin(np.abs(self.new.speeds - 280 / KMH)))
         return np.asarray(self.new_acceleration.ratios[at])
 
-    def critical_new(self, seeds: Seeds) -> float:
-        """Critical speed by acceleration on new wheels, km/h; NaN if there is none (P2)."""
-        return self.new_acceleration.kmh(seeds)
-
-    def critical_worn(self, seeds: Seeds) -> float:
-        """The same on worn wheels (P5)."""
-        return self.worn_acceleration.kmh(seeds)
-
-    def critical_worn_force(self, seeds: Seeds) -> float:
-        """Critical speed by track shift force on worn wheels, km/h (P8)."""
-        return self.worn_force.kmh(seeds)
-
     def frequency_at_critical(self, seeds: Seeds) -> float:
         """Dominant frequency at the critical speed on new wheels, Hz (P3)."""
         f = np.median(self.new.frequency[:, seeds], axis=(1, 2))
-        return float(np.interp(self.critical_new(seeds) / KMH, self.new.speeds, f))
+        return float(np.interp(self.new_acceleration.kmh(seeds) / KMH, self.new.speeds, f))
 
     def ratios_320(self) -> Array:
         """Larger ratio to the limits at 320 km/h on worn wheels, for each seed (P4)."""
@@ -107,7 +95,7 @@ def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
             "P2",
             "new: critical speed 365 to 385 km/h",
             m.count,
-            lambda seeds: 365.0 <= m.critical_new(seeds) <= 385.0,
+            lambda seeds: 365.0 <= m.new_acceleration.kmh(seeds) <= 385.0,
             crossing(m.new_acceleration),
         ),
         by_median(
@@ -122,7 +110,7 @@ def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
             "P5",
             "worn: critical speed 322 to 340 km/h",
             m.count,
-            lambda seeds: 322.0 <= m.critical_worn(seeds) <= 340.0,
+            lambda seeds: 322.0 <= m.worn_acceleration.kmh(seeds) <= 340.0,
             crossing(m.worn_acceleration),
         ),
         by_seed("P6", "worn, >= 350 km/h: acceleration ratio > 1", above > 1.0, spread(above)),
@@ -138,8 +126,8 @@ def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
             "worn: track shift force crosses in (350, 370] km/h, after P5",
             m.count,
             lambda seeds: (
-                350.0 < m.critical_worn_force(seeds) <= 370.0
-                and m.critical_worn_force(seeds) > m.critical_worn(seeds)
+                350.0 < m.worn_force.kmh(seeds) <= 370.0
+                and m.worn_force.kmh(seeds) > m.worn_acceleration.kmh(seeds)
             ),
             crossing(m.worn_force),
         ),

@@ -17,7 +17,7 @@ from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Table, csv_table, print_table
 from sayd_env.report.figures import Plot
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.controlled import ControlledRuns, controlled_runs, controlled_specs
+from sayd_env.runs.controlled import ControlledRuns, controlled_runs
 from sayd_env.runs.passive import LAW_SPEEDS, NEW_SPEEDS, WORN_SPEEDS, Sweep, runs_table, sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.components.conicity import conicity, plot_conicity
@@ -188,7 +188,7 @@ def reproduce(
     )
     new_runs = sweep(wheels["new"], NEW_SPEEDS, seeds, new)
     worn_runs = sweep(wheels["worn"], WORN_SPEEDS, seeds, worn)
-    runs = controlled_runs(controlled_specs(wheels["worn"], laws, seeds, required_runs()), controlled)
+    runs = controlled_runs(wheels["worn"], laws, seeds, required_runs(), controlled)
     sensitivity = None
     if control_periods:
         sensitivity = period_sensitivity(
