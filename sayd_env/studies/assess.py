@@ -214,15 +214,20 @@ class RecordingResult:
     def _draw_channel(self, axis: Axes, k: int, distance: Array, signal: Array) -> None:
         channel = self.recording.channels[k]
         unit = _UNITS[channel.quantity]
-        axis.plot(distance, signal * unit.scale, color=SKY, linewidth=0.5, label="band-passed signal")
         rms = self.assessment.rms[:, k] * unit.scale
-        line: dict[str, Any] = {"marker": "x", "markersize": 3, "linewidth": 0.8, "label": "sliding RMS"}
-        axis.plot(self.assessment.position, rms, color=VERMILION, **line)
-        limit_line(axis, self.limit(channel) * unit.scale, "limit")
+        limit = self.limit(channel) * unit.scale
+        draw_assessed(axis, distance, signal * unit.scale, self.assessment.position, rms, limit)
         axis.set_ylabel(unit.name)
         axis.set_title(
             f"{channel.name}, f0 = {self.assessment.dominant_frequency[k]:.2f} Hz", fontsize="small"
         )
+
+
+def draw_assessed(axis: Axes, x: Array, filtered: Array, position: Array, rms: Array, limit: float) -> None:
+    """Draw a band-passed signal, its sliding RMS at other places and the limit of this."""
+    axis.plot(x, filtered, color=SKY, linewidth=0.5, label="band-passed signal")
+    axis.plot(position, rms, "x-", color=VERMILION, markersize=3, linewidth=0.8, label="sliding RMS")
+    limit_line(axis, limit, "limit")
 
 
 def assess_file(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sayd_env.config import ConfigError
-from sayd_env.config.palette import SKY, VERMILION, wheelset_style
+from sayd_env.config.palette import wheelset_style
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.vehicle import model_limits
@@ -30,6 +30,7 @@ from sayd_env.runs.passive import (
     sweep,
 )
 from sayd_env.stability import CriticalSpeed, Crossing, Limits, assess, band_pass
+from sayd_env.studies.assess import draw_assessed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -141,13 +142,12 @@ class CriticalSpeedResult:
 
     def _trends(self) -> list[dict[str, Any]]:
         """Values by `TRENDS`: the largest of the wheelsets at each speed."""
-        ratios = [criterion.medians() / criterion.limit for criterion in self.criteria.values()]
+        acceleration, force = (each.medians() / each.limit for each in self.criteria.values())
         frequency = self._median("frequency")
         columns = (
-            self.sweep.speeds * KMH,
-            *(frequency.min(axis=1), frequency.max(axis=1)),
-            *(self._median("acceleration").max(axis=1), ratios[0]),
-            *(self._median("track_shift").max(axis=1), ratios[1]),
+            *(self.sweep.speeds * KMH, frequency.min(axis=1), frequency.max(axis=1)),
+            *(self._median("acceleration").max(axis=1), acceleration),
+            *(self._median("track_shift").max(axis=1), force),
         )
         names = [column.name for column in TRENDS]
         return [dict(zip(names, row, strict=True)) for row in np.column_stack(columns).tolist()]
@@ -173,9 +173,7 @@ class CriticalSpeedResult:
     def _draw_history(self, figure: Figure) -> None:
         h = self.history
         (axes,) = panels(figure, 1, size=(8.0, 4.5))
-        axes.plot(h.time, h.filtered, color=SKY, linewidth=0.6, label="band-passed")
-        axes.plot(h.position / h.speed, h.rms, "x-", color=VERMILION, markersize=3, label="sliding RMS")
-        limit_line(axes, self.limits.acceleration, "limit")
+        draw_assessed(axes, h.time, h.filtered, h.position / h.speed, h.rms, self.limits.acceleration)
         limit_line(axes, -self.limits.acceleration)
         axes.set(
             xlabel="time (s)",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise, product
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -26,7 +27,6 @@ from sayd_env.runs.rollouts import conditions, policy_runs
 from sayd_env.stability import Crossing, critical_speed
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
 
 POLICIES = ("passive", "mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
@@ -153,7 +153,7 @@ class MapResult:
         """Keys of ``sayd map --json``; tables are lists over wear of lists over friction."""
 
         def table(read: Callable[[Cell], Any]) -> dict[str, list[list[Any]]]:
-            return {p: self._over_grid(lambda w, mu, p=p: read(self.cell(p, w, mu))) for p in self.policies}  # type: ignore[misc]
+            return {p: self._over_grid(lambda *place, p=p: read(self.cell(p, *place))) for p in self.policies}  # type: ignore[misc]
 
         return {
             "critical_speed_kmh": table(lambda cell: cell.lowest[0]),
@@ -184,10 +184,8 @@ class MapResult:
 
     def plots(self) -> dict[str, Plot]:
         """Heat maps of the critical speed by policy, and of the best constant current by speed."""
-        plots: dict[str, Plot] = {"map_critical_speed": self._draw_critical}
-        if self.best:
-            plots["map_best_constant"] = self._draw_best
-        return plots
+        plots = {"map_critical_speed": self._critical_map()}
+        return plots | ({"map_best_constant": self._best_map()} if self.best else {})
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the critical speeds of all policies, then the best currents."""
@@ -212,7 +210,7 @@ class MapResult:
             return f"> {self.grid.speeds[-1] * KMH:.0f}"
         return f"< {self.grid.speeds[0] * KMH:.0f}" if kmh is None else f"{kmh:.0f}"
 
-    def _draw_critical(self, figure: Figure) -> None:
+    def _critical_map(self) -> Plot:
         ends = self.grid.speeds[0] * KMH, self.grid.speeds[-1] * KMH
 
         def cell(policy: str, wear: float, mu: float) -> tuple[float, str]:
@@ -220,32 +218,33 @@ class MapResult:
             shown = ends[crossing is Crossing.NOT_REACHED] if kmh is None else kmh
             return shown, self._verdict(kmh, crossing)
 
-        maps = {p: self._over_grid(lambda w, mu, p=p: cell(p, w, mu)) for p in self.policies}  # type: ignore[misc]
-        self._draw(figure, maps, "critical speed (km/h)", ends)
+        return self._map({policy: policy for policy in self.policies}, cell, "critical speed (km/h)", ends)
 
-    def _draw_best(self, figure: Figure) -> None:
-        found = {
-            tuple(entry[:3]): (entry.current, f"{entry.current:.2g}\nJ {entry.J:.3f}") for entry in self.best
-        }
-        maps = {
-            f"{speed:.0f} km/h": self._over_grid(lambda w, mu, v=speed: found[v, w, mu])  # type: ignore[misc]
-            for speed in sorted({entry.speed_kmh for entry in self.best})
-        }
-        self._draw(figure, maps, "best constant current", (0.0, 1.0))
+    def _best_map(self) -> Plot:
+        found = {entry[:3]: entry for entry in self.best}
+
+        def cell(speed: float, wear: float, mu: float) -> tuple[float, str]:
+            best = found[speed, wear, mu]
+            return best.current, f"{best.current:.2g}\nJ {best.J:.3f}"
+
+        speeds = sorted({entry.speed_kmh for entry in self.best})
+        titles = {f"{speed:.0f} km/h": speed for speed in speeds}
+        return self._map(titles, cell, "best constant current", (0.0, 1.0))
 
     def _over_grid(self, read: Callable[[float, float], Value]) -> list[list[Value]]:
         return [[read(wear, mu) for mu in self.grid.friction] for wear in self.grid.wear]
 
-    def _draw(
+    def _map(
         self,
-        figure: Figure,
-        maps: Mapping[str, list[list[tuple[float, str]]]],
+        titles: Mapping[str, Any],
+        cell: Callable[[Any, float, float], tuple[float, str]],
         values: str,
         span: tuple[float, float],
-    ) -> None:
-        heat_maps(
-            figure,
-            maps,
+    ) -> Plot:
+        """Heat maps side by side of what `cell` reads for what each title stands for."""
+        return partial(
+            heat_maps,
+            maps={title: self._over_grid(partial(cell, which)) for title, which in titles.items()},
             x=("friction", [f"{mu:g}" for mu in self.grid.friction]),
             y=("wear", [f"{wear:g}" for wear in self.grid.wear]),
             values=values,
@@ -304,19 +303,16 @@ Place = tuple[float, float, float]
 """Speed (m/s), wear, friction."""
 
 
+@dataclass
 class _Study:
     """Runs of the maps: each once, whoever asks for it."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        seeds: tuple[int, ...],
-        environment: EnvironmentConfig,
-        context: RunContext,
-    ) -> None:
-        self.scenario, self.seeds, self.environment, self.context = scenario, seeds, environment, context
-        self._found: dict[tuple[str, float, float], dict[float, list[Row]]] = {}
-        """By policy, wear and friction; by speed (m/s)."""
+    scenario: Scenario
+    seeds: tuple[int, ...]
+    environment: EnvironmentConfig
+    context: RunContext
+    found: dict[tuple[str, float, float], dict[float, list[Row]]] = field(default_factory=dict)
+    """By policy, wear and friction; by speed (m/s)."""
 
     def critical(self, policies: Sequence[PolicySpec], grid: MapGrid) -> list[Cell]:
         """Critical speeds on the grid and, where a limit is crossed, on it with the interval halved."""
@@ -326,13 +322,13 @@ class _Study:
             (spec, w, mu, middle)
             for spec, w, mu in places
             for column in RATIO.values()
-            if (middle := _middle(self._found[spec.title, w, mu], grid.speeds, column)) is not None
+            if (middle := _middle(self.found[spec.title, w, mu], grid.speeds, column)) is not None
         ]
         self._run(middles, "around the crossings")
         return [self._cell(spec.title, w, mu) for spec, w, mu in places]
 
     def _cell(self, policy: str, wear: float, friction: float) -> Cell:
-        runs = self._found[policy, wear, friction]
+        runs = self.found[policy, wear, friction]
         speeds = sorted(runs)
         ratios = {
             name: {round(v * KMH, DIGITS): tuple(getattr(run, column) for run in runs[v]) for v in speeds}
@@ -373,7 +369,7 @@ class _Study:
 
     def _cost(self, name: str, place: Place, current: float) -> float:
         speed, wear, friction = place
-        return _median(name, self._found[_constant(current).title, wear, friction][speed])
+        return _median(name, self.found[_constant(current).title, wear, friction][speed])
 
     def _run_currents(self, tried: Mapping[Place, Iterable[float]]) -> None:
         cases = [
@@ -387,7 +383,7 @@ class _Study:
         """Run what has not been run before."""
         asked: dict[tuple[str, float, float], tuple[PolicySpec, dict[float, None]]] = {}
         for spec, wear, mu, speed in cases:
-            if speed not in self._found.get((spec.title, wear, mu), {}):
+            if speed not in self.found.get((spec.title, wear, mu), {}):
                 asked.setdefault((spec.title, wear, mu), (spec, {}))[1][speed] = None
         runs = [
             run
@@ -398,7 +394,7 @@ class _Study:
         ]
         for run, row in zip(runs, rows(runs, self.context, what), strict=True):
             place = run.policy.title, run.scenario.wear, run.scenario.friction
-            self._found.setdefault(place, {}).setdefault(run.speed, []).append(row)
+            self.found.setdefault(place, {}).setdefault(run.speed, []).append(row)
 
 
 def _median(name: str, runs: Sequence[Row]) -> float:

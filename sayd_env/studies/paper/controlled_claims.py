@@ -7,6 +7,7 @@ from the controller's first command, at the end of the run-in.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -53,6 +54,9 @@ def command_at(run: ControlledRun, time: float) -> float:
     """Rear command that holds from a time (s) on; the last one if the run is shorter."""
     step = round(time / run.control_period)
     return float(run.command[min(step, len(run.command) - 1), REAR])
+
+
+command_after_5_s = partial(command_at, time=5.0)
 
 
 def settled_command(run: ControlledRun) -> float:
@@ -135,40 +139,9 @@ class ControlledMeasures:
         """A number from each seed's run."""
         return np.array([measure(run) for run in self.runs.at(policy, kmh, initial)])
 
-    def settled(self, policy: str, kmh: float) -> Array:
-        """Mean rear command of the last half, for each seed, % (M3, M6)."""
-        return PERCENT * self.each(settled_command, policy, kmh)
-
-    def after_5_s(self, policy: str, kmh: float, initial: float) -> Array:
-        """Rear command after 5 s, for each seed, % (M4, M6, M7)."""
-        return PERCENT * self.each(lambda run: command_at(run, 5.0), policy, kmh, initial)
-
     def ratio(self, name: str, one: tuple[str, float], other: tuple[str, float]) -> Array:
         """A force quantity of one controller and speed (km/h) over that of another, for each seed."""
         return self.each(attrgetter(name), *one) / self.each(attrgetter(name), *other)
-
-    def peak_over_mppt(self) -> Array:
-        """Peak force of on-off skyhook over the higher one of both MPPTs at 400 km/h, for each seed (S3)."""
-        on_off, *mppt = (self.each(attrgetter("force_peak"), name, 400) for name in (ON_OFF, MPPT1, MPPT2))
-        return np.asarray(on_off / np.maximum(*mppt))
-
-    def largest_median_ratio(self, policy: str, seeds: Seeds) -> float:
-        """Largest of both ratios over the speeds, medians over a selection of seeds (S4)."""
-        return float(np.median(self.ratios(policy)[:, seeds], axis=1).max())
-
-    def excess(self, seeds: Seeds) -> Array:
-        """Relative rise of a_max from on-off to continuous skyhook at each speed (S4).
-
-        Both controllers run on the same tracks: the median of each seed's own rise.
-        """
-        continuous, on_off = (self.criteria[policy]["acceleration"].values for policy in (CONTINUOUS, ON_OFF))
-        return np.asarray(np.median((continuous / on_off - 1.0)[:, seeds], axis=1))
-
-    def slightly_higher(self, seeds: Seeds) -> bool:
-        """Whether row S4 passes."""
-        excess = self.excess(seeds)
-        stable = self.largest_median_ratio(CONTINUOUS, seeds) < 0.6
-        return bool(stable and np.all((excess >= 0.0) & (excess <= 0.4)))
 
 
 def controlled_claims(runs: ControlledRuns, limits: Limits) -> list[Claim]:
@@ -198,8 +171,10 @@ def skyhook_claims(runs: ControlledRuns, limits: Limits) -> list[Claim]:
 def _mppt_rows(m: ControlledMeasures) -> list[Claim]:
     calm1, calm2 = m.acceleration(MPPT1), m.acceleration(MPPT2)
     scatter = np.ptp(m.sweeps[MPPT1].frequency, axis=(0, 2))
-    settled1, settled2 = m.settled(MPPT1, 400), m.settled(MPPT2, 300)
-    at_5 = m.after_5_s(MPPT2, 300, CLOSED)
+    settled1, settled2 = (
+        PERCENT * m.each(settled_command, policy, kmh) for policy, kmh in ((MPPT1, 400), (MPPT2, 300))
+    )
+    at_5 = PERCENT * m.each(command_after_5_s, MPPT2, 300)
     slow, fast = (MPPT2, 300.0), (MPPT1, 400.0)
     quieter, smoother = m.ratio("force_rms", slow, fast), m.ratio("force_power_high", slow, fast)
     force = m.ratio("force_rms", slow, (MPPT1, 300.0))
@@ -263,7 +238,7 @@ def _open_start_row(
 
     The level is judged, as rows M3 and M6 measure it; the moments at which the commands step differ.
     """
-    at_5 = m.after_5_s(policy, kmh, OPEN)
+    at_5 = PERCENT * m.each(command_after_5_s, policy, kmh, OPEN)
     opened = m.each(lambda run: mean_command(run, after), policy, kmh, OPEN)
     level = PERCENT * np.abs(opened - m.each(settled_command, policy, kmh))
     pairs = zip(m.runs.at(policy, kmh, OPEN), m.runs.at(policy, kmh, CLOSED), strict=True)
@@ -279,10 +254,25 @@ def _open_start_row(
 
 
 def _skyhook_rows(m: ControlledMeasures) -> list[Claim]:
-    calm, peak = m.ratios(ON_OFF).max(axis=0), m.peak_over_mppt()
+    calm, everything = m.ratios(ON_OFF).max(axis=0), np.arange(m.count)
+    on_off, *mppt = (m.each(attrgetter("force_peak"), policy, 400) for policy in (ON_OFF, MPPT1, MPPT2))
+    peak = on_off / np.maximum(*mppt)
     high = m.ratio("force_power_high", (CONTINUOUS, 400), (ON_OFF, 400))
-    everything = np.arange(m.count)
-    excess = PERCENT * m.excess(everything)
+    a_max, a_max_on_off = (m.criteria[policy]["acceleration"].values for policy in (CONTINUOUS, ON_OFF))
+
+    def largest(seeds: Seeds) -> float:
+        """Largest of both ratios over the speeds, medians over seeds."""
+        return float(np.median(m.ratios(CONTINUOUS)[:, seeds], axis=1).max())
+
+    def excess(seeds: Seeds) -> Array:
+        """Median of each seed's own rise at each speed: both controllers run on the same tracks."""
+        return np.asarray(np.median((a_max / a_max_on_off - 1.0)[:, seeds], axis=1))
+
+    def slightly_higher(seeds: Seeds) -> bool:
+        rise = excess(seeds)
+        return bool(largest(seeds) < 0.6 and np.all((rise >= 0.0) & (rise <= 0.4)))
+
+    rise = PERCENT * excess(everything)
     low_end, high_end = np.array([end_shares(run) for run in m.runs.at(CONTINUOUS, 400)]).T
     swings = m.each(swings_per_second, CONTINUOUS, 400)
     return [
@@ -298,9 +288,8 @@ def _skyhook_rows(m: ControlledMeasures) -> list[Claim]:
             "S4",
             "continuous skyhook: both ratios < 0.6, a_max 0 to 40 % above on-off's at every speed",
             m.count,
-            m.slightly_higher,
-            f"ratio {m.largest_median_ratio(CONTINUOUS, everything):.2f}; "
-            f"a_max {np.min(excess):+.0f} to {np.max(excess):+.0f} %",
+            slightly_higher,
+            f"ratio {largest(everything):.2f}; a_max {np.min(rise):+.0f} to {np.max(rise):+.0f} %",
         ),
         by_seed(
             "S5",
