@@ -87,6 +87,17 @@ class Criterion:
         found = self.critical_speed(seeds).speed
         return math.nan if found is None else found * KMH
 
+    def extrapolated_kmh(self) -> float:
+        """The same, where the first or the last segment of the medians goes on beyond the grid."""
+        v, peak = self.speeds * KMH, self.medians()
+        above = np.flatnonzero(peak > self.limit)
+        i = len(v) - 1 if above.size == 0 else max(1, int(above[0]))
+        slope = (peak[i] - peak[i - 1]) / (v[i] - v[i - 1])
+        if above.size > 0 and above[0] > 0:
+            return float(v[i] + (self.limit - peak[i]) / slope)
+        end = i if above.size == 0 else 0
+        return float(v[end] + (self.limit - peak[end]) / max(slope, self.limit / 200.0))
+
     def over_seeds_kmh(self) -> tuple[float, float]:
         """10 % and 90 % quantile of single seeds; infinite where they lie beyond the grid."""
         beyond = {Crossing.BELOW_GRID: -math.inf, Crossing.NOT_REACHED: math.inf}

@@ -124,8 +124,8 @@ class RecordingResult:
         position = found.position[found.rms.argmax(axis=0)]
         numbers = np.column_stack([found.dominant_frequency, found.maximum, position]).tolist()
         return [
-            ChannelResult(channel, *each, self.limit(channel))
-            for channel, each in zip(self.recording.channels, numbers, strict=True)
+            ChannelResult(channel, frequency, largest, place, self.limit(channel))
+            for channel, (frequency, largest, place) in zip(self.recording.channels, numbers, strict=True)
         ]
 
     @property

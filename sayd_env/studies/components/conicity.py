@@ -214,26 +214,24 @@ _WAYS = {"rigid": "-", "regularised (simulated)": "--", "regularised, harmonic":
 
 
 def _draw_curves(axes: Axes, results: Sequence[ConicityResult]) -> None:
-    for number, result in enumerate(results):
-        curves = (result.tan_gamma_e, result.tan_gamma_e_table, result.harmonic)
-        _draw_ways(axes, number, result, result.amplitude, curves, 1.0)
+    for i, each in enumerate(results):
+        curves = (each.tan_gamma_e, each.tan_gamma_e_table, each.harmonic)
+        _draw_ways(axes, i, each, each.amplitude, curves)
     axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)", title="by EN 15302")
 
 
 def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
-    for number, result in enumerate(results):
-        y, rigid, soft = result.delta_r()
+    for i, each in enumerate(results):
+        y, *radii = each.delta_r()
         near = np.abs(y) <= _CONTACT_LINES_REACH
-        _draw_ways(axes, number, result, y[near], (rigid[near], soft[near]), _MILLI)
+        _draw_ways(axes, i, each, y[near], [radius[near] * _MILLI for radius in radii])
     axes.set(xlabel="lateral position (mm)", ylabel="difference of rolling radii (mm)")
 
 
-def _draw_ways(
-    axes: Axes, number: int, result: ConicityResult, x: Array, curves: Sequence[Array], scale: float
-) -> None:
+def _draw_ways(axes: Axes, number: int, result: ConicityResult, x: Array, curves: Sequence[Array]) -> None:
     """Draw a wheel's curves by each contact in the wheel's colour."""
     for (way, line), values in zip(_WAYS.items(), curves, strict=False):
         named = f"{_label(result)}: {way}"
-        axes.plot(x * _MILLI, values * scale, CYCLE[number % len(CYCLE)], linestyle=line, label=named)
+        axes.plot(x * _MILLI, values, CYCLE[number % len(CYCLE)], linestyle=line, label=named)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7)

@@ -2,51 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
 
 from sayd_env.config import ConfigError, validate
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Table, csv_table
+from sayd_env.report.columns import Column
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import controlled_runs
 from sayd_env.studies.paper.claims import Claim
 from sayd_env.studies.paper.controlled_claims import skyhook_claims, skyhook_runs
 
-
-@dataclass(frozen=True)
-class PeriodSensitivity:
-    """Rows S1 to S6 at each control period."""
-
-    claims: dict[float, list[Claim]]
-    """By control period (s)."""
-
-    def as_dict(self) -> list[dict[str, Any]]:
-        """One entry for each row and period."""
-        return [
-            {"control_period_s": period, **claim.as_dict()}
-            for same_row in zip(*self.claims.values(), strict=True)
-            for period, claim in zip(self.claims, same_row, strict=True)
-        ]
-
-    def table(self) -> Table:
-        """Row, control period, what is expected and measured, share of the seeds, whether it holds."""
-        names = ("id", "control_period_s", "expected", "measured", "fraction", "holds")
-        return csv_table([Column(name) for name in names], self.as_dict())
+PeriodClaims: TypeAlias = Mapping[float, list[Claim]]
+"""Rows S1 to S6 by control period (s)."""
+COLUMNS = [Column(name) for name in ("id", "control_period_s", "expected", "measured", "fraction", "holds")]
 
 
-def period_sensitivity(
+def period_rows(claims: PeriodClaims) -> list[dict[str, Any]]:
+    """One entry for each row and period."""
+    return [
+        {"control_period_s": period, **claim.as_dict()}
+        for same_row in zip(*claims.values(), strict=True)
+        for period, claim in zip(claims, same_row, strict=True)
+    ]
+
+
+def period_claims(
     scenario: Scenario,
     seeds: Sequence[int],
     periods: Sequence[float],
     *,
     environment: EnvironmentConfig | None = None,
     context: RunContext | None = None,
-) -> PeriodSensitivity:
+) -> PeriodClaims:
     """Judge rows S1 to S6 on worn wheels with controllers that act at several periods (s).
 
     Raises
@@ -66,7 +57,7 @@ def period_sensitivity(
         claims[period] = skyhook_claims(
             controlled_runs(scenario, config, seeds, skyhook_runs(), part), limits
         )
-    return PeriodSensitivity(claims)
+    return claims
 
 
 def environments_at(periods: Sequence[float], base: EnvironmentConfig) -> list[EnvironmentConfig]:

@@ -29,8 +29,8 @@ from sayd_env.studies.critical_speed import (
     draw_trends,
     wheelset_names,
 )
+from sayd_env.studies.paper import control_periods as periods
 from sayd_env.studies.paper.claims import CLAIMS, Claim, once
-from sayd_env.studies.paper.control_periods import PeriodSensitivity, environments_at, period_sensitivity
 from sayd_env.studies.paper.controlled_claims import controlled_claims, required_runs, skyhook_runs
 from sayd_env.studies.paper.figures import controlled_plots
 from sayd_env.studies.paper.page import reproduce_page
@@ -65,7 +65,7 @@ class ReproduceResult:
     loops: HysteresisResult
     controlled: ControlledRuns
     """Runs with semi-active dampers."""
-    sensitivity: PeriodSensitivity | None = None
+    by_period: periods.PeriodClaims = field(default_factory=dict)
     """Rows S1 to S6 at other control periods."""
     creep_laws: Mapping[str, CreepLawComparison] = field(default_factory=dict)
     """Critical speeds on new and on worn wheels by creep law."""
@@ -77,23 +77,23 @@ class ReproduceResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd reproduce --json``."""
-        periods = {} if self.sensitivity is None else {"control_periods": self.sensitivity.as_dict()}
         laws = {wheels: found.as_dict() for wheels, found in self.creep_laws.items()}
         return {
             "claims": [c.as_dict() for c in self.claims],
             "seeds": list(self.new.seeds),
-            **periods,
+            **({"control_periods": periods.period_rows(self.by_period)} if self.by_period else {}),
             **({"by_creep_law": laws} if laws else {}),
         }
 
     def tables(self) -> dict[str, Table]:
         """Claims, and every run."""
+        by_period = csv_table(periods.COLUMNS, periods.period_rows(self.by_period))
         return {
             "claims": csv_table(CLAIMS, self.claims),
             "runs_new": runs_table(self.new, self.wheelsets),
             "runs_worn": runs_table(self.worn, self.wheelsets),
             **self.controlled.tables(self.wheelsets),
-            **({} if self.sensitivity is None else {"control_periods": self.sensitivity.table()}),
+            **({"control_periods": by_period} if self.by_period else {}),
             **{f"creep_laws_{wheels}": found.table() for wheels, found in self.creep_laws.items()},
         }
 
@@ -116,7 +116,7 @@ class ReproduceResult:
         """Print the table of claims."""
         title = f"what the paper shows, on {len(self.new.seeds)} track seeds"
         print_table(console, title, CLAIMS, self.claims, wide=wide)
-        for period, claims in () if self.sensitivity is None else self.sensitivity.claims.items():
+        for period, claims in self.by_period.items():
             title = f"rows S1 to S6 with a control period of {1e3 * period:g} ms"
             print_table(console, title, CLAIMS, claims, wide=wide)
         for wheels, found in self.creep_laws.items():
@@ -176,11 +176,11 @@ def reproduce(
         raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
     laws = environment or load_environment()
     if control_periods:
-        environments_at(control_periods, laws)  # refused before any work
+        periods.environments_at(control_periods, laws)  # refused before any work
     check_laws(creep_laws, "creep laws")
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
     wheels = dict(zip(("new", "worn"), (model.scenario for model in models), strict=True))
-    new, worn, controlled, periods, *by_law = _parts(
+    new, worn, controlled, others, *by_law = _parts(
         context or RunContext(),
         len(seeds),
         (len(NEW_SPEEDS), len(WORN_SPEEDS), len(required_runs()), len(control_periods) * len(skyhook_runs()))
@@ -189,10 +189,10 @@ def reproduce(
     new_runs = sweep(wheels["new"], NEW_SPEEDS, seeds, new)
     worn_runs = sweep(wheels["worn"], WORN_SPEEDS, seeds, worn)
     runs = controlled_runs(wheels["worn"], laws, seeds, required_runs(), controlled)
-    sensitivity = None
+    by_period: periods.PeriodClaims = {}
     if control_periods:
-        sensitivity = period_sensitivity(
-            wheels["worn"], seeds, control_periods, environment=laws, context=periods
+        by_period = periods.period_claims(
+            wheels["worn"], seeds, control_periods, environment=laws, context=others
         )
     compared = {
         name: compare_laws(vehicle, LAW_SPEEDS, seeds, creep_laws, part)
@@ -209,7 +209,7 @@ def reproduce(
     ]
     names = wheelset_names(models[0])
     return ReproduceResult(
-        scenario, claims, new_runs, worn_runs, limits, names, loops, runs, sensitivity, compared
+        scenario, claims, new_runs, worn_runs, limits, names, loops, runs, by_period, compared
     )
 
 

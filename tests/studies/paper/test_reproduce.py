@@ -169,9 +169,8 @@ def test_rows_that_are_allowed_to_fail_are_no_error(capsys: pytest.CaptureFixtur
 def test_rows_on_skyhook_at_another_control_period(short_scenario: Scenario):
     """At the period that the environment has anyway, the rows are the same ones."""
     found = reproduce(short_scenario, [3], control_periods=[0.01])
-    assert found.sensitivity is not None
     rows = [claim for claim in found.claims if claim.id.startswith("S")]
-    assert found.sensitivity.claims[0.01] == rows
+    assert found.by_period[0.01] == rows
     assert {entry["control_period_s"] for entry in found.as_dict()["control_periods"]} == {0.01}
 
 
