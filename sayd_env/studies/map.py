@@ -22,14 +22,14 @@ from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, heat_maps
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
-from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.runs.policies import PAPER, PASSIVE, PolicySpec, for_policy
 from sayd_env.runs.rollouts import conditions, policy_runs
 from sayd_env.stability import Crossing, critical_speed
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-POLICIES = ("passive", "mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
+POLICIES = (PASSIVE, *PAPER)
 DERAILED = 10.0
 """Ratio to a limit with which a derailed run counts, so that a crossing can be interpolated."""
 RATIO = {"acceleration": "acceleration_ratio", "track_shift_force": "track_shift_ratio"}
@@ -153,7 +153,7 @@ class MapResult:
         """Keys of ``sayd map --json``; tables are lists over wear of lists over friction."""
 
         def table(read: Callable[[Cell], Any]) -> dict[str, list[list[Any]]]:
-            return {p: self._over_grid(lambda *place, p=p: read(self.cell(p, *place))) for p in self.policies}  # type: ignore[misc]
+            return {p: self._over_grid(lambda *place, p=p: read(self.cell(p, *place))) for p in self.policies}
 
         return {
             "critical_speed_kmh": table(lambda cell: cell.lowest[0]),

@@ -8,7 +8,7 @@ the median over the seeds passes and at least 80 % of 1,000 bootstraps over the 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -38,10 +38,6 @@ class Claim:
     fraction: float
     """Share of the seeds, or of the bootstraps, that pass."""
     holds: bool
-
-    def as_dict(self) -> dict[str, object]:
-        """Keys of ``sayd reproduce --json``."""
-        return asdict(self)
 
 
 CLAIMS = (

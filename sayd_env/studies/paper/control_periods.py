@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, TypeAlias
 
 from sayd_env.config import ConfigError, validate
@@ -24,7 +25,7 @@ COLUMNS = [Column(name) for name in ("id", "control_period_s", "expected", "meas
 def period_rows(claims: PeriodClaims) -> list[dict[str, Any]]:
     """One entry for each row and period."""
     return [
-        {"control_period_s": period, **claim.as_dict()}
+        {"control_period_s": period, **asdict(claim)}
         for same_row in zip(*claims.values(), strict=True)
         for period, claim in zip(claims, same_row, strict=True)
     ]

@@ -16,13 +16,11 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.runs.controlled import REAR, ControlledRun, ControlledRuns
 from sayd_env.runs.metrics import switchings
 from sayd_env.runs.passive import SAYD_SPEEDS
+from sayd_env.runs.policies import PAPER
 from sayd_env.stability import Limits
 from sayd_env.studies.paper.claims import Claim, Flags, Seeds, bootstrapped, by_median, by_seed, spread
 
-MPPT1, MPPT2 = "mppt1", "mppt2"
-ON_OFF, CONTINUOUS = "skyhook-onoff", "skyhook-continuous"
-POLICIES = (MPPT1, MPPT2, ON_OFF, CONTINUOUS)
-"""The paper's controllers."""
+MPPT1, MPPT2, ON_OFF, CONTINUOUS = PAPER
 CLOSED, OPEN = 0.0, 1.0
 """The two starts of figures 12 and 14."""
 
@@ -37,7 +35,7 @@ OCCUPIED = 0.1
 
 def required_runs() -> list[tuple[str, float, float]]:
     """Controller, speed (m/s) and initial current of every run that the rows need, for each seed."""
-    closed = [(policy, speed, CLOSED) for policy in POLICIES for speed in SAYD_SPEEDS]
+    closed = [(policy, speed, CLOSED) for policy in PAPER for speed in SAYD_SPEEDS]
     return [*closed, (MPPT1, 400 / KMH, OPEN), (MPPT2, 300 / KMH, OPEN)]
 
 
@@ -153,7 +151,7 @@ def controlled_claims(runs: ControlledRuns, limits: Limits) -> list[Claim]:
         A run is missing.
     """
     m = ControlledMeasures(runs, limits, required_runs())
-    largest = np.asarray(np.max([m.ratios(policy).max(axis=0) for policy in POLICIES], axis=0))
+    largest = np.asarray(np.max([m.ratios(policy).max(axis=0) for policy in PAPER], axis=0))
     bounded = by_seed(
         "C1",
         "all four controllers: no limit exceeded up to 400 km/h",

@@ -44,7 +44,8 @@ class PassiveMeasures:
 
     def ratios_320(self) -> Array:
         """Larger ratio to the limits at 320 km/h on worn wheels, for each seed (P4)."""
-        return np.maximum(self.worn_acceleration.ratios[self.low], self.worn_force.ratios[self.low])
+        ratios = [each.ratios[self.low] for each in (self.worn_acceleration, self.worn_force)]
+        return np.asarray(np.max(ratios, axis=0))
 
     def lowest_ratio_above(self) -> Array:
         """Smallest acceleration ratio over the speeds from 350 km/h, for each seed (P6)."""

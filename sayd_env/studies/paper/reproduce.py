@@ -14,7 +14,7 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics import sayd
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Table, csv_table, print_table
+from sayd_env.report.columns import Table, csv_table, json_rows, print_table
 from sayd_env.report.figures import Plot
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import ControlledRuns, controlled_runs
@@ -79,7 +79,7 @@ class ReproduceResult:
         """Keys of ``sayd reproduce --json``."""
         laws = {wheels: found.as_dict() for wheels, found in self.creep_laws.items()}
         return {
-            "claims": [c.as_dict() for c in self.claims],
+            "claims": json_rows(CLAIMS, self.claims),
             "seeds": list(self.new.seeds),
             **({"control_periods": periods.period_rows(self.by_period)} if self.by_period else {}),
             **({"by_creep_law": laws} if laws else {}),
