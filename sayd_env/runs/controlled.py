@@ -19,13 +19,10 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.envs.loop import LOG_ACCELERATION, LOG_FORCE, LOG_HYDRAULIC, LOG_TRACK_SHIFT
 from sayd_env.envs.rollout import Rollout
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.passive import Assessed, Sweep, assessed_run, gathered, runs_table
+from sayd_env.runs.passive import Assessed, Sweep, assessed_part, assessed_run, gathered, runs_table
 from sayd_env.runs.policies import PolicySpec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
-from sayd_env.stability import assessed_span, distance_run
 
-SAYD_SPEEDS = tuple(v / KMH for v in (300, 320, 350, 375, 400))
-"""Speed grid of figures 11, 13, 15 and 17, m/s."""
 HIGH_FREQUENCY = 10.0
 """Hz; above it lies what the paper calls the high-frequency part of the damper force."""
 FRONT, REAR = 0, 1
@@ -62,24 +59,22 @@ class ControlledRun(Assessed):
     """Time between two values of the trace, s."""
 
 
-def controlled_specs(
+def controlled_runs(
     scenario: Scenario,
     environment: EnvironmentConfig,
     seeds: Sequence[int],
     required: Iterable[tuple[str, float, float]],
-) -> list[Run]:
-    """Runs that the rows of a claim need.
+    context: RunContext,
+) -> ControlledRuns:
+    """Make and assess the runs that the rows of a claim need, or take them from the cache.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The vehicle on worn wheels; semi-active dampers replace passive ones.
-    environment : EnvironmentConfig
-        Sensors and clock of the controllers.
-    seeds : sequence of int
-        Track seeds.
-    required : iterable of tuple
-        Controller, speed (m/s) and initial current of each group of seeds.
+    `required` holds controllers with their speed (m/s) and initial current; each is run with every seed, and
+    semi-active dampers replace the passive ones of the scenario.
+
+    Raises
+    ------
+    ConfigError, StudyError
+        See `roll_out_runs` and `controlled_run_of`.
     """
     runs: list[Run] = []
     for name, speed, current in required:
@@ -87,18 +82,7 @@ def controlled_specs(
         fitted = for_policy(scenario, policy)
         config = environment_of(fitted, environment)
         runs += [Run(policy, fitted, config, speed, seed, current) for seed in seeds]
-    return runs
-
-
-def controlled_runs(runs: Sequence[Run], context: RunContext, what: str = "") -> ControlledRuns:
-    """Make and assess runs, or take them from the cache.
-
-    Raises
-    ------
-    ConfigError, StudyError
-        See `roll_out_runs` and `controlled_run_of`.
-    """
-    return ControlledRuns(context.records(assessed_controlled, runs, ControlledRun, what))
+    return ControlledRuns(context.records(assessed_controlled, runs, ControlledRun))
 
 
 def assessed_controlled(runs: list[Run]) -> list[ControlledRun]:
@@ -135,10 +119,9 @@ def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig)
     acceleration = signals[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]
     track_shift = signals[:, LOG_TRACK_SHIFT:LOG_FORCE]
     assessed = assessed_run(acceleration, track_shift, episode.speed, episode.seed, settings)
-    distance = distance_run(episode.speed, rate, len(signals))
-    first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
-    force = signals[first:last, LOG_FORCE:LOG_HYDRAULIC]
-    trace, trace_period = _trace(signals[first:, LOG_FORCE + _REAR_DAMPER], rate)
+    part = assessed_part(len(signals), rate, episode.speed, settings)
+    force = signals[part, LOG_FORCE:LOG_HYDRAULIC]
+    trace, trace_period = _trace(signals[part.start :, LOG_FORCE + _REAR_DAMPER], rate)
     return ControlledRun(
         **vars(assessed),
         policy=policy,
@@ -146,7 +129,7 @@ def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig)
         force_rms=float(np.sqrt(np.mean(force**2))),
         force_peak=float(np.max(np.abs(force))),
         force_power_high=high_frequency_power(force, rate),
-        command=rollout.actions[: int((last - first) / rate / period + 1e-6)],
+        command=rollout.actions[: int(len(force) / rate / period + 1e-6)],
         control_period=period,
         force_trace=trace,
         trace_period=trace_period,
@@ -154,19 +137,9 @@ def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig)
 
 
 def high_frequency_power(force: Array, sample_rate: float) -> float:
-    """Power of a force above `HIGH_FREQUENCY`, mean over the channels.
+    """Power of forces, shape (t, d) in N, above 10 Hz by Welch's (1967) averaged spectra (N^2).
 
-    Parameters
-    ----------
-    force : ndarray, shape (t, d)
-        Forces (N).
-    sample_rate : float
-        Samples per second (Hz).
-
-    Returns
-    -------
-    float
-        Mean square of the components above 10 Hz by Welch's (1967) averaged spectra (N^2).
+    Mean over the dampers; the sampling rate is in Hz.
     """
     segment = min(round(_SPECTRUM_SEGMENT * sample_rate), len(force))
     frequency, density = welch(force, fs=sample_rate, nperseg=segment, axis=0)
@@ -183,53 +156,28 @@ def _trace(force: Array, sample_rate: float) -> tuple[Single, float]:
 
 
 class ControlledRuns:
-    """Runs of several controllers over speeds and seeds.
-
-    Parameters
-    ----------
-    runs : iterable of ControlledRun
-        In any order; every controller on the same seeds.
+    """Runs of several controllers over speeds and seeds, in any order; every controller on the same seeds.
 
     Raises
     ------
     ValueError
-        No run at all, or one run twice.
+        No run at all, or one run twice; in methods: a run that is missing.
     """
 
     def __init__(self, runs: Iterable[ControlledRun]) -> None:
-        self._runs: dict[tuple[str, float, float, int], ControlledRun] = {}
-        for run in runs:
-            key = (run.policy, run.initial_current, _kmh(run.speed), run.seed)
-            if key in self._runs:
-                raise ValueError(f"the run {key} is there twice")
-            self._runs[key] = run
-        if not self._runs:
-            raise ValueError("no runs")
-        self.seeds = tuple(sorted({run.seed for run in self.runs}))
-
-    @property
-    def runs(self) -> tuple[ControlledRun, ...]:
+        self.runs = tuple(runs)
         """All runs."""
-        return tuple(self._runs.values())
-
-    @property
-    def variants(self) -> tuple[tuple[str, float], ...]:
+        self._runs = {
+            (run.policy, run.initial_current, round(run.speed * KMH, 6), run.seed): run for run in self.runs
+        }
+        if not self.runs or len(self._runs) < len(self.runs):
+            raise ValueError("a run is there twice" if self.runs else "no runs")
+        self.seeds = tuple(sorted({run.seed for run in self.runs}))
+        self.variants = tuple(dict.fromkeys((run.policy, run.initial_current) for run in self.runs))
         """Controllers with their initial currents, in the order of the runs."""
-        return tuple(dict.fromkeys((run.policy, run.initial_current) for run in self.runs))
-
-    def speeds(self, policy: str, initial_current: float = 0.0) -> tuple[float, ...]:
-        """Speeds of a controller's runs, m/s, rising."""
-        chosen = [r.speed for r in self.runs if (r.policy, r.initial_current) == (policy, initial_current)]
-        return tuple(sorted(set(chosen)))
 
     def at(self, policy: str, kmh: float, initial_current: float = 0.0) -> tuple[ControlledRun, ...]:
-        """Runs of a controller at a speed (km/h), one for each seed.
-
-        Raises
-        ------
-        ValueError
-            There is no such run.
-        """
+        """Runs of a controller at a speed (km/h), one for each seed."""
         keys = [(policy, initial_current, round(kmh, 6), seed) for seed in self.seeds]
         for key in keys:
             if key not in self._runs:
@@ -239,44 +187,34 @@ class ControlledRuns:
         return tuple(self._runs[key] for key in keys)
 
     def sweep(self, policy: str, initial_current: float = 0.0) -> Sweep:
-        """Assessed quantities of a controller over its speeds.
-
-        Raises
-        ------
-        ValueError
-            A run is missing.
-        """
-        speeds = self.speeds(policy, initial_current)
-        columns = [self.at(policy, _kmh(speed), initial_current) for speed in speeds]
+        """Assessed quantities of a controller over its speeds."""
+        variant = policy, initial_current
+        speeds = sorted({r.speed for r in self.runs if (r.policy, r.initial_current) == variant})
+        columns = [self.at(policy, speed * KMH, initial_current) for speed in speeds]
         return gathered([run for row in zip(*columns, strict=True) for run in row], speeds, self.seeds)
 
     def tables(self, wheelsets: Sequence[str]) -> dict[str, tuple[Sequence[str], list[list[Any]]]]:
         """Every run: assessed quantities of each wheelset, and what the dampers did."""
-        assessed: list[list[Any]] = []
-        header: Sequence[str] = ()
-        for policy, current in self.variants:
-            header, rows = runs_table(self.sweep(policy, current), wheelsets)
-            assessed += [[policy, current, *row] for row in rows]
+        sweeps = {variant: runs_table(self.sweep(*variant), wheelsets) for variant in self.variants}
+        header, _ = sweeps[self.variants[0]]
+        assessed = [[*variant, *row] for variant, (_, rows) in sweeps.items() for row in rows]
+        dampers = [_damper_row(run) for run in self.runs]
         return {
             "runs_controlled": (("policy", "initial_current", *header), assessed),
-            "dampers_controlled": (_DAMPER_HEADER, [_damper_row(run) for run in self.runs]),
+            "dampers_controlled": (list(dampers[0]), [list(row.values()) for row in dampers]),
         }
 
 
-_DAMPER_HEADER = (
-    *("policy", "initial_current", "speed_kmh", "seed"),
-    *("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2"),
-    *("command_front_mean", "command_rear_mean"),
-)
-
-
-def _damper_row(run: ControlledRun) -> list[Any]:
-    forces = (run.force_rms, run.force_peak, run.force_power_high)
+def _damper_row(run: ControlledRun) -> dict[str, Any]:
     commands = run.command.mean(axis=0, dtype=np.float64)
-    where = (run.policy, run.initial_current, run.speed * KMH, run.seed)
-    return [*where, *forces, commands[FRONT], commands[REAR]]
-
-
-def _kmh(speed: float) -> float:
-    """Speed in km/h as a key: the same for all ways of rounding."""
-    return round(speed * KMH, 6)
+    return {
+        "policy": run.policy,
+        "initial_current": run.initial_current,
+        "speed_kmh": run.speed * KMH,
+        "seed": run.seed,
+        "force_rms_n": run.force_rms,
+        "force_peak_n": run.force_peak,
+        "force_power_above_10_hz_n2": run.force_power_high,
+        "command_front_mean": commands[FRONT],
+        "command_rear_mean": commands[REAR],
+    }

@@ -27,6 +27,7 @@ from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import controlled_run_of
+from sayd_env.runs.passive import assessed_part
 from sayd_env.runs.policies import PASSIVE
 from sayd_env.runs.rollouts import Run, roll_out_runs
 from sayd_env.stability import Limits, assessed_span, averaged_spectra, band_pass, distance_run
@@ -88,14 +89,7 @@ class Row:
 
 
 def rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:
-    """Make runs, or take them from the cache, and judge them.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-    context : RunContext
-    what : str
-        Names the runs where progress is reported.
+    """Make runs, or take them from the cache, and judge them; `what` names them where progress is reported.
 
     Raises
     ------
@@ -114,14 +108,7 @@ def judged(runs: list[Run]) -> list[Row]:
 
 
 def policy_row(run: Run, rollout: Rollout) -> Row:
-    """Judge a run.
-
-    Parameters
-    ----------
-    run : Run
-        What ran.
-    rollout : Rollout
-        Its run-in and at least the assessed length, unless it ended early.
+    """Judge a run from its rollout over run-in and assessed length, or less where it ended early.
 
     Raises
     ------
@@ -134,8 +121,10 @@ def policy_row(run: Run, rollout: Rollout) -> Row:
     weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
     if rollout.ending is not None:
         _refuse_divergence(rollout)
+        over_the_length = dict.fromkeys(OVER_THE_LENGTH, math.inf)
+    else:
+        over_the_length = _measured(rollout, scenario, weights)
     cost = rollout.episode_cost(run.environment, scenario)
-    over_the_length = _derailed() if rollout.ending is not None else _measured(rollout, scenario, weights)
     return Row(
         policy=run.policy.title,
         speed_kmh=round(run.speed * KMH, 6),
@@ -166,69 +155,58 @@ def offline_cost(
 ) -> tuple[float, float]:
     """Unweighted (psi_y / y_lim)^2 and (psi_F / F_max)^2 over the assessed length, with the off-line filter.
 
+    Means over time, points or dampers, and bogies. A bogie has one f_0, from the sum of the spectra of its
+    points.
+
     Parameters
     ----------
     acceleration : ndarray, shape (t, 4)
         Lateral accelerations of the bogie frames (m/s2), from the start of the run-in.
     force : ndarray, shape (t, 8)
         Hydraulic forces of the dampers (N).
-    rate : float
-        Hz.
-    speed : float
-        m/s.
-    scenario : Scenario
-    bounds : Limits
-
-    Returns
-    -------
-    tuple of float
-        Means over time, points or dampers, and bogies. A bogie has one f_0, from the sum of the spectra of
-        its points.
+    rate, speed : float
+        Hz, m/s.
     """
     settings = scenario.assessment
     distance = distance_run(speed, rate, len(acceleration))
-    span = assessed_span(distance, settings)
-    first, last = np.searchsorted(distance, np.array(span) - 1e-9)
-    grid, spectra = averaged_spectra(acceleration, rate, distance, settings, span)
+    part = assessed_part(len(acceleration), rate, speed, settings)
+    grid, spectra = averaged_spectra(
+        acceleration, rate, distance, settings, assessed_span(distance, settings)
+    )
     width = len(spectra) // BOGIES
     pairs = spectra.reshape(BOGIES, width, -1).sum(axis=1)
     f0 = np.repeat(grid[np.argmax(pairs[:, 1:-1], axis=1) + 1], width)
-    filtered = band_pass(acceleration, rate, f0, settings)[first:last]
+    filtered = band_pass(acceleration, rate, f0, settings)[part]
     return (
         float(np.mean((filtered / bounds.acceleration) ** 2)),
-        float(np.mean((force[first:last] / scenario.cost.force_reference) ** 2)),
+        float(np.mean((force[part] / scenario.cost.force_reference) ** 2)),
     )
 
 
 def comfort_index(rollout: Rollout, settings: AssessmentConfig) -> float:
     """Worst mean comfort index of the three places on the floor over the assessed length; NaN below 5 s."""
     rate = rollout.sample_rate
-    distance = distance_run(rollout.episode.speed, rate, len(rollout.true))
-    first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
-    if last - first < 5.0 * rate:
+    part = assessed_part(len(rollout.true), rate, rollout.episode.speed, settings)
+    if part.stop - part.start < 5.0 * rate:
         return math.nan
     places = (rollout.true[:, k : k + 3] for k in range(LOG_BODY, LOG_BODY + 9, 3))
-    return max(mean_comfort(place, rate, int(first), int(last)) for place in places)
+    return max(mean_comfort(place, rate, part.start, part.stop) for place in places)
 
 
-def switchings(command: npt.NDArray[np.float32]) -> float:
-    """Passages of the commands between the lower and the upper quarter of the range, mean over the valves.
+def switchings(command: npt.NDArray[np.float32], lower: float = LOWER, upper: float = UPPER) -> float:
+    """Passages of commands, shape (steps, valves), from one end of their range to the other, their mean.
 
-    Parameters
-    ----------
-    command : ndarray, shape (steps, valves)
-        Commands, 0 to 1. What lies between the quarters does not count, nor does a return to the quarter from
-        which the command came; so the number does not depend on how often a command is given.
+    The ends lie up to `lower` and from `upper` on. What lies between them does not count, nor does a return
+    to the end from which the command came: the number does not depend on how often a command is given.
     """
-    ends = np.where(command >= UPPER, 1, np.where(command <= LOWER, -1, 0))
+    ends = np.where(command >= upper, 1, np.where(command <= lower, -1, 0))
     visited = (column[column != 0] for column in ends.T)
     return float(np.mean([np.count_nonzero(np.diff(each)) for each in visited]))
 
 
 def _measured(rollout: Rollout, scenario: Scenario, weights: tuple[float, float]) -> dict[str, float]:
-    settings, speed = scenario.assessment, rollout.episode.speed
+    settings, speed, bounds = scenario.assessment, rollout.episode.speed, model_limits(VehicleModel(scenario))
     run = controlled_run_of("", rollout, settings)
-    bounds = model_limits(VehicleModel(scenario))
     offline = offline_cost(
         rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT],
         rollout.true[:, LOG_HYDRAULIC:LOG_CURRENT],
@@ -252,11 +230,12 @@ def _measured(rollout: Rollout, scenario: Scenario, weights: tuple[float, float]
     }
 
 
-def _derailed() -> dict[str, float]:
-    costs = ("J_run", "J_offline", "J_offline_acceleration", "J_offline_force")
-    ratios = ("acceleration_ratio", "track_shift_ratio")
-    forces = ("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2")
-    return dict.fromkeys((*costs, *ratios, *forces, "comfort"), math.inf)
+OVER_THE_LENGTH = (
+    *("J_run", "J_offline", "J_offline_acceleration", "J_offline_force"),
+    *("acceleration_ratio", "track_shift_ratio"),
+    *("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2", "comfort"),
+)
+"""Columns that belong to the whole assessed length."""
 
 
 def valve_use(run: Run, rollout: Rollout) -> dict[str, Any]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.scenario import Scenario
@@ -15,7 +16,30 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.simulator import RUN_OUT, Simulator, VehicleModel
 from sayd_env.runs.context import RunContext
-from sayd_env.stability import assess
+from sayd_env.stability import (
+    CriticalSpeed,
+    Crossing,
+    Limits,
+    assess,
+    assessed_span,
+    critical_speed,
+    distance_run,
+    grid_sensitivity,
+    thinned_grids,
+)
+
+NEW_SPEEDS = tuple(v / KMH for v in (280, 310, 340, 370, 400))
+"""Speed grid of figure 8 of the paper, new wheels, m/s."""
+WORN_SPEEDS = tuple(v / KMH for v in (320, 350, 370, 395, 420, 445))
+"""Speed grid of figure 10, worn wheels, m/s."""
+SAYD_SPEEDS = tuple(v / KMH for v in (300, 320, 350, 375, 400))
+"""Speed grid of figures 11, 13, 15 and 17, semi-active dampers, m/s."""
+LAW_SPEEDS = tuple(v / KMH for v in range(260, 441, 20))
+"""Speeds of a comparison of creep laws (m/s): wide enough for all of them on new and on worn wheels."""
+
+Selection: TypeAlias = slice | npt.NDArray[np.int64]
+"""Of seeds by their places, with repetitions in a bootstrap."""
+ALL = slice(None)
 
 
 @dataclass(frozen=True)
@@ -36,6 +60,59 @@ class Assessed:
 
 
 @dataclass(frozen=True)
+class Criterion:
+    """Highest value of the wheelsets in each run, and its limit of EN 14363; any selection of seeds."""
+
+    speeds: Array
+    """(n,) m/s, rising."""
+    values: Array
+    """(n, seeds)."""
+    limit: float
+
+    @property
+    def ratios(self) -> Array:
+        """(n, seeds) values over the limit."""
+        return self.values / self.limit
+
+    def medians(self, seeds: Selection = ALL) -> Array:
+        """(n,) medians over seeds."""
+        return np.asarray(np.median(self.values[:, seeds], axis=1))
+
+    def critical_speed(self, seeds: Selection = ALL) -> CriticalSpeed:
+        """Where the medians cross the limit (m/s)."""
+        return critical_speed(self.speeds, self.medians(seeds), self.limit)
+
+    def kmh(self, seeds: Selection = ALL) -> float:
+        """The same in km/h; NaN if they do not."""
+        found = self.critical_speed(seeds).speed
+        return math.nan if found is None else found * KMH
+
+    def extrapolated_kmh(self) -> float:
+        """The same, where the first or the last segment of the medians goes on beyond the grid."""
+        v, peak = self.speeds * KMH, self.medians()
+        above = np.flatnonzero(peak > self.limit)
+        i = len(v) - 1 if above.size == 0 else max(1, int(above[0]))
+        slope = (peak[i] - peak[i - 1]) / (v[i] - v[i - 1])
+        if above.size > 0 and above[0] > 0:
+            return float(v[i] + (self.limit - peak[i]) / slope)
+        end = i if above.size == 0 else 0
+        return float(v[end] + (self.limit - peak[end]) / max(slope, self.limit / 200.0))
+
+    def over_seeds_kmh(self) -> tuple[float, float]:
+        """10 % and 90 % quantile of single seeds; infinite where they lie beyond the grid."""
+        beyond = {Crossing.BELOW_GRID: -math.inf, Crossing.NOT_REACHED: math.inf}
+        single = [self.critical_speed(np.array([j])) for j in range(self.values.shape[1])]
+        speeds = [beyond[found.crossing] if found.speed is None else found.speed * KMH for found in single]
+        low, high = np.quantile(speeds, (0.1, 0.9), method="nearest")
+        return float(low), float(high)
+
+    def sensitive(self, tolerance: float) -> bool:
+        """Whether the critical speed moves by more than a tolerance (m/s) on a thinner grid of speeds."""
+        thinner = thinned_grids(self.speeds, self.medians(), self.limit)
+        return grid_sensitivity(self.critical_speed(), thinner, tolerance).sensitive
+
+
+@dataclass(frozen=True)
 class Sweep:
     """Assessed runs on a grid: arrays of shape (speeds, seeds, w)."""
 
@@ -46,6 +123,14 @@ class Sweep:
     frequency_force: Array
     acceleration: Array
     track_shift: Array
+
+    def criteria(self, limits: Limits) -> dict[str, Criterion]:
+        """What EN 14363 limits, by name."""
+        acceleration, force = (values.max(axis=-1) for values in (self.acceleration, self.track_shift))
+        return {
+            "acceleration": Criterion(self.speeds, acceleration, limits.acceleration),
+            "track_shift_force": Criterion(self.speeds, force, limits.track_shift_force),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,18 +158,7 @@ def sweep(
     context: RunContext | None = None,
     what: str = "",
 ) -> Sweep:
-    """Assess a vehicle at every speed on every track realisation.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    speeds : sequence of float
-        Speeds, m/s, rising.
-    seeds : sequence of int
-        Track seeds.
-    context : RunContext, optional
-    what : str
-        Names the runs where progress is reported.
+    """Assess a vehicle at every speed (m/s, rising) on the track of every seed.
 
     Raises
     ------
@@ -137,44 +211,35 @@ def assessed_run(
     return Assessed(speed, seed, f[:w], f[w:], peak[:w], peak[w:])
 
 
+def assessed_part(samples: int, rate: float, speed: float, settings: AssessmentConfig) -> slice:
+    """Samples of the assessed length among those of a run at constant speed (m/s), rate in Hz."""
+    distance = distance_run(speed, rate, samples)
+    first, last = np.searchsorted(distance, np.array(assessed_span(distance, settings)) - 1e-9)
+    return slice(int(first), int(last))
+
+
 def gathered(runs: Sequence[Assessed], speeds: Sequence[float], seeds: Sequence[int]) -> Sweep:
     """Put runs on a grid: all speeds (m/s, rising) of the first seed, then those of the next."""
     shape = (len(seeds), len(speeds), -1)
-
-    def grid(name: str) -> Array:
-        return np.array([getattr(run, name) for run in runs]).reshape(shape).swapaxes(0, 1)
-
-    return Sweep(
-        speeds=np.array(speeds, dtype=float),
-        seeds=tuple(seeds),
-        frequency=grid("frequency"),
-        frequency_force=grid("frequency_force"),
-        acceleration=grid("acceleration"),
-        track_shift=grid("track_shift"),
-    )
+    grids = {
+        name: np.array([getattr(run, name) for run in runs]).reshape(shape).swapaxes(0, 1)
+        for name in ("frequency", "frequency_force", "acceleration", "track_shift")
+    }
+    return Sweep(np.array(speeds, dtype=float), tuple(seeds), **grids)
 
 
 def runs_table(grid: Sweep, wheelsets: Sequence[str]) -> tuple[Sequence[str], list[list[Any]]]:
     """Every run of a sweep as a table, one line for each wheelset."""
-    header = (
-        "speed_kmh",
-        "seed",
-        "wheelset",
-        "dominant_frequency_hz",
-        "dominant_frequency_force_hz",
-        "acceleration_rms",
-        "track_shift_rms_kn",
-    )
-    columns = (
-        (grid.frequency, 1.0),
-        (grid.frequency_force, 1.0),
-        (grid.acceleration, 1.0),
-        (grid.track_shift, 1e-3),
-    )
+    columns = {
+        "dominant_frequency_hz": grid.frequency,
+        "dominant_frequency_force_hz": grid.frequency_force,
+        "acceleration_rms": grid.acceleration,
+        "track_shift_rms_kn": grid.track_shift * 1e-3,
+    }
     rows = [
-        [v * KMH, seed, name, *(values[i, j, k] * scale for values, scale in columns)]
+        [v * KMH, seed, name, *(values[i, j, k] for values in columns.values())]
         for i, v in enumerate(grid.speeds)
         for j, seed in enumerate(grid.seeds)
         for k, name in enumerate(wheelsets)
     ]
-    return header, rows
+    return ("speed_kmh", "seed", "wheelset", *columns), rows

@@ -24,6 +24,8 @@ from sayd_env.envs.interface import Interface
 from sayd_env.runs.own_code import OwnPolicy
 
 PASSIVE = "passive"
+PAPER = ("mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
+"""The paper's controllers."""
 LEARNED = ".npz"
 """How the files of learned policies end."""
 FOREIGN = ".zip"

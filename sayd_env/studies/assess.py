@@ -120,17 +120,12 @@ class RecordingResult:
     @property
     def channels(self) -> list[ChannelResult]:
         """Verdict on each channel, in the order of the file."""
-        maximum = self.assessment.maximum
-        position = self.assessment.position[self.assessment.rms.argmax(axis=0)]
+        found = self.assessment
+        position = found.position[found.rms.argmax(axis=0)]
+        numbers = np.column_stack([found.dominant_frequency, found.maximum, position]).tolist()
         return [
-            ChannelResult(
-                channel,
-                float(self.assessment.dominant_frequency[i]),
-                float(maximum[i]),
-                float(position[i]),
-                self.limit(channel),
-            )
-            for i, channel in enumerate(self.recording.channels)
+            ChannelResult(channel, frequency, largest, place, self.limit(channel))
+            for channel, (frequency, largest, place) in zip(self.recording.channels, numbers, strict=True)
         ]
 
     @property
@@ -219,21 +214,20 @@ class RecordingResult:
     def _draw_channel(self, axis: Axes, k: int, distance: Array, signal: Array) -> None:
         channel = self.recording.channels[k]
         unit = _UNITS[channel.quantity]
-        axis.plot(distance, signal * unit.scale, color=SKY, linewidth=0.5, label="band-passed signal")
-        axis.plot(
-            self.assessment.position,
-            self.assessment.rms[:, k] * unit.scale,
-            color=VERMILION,
-            marker="x",
-            markersize=3,
-            linewidth=0.8,
-            label="sliding RMS",
-        )
-        limit_line(axis, self.limit(channel) * unit.scale, "limit")
+        rms = self.assessment.rms[:, k] * unit.scale
+        limit = self.limit(channel) * unit.scale
+        draw_assessed(axis, distance, signal * unit.scale, self.assessment.position, rms, limit)
         axis.set_ylabel(unit.name)
         axis.set_title(
             f"{channel.name}, f0 = {self.assessment.dominant_frequency[k]:.2f} Hz", fontsize="small"
         )
+
+
+def draw_assessed(axis: Axes, x: Array, filtered: Array, position: Array, rms: Array, limit: float) -> None:
+    """Draw a band-passed signal, its sliding RMS at other places and the limit of this."""
+    axis.plot(x, filtered, color=SKY, linewidth=0.5, label="band-passed signal")
+    axis.plot(position, rms, "x-", color=VERMILION, markersize=3, linewidth=0.8, label="sliding RMS")
+    limit_line(axis, limit, "limit")
 
 
 def assess_file(
@@ -255,21 +249,14 @@ def assess_file(
         CSV file, see `sayd_env.stability.read_recording`.
     settings : AssessmentConfig
         The procedure; its run-in and length are those of simulated runs and do not apply.
-    speed : float, optional
-        Constant speed (m/s) of a file without a speed column.
-    sample_rate : float, optional
-        Sampling rate (Hz) of a file without a time column.
+    speed, sample_rate : float, optional
+        Constant speed (m/s) and sampling rate (Hz) of a file without such a column, or one of time.
     columns : sequence of str, optional
         Channels to assess; all by default.
     run_in : float
         Distance at the start that is not assessed (m).
     axle_load, bogie_mass : float, optional
         Vehicle of the recording (N, kg), if it is not that of the settings.
-
-    Returns
-    -------
-    RecordingResult
-        Verdict on each channel.
 
     Raises
     ------

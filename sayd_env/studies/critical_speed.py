@@ -8,39 +8,35 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import ConfigError
-from sayd_env.config.palette import SKY, VERMILION, wheelset_style
+from sayd_env.config.palette import wheelset_style
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
+from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.contact.creep import LAWS
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, panels, with_band
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.passive import PassiveRun, Sweep, runs_table, simulated, sweep
-from sayd_env.stability import (
-    CriticalSpeed,
-    Crossing,
-    GridSensitivity,
-    Limits,
-    assess,
-    band_pass,
-    critical_speed,
-    grid_sensitivity,
-    limits,
-    thinned_grids,
+from sayd_env.runs.passive import (
+    NEW_SPEEDS,
+    WORN_SPEEDS,
+    Criterion,
+    PassiveRun,
+    Sweep,
+    runs_table,
+    simulated,
+    sweep,
 )
-from sayd_env.studies.paper.passive_claims import NEW_SPEEDS, WORN_SPEEDS
+from sayd_env.stability import CriticalSpeed, Crossing, Limits, assess, band_pass
+from sayd_env.studies.assess import draw_assessed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
 HALF_WORN = 0.5
-LAW_SPEEDS = tuple(v / KMH for v in range(260, 441, 20))
-"""Speeds of a comparison of creep laws (m/s): wide enough for all of them on new and on worn wheels."""
 
 
 @dataclass(frozen=True)
@@ -68,46 +64,34 @@ class CriticalSpeedResult:
     """The same by other creep laws, if asked for."""
 
     @cached_property
-    def medians(self) -> dict[str, Array]:
-        """Median over the seeds of each assessed quantity, shape (speeds, w)."""
-        names = ("frequency", "acceleration", "track_shift")
-        return {name: np.median(getattr(self.sweep, name), axis=1) for name in names}
+    def criteria(self) -> dict[str, Criterion]:
+        """What EN 14363 limits, by name."""
+        return self.sweep.criteria(self.limits)
 
-    def crossing(self, seeds: npt.NDArray[np.int64] | None = None) -> dict[str, CriticalSpeed]:
-        """Critical speed (m/s) by each criterion, from the medians over a selection of the seeds."""
-        chosen = np.arange(len(self.sweep.seeds)) if seeds is None else seeds
-        return {
-            name: critical_speed(self.sweep.speeds, self._peak(values, chosen), limit)
-            for name, values, limit in self._criteria()
-        }
+    def crossing(self) -> dict[str, CriticalSpeed]:
+        """Critical speed (m/s) by each criterion, from the medians over the seeds."""
+        return {name: criterion.critical_speed() for name, criterion in self.criteria.items()}
 
     @cached_property
     def critical(self) -> tuple[float | None, str | None]:
         """The lower of both critical speeds (m/s) and its criterion; None if no limit is exceeded."""
-        found = {k: c for k, c in self.crossing().items() if c.crossing is not Crossing.NOT_REACHED}
+        found = {k: c.speed for k, c in self.crossing().items() if c.crossing is not Crossing.NOT_REACHED}
         if not found:
             return None, None
-        name = min(found, key=lambda k: -1.0 if found[k].speed is None else float(found[k].speed or 0.0))
-        return found[name].speed, name
+        name = min(found, key=lambda k: found[k] or -1.0)  # None: below the grid
+        return found[name], name
 
-    @cached_property
-    def sensitivity(self) -> dict[str, GridSensitivity]:
-        """Whether the critical speeds hold on a thinner grid."""
-        tolerance = self.scenario.assessment.grid_tolerance
-        chosen = np.arange(len(self.sweep.seeds))
-        return {
-            name: grid_sensitivity(
-                critical_speed(self.sweep.speeds, self._peak(values, chosen), limit),
-                thinned_grids(self.sweep.speeds, self._peak(values, chosen), limit),
-                tolerance,
-            )
-            for name, values, limit in self._criteria()
-        }
+    def _median(self, quantity: str) -> Array:
+        """Median over the seeds of a quantity of the sweep, shape (speeds, w)."""
+        return np.asarray(np.median(getattr(self.sweep, quantity), axis=1))
+
+    def _sensitive(self, name: str) -> bool:
+        return self.criteria[name].sensitive(self.scenario.assessment.grid_tolerance)
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd critical-speed --json``."""
         speed, criterion = self.critical
-        crossing = self.crossing()
+        frequency, acceleration, force = map(self._median, ("frequency", "acceleration", "track_shift"))
         return {
             "critical_speed_kmh": None if speed is None else speed * KMH,
             "criterion": criterion,
@@ -118,9 +102,9 @@ class CriticalSpeedResult:
             "speeds": [
                 {
                     "speed_kmh": v * KMH,
-                    "dominant_frequency_hz": self.medians["frequency"][i],
-                    "acceleration_rms": self.medians["acceleration"][i],
-                    "track_shift_rms_kn": self.medians["track_shift"][i] / 1e3,
+                    "dominant_frequency_hz": frequency[i],
+                    "acceleration_rms": acceleration[i],
+                    "track_shift_rms_kn": force[i] / 1e3,
                 }
                 for i, v in enumerate(self.sweep.speeds)
             ],
@@ -129,10 +113,10 @@ class CriticalSpeedResult:
                 name: {
                     "critical_speed_kmh": None if c.speed is None else c.speed * KMH,
                     "status": c.crossing.name.lower(),
-                    "over_seeds_kmh": self._over_seeds(name),
-                    "sensitive_to_grid": self.sensitivity[name].sensitive,
+                    "over_seeds_kmh": self.criteria[name].over_seeds_kmh(),
+                    "sensitive_to_grid": self._sensitive(name),
                 }
-                for name, c in crossing.items()
+                for name, c in self.crossing().items()
             },
             **({} if self.laws is None else {"by_creep_law": self.laws.as_dict()}),
         }
@@ -158,14 +142,12 @@ class CriticalSpeedResult:
 
     def _trends(self) -> list[dict[str, Any]]:
         """Values by `TRENDS`: the largest of the wheelsets at each speed."""
-        chosen = np.arange(len(self.sweep.seeds))
-        ratios = [self._peak(values, chosen) / limit for _, values, limit in self._criteria()]
-        frequency = self.medians["frequency"]
+        acceleration, force = (each.medians() / each.limit for each in self.criteria.values())
+        frequency = self._median("frequency")
         columns = (
-            self.sweep.speeds * KMH,
-            *(frequency.min(axis=1), frequency.max(axis=1)),
-            *(self.medians["acceleration"].max(axis=1), ratios[0]),
-            *(self.medians["track_shift"].max(axis=1), ratios[1]),
+            *(self.sweep.speeds * KMH, frequency.min(axis=1), frequency.max(axis=1)),
+            *(self._median("acceleration").max(axis=1), acceleration),
+            *(self._median("track_shift").max(axis=1), force),
         )
         names = [column.name for column in TRENDS]
         return [dict(zip(names, row, strict=True)) for row in np.column_stack(columns).tolist()]
@@ -179,28 +161,10 @@ class CriticalSpeedResult:
             return f"below {self.sweep.speeds[0] * KMH:.0f} km/h (limit exceeded at the lowest speed)"
         first, last = self.sweep.speeds[[0, -1]] * KMH
         beyond = {-np.inf: f"below {first:.0f}", np.inf: f"above {last:.0f}"}
-        low, high = (beyond.get(v, f"{v:.0f}") for v in self._over_seeds(name))
+        low, high = (beyond.get(v, f"{v:.0f}") for v in self.criteria[name].over_seeds_kmh())
         spread = f" (80 % of the seeds: {low} to {high})"
-        grid = ", sensitive to the speed grid" if self.sensitivity[name].sensitive else ""
+        grid = ", sensitive to the speed grid" if self._sensitive(name) else ""
         return f"{c.speed * KMH:.0f} km/h{spread}{grid}"
-
-    def _over_seeds(self, name: str) -> tuple[float, float]:
-        """10 % and 90 % quantile over single seeds (km/h); infinite where they lie beyond the grid."""
-        single = [self.crossing(np.array([j]))[name] for j in range(len(self.sweep.seeds))]
-        beyond = {Crossing.BELOW_GRID: -np.inf, Crossing.NOT_REACHED: np.inf}
-        values = [beyond[c.crossing] if c.speed is None else c.speed * KMH for c in single]
-        low, high = np.quantile(values, (0.1, 0.9), method="nearest")
-        return float(low), float(high)
-
-    def _criteria(self) -> tuple[tuple[str, Array, float], ...]:
-        return (
-            ("acceleration", self.sweep.acceleration, self.limits.acceleration),
-            ("track_shift_force", self.sweep.track_shift, self.limits.track_shift_force),
-        )
-
-    @staticmethod
-    def _peak(values: Array, seeds: npt.NDArray[np.int64]) -> Array:
-        return np.asarray(np.median(values[:, seeds].max(axis=-1), axis=1))
 
     def _draw_trends(self, figure: Figure) -> None:
         title = f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}"
@@ -209,9 +173,7 @@ class CriticalSpeedResult:
     def _draw_history(self, figure: Figure) -> None:
         h = self.history
         (axes,) = panels(figure, 1, size=(8.0, 4.5))
-        axes.plot(h.time, h.filtered, color=SKY, linewidth=0.6, label="band-passed")
-        axes.plot(h.position / h.speed, h.rms, "x-", color=VERMILION, markersize=3, label="sliding RMS")
-        limit_line(axes, self.limits.acceleration, "limit")
+        draw_assessed(axes, h.time, h.filtered, h.position / h.speed, h.rms, self.limits.acceleration)
         limit_line(axes, -self.limits.acceleration)
         axes.set(
             xlabel="time (s)",
@@ -242,22 +204,9 @@ def draw_trends(
     *,
     track_shift: bool = True,
 ) -> None:
-    """Draw dominant frequency, track shift force and acceleration over speed, as in figure 10.
+    """Draw dominant frequency, track shift force and acceleration over speed, with the limits of EN 14363.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        An empty figure.
-    sweep : Sweep
-        Runs over speeds and seeds.
-    bounds : Limits
-        Limits of EN 14363, drawn as dashed lines.
-    wheelsets : sequence of str
-        Their names.
-    title : str
-        What the runs are of.
-    track_shift : bool
-        Whether the track shift force has a panel; without it, as in figure 11.
+    As figure 10 of the paper; without the track shift force as its figure 11.
     """
     shown = [
         (sweep.frequency, 1.0, "dominant frequency (Hz)", None),
@@ -301,21 +250,22 @@ class CreepLawComparison:
         return csv_table(_LAW_COLUMNS, self._rows())
 
     def _rows(self) -> list[dict[str, Any]]:
-        rows = []
-        for law, result in self.results.items():
-            for name, found in result.crossing().items():
-                kmh = None if found.speed is None else found.speed * KMH
-                values = (law, name, kmh, found.crossing.name.lower())
-                rows.append({c.name: v for c, v in zip(_LAW_COLUMNS, values, strict=True)})
-        return rows
+        return [
+            {
+                "creep_law": law,
+                "criterion": name,
+                "critical_speed_kmh": None if found.speed is None else found.speed * KMH,
+                "status": found.crossing.name.lower(),
+                "verdict": result.verdict(name),
+            }
+            for law, result in self.results.items()
+            for name, found in result.crossing().items()
+        ]
 
     def summary(self, console: Console, title: str, wide: bool = False) -> None:
         """Print the critical speeds by law."""
-        rows = [
-            row | {"verdict": self.results[row["creep_law"]].verdict(row["criterion"])}
-            for row in self._rows()
-        ]
-        print_table(console, title, (*_LAW_COLUMNS, Column("verdict", "critical speed")), rows, wide=wide)
+        columns = (*_LAW_COLUMNS, Column("verdict", "critical speed"))
+        print_table(console, title, columns, self._rows(), wide=wide)
 
 
 _LAW_COLUMNS = (
@@ -331,11 +281,6 @@ def default_speeds(wear: float) -> tuple[float, ...]:
     return NEW_SPEEDS if wear < HALF_WORN else WORN_SPEEDS
 
 
-def model_limits(model: VehicleModel) -> Limits:
-    """Limits of EN 14363 for a vehicle, from its axle load and the mass of its bogie."""
-    return limits(2.0 * float(np.max(model.multibody.wheel_load)), model.multibody.bogie_mass)
-
-
 def find_critical_speed(
     scenario: Scenario,
     speeds: Sequence[float] | None = None,
@@ -349,7 +294,6 @@ def find_critical_speed(
     Parameters
     ----------
     scenario : Scenario
-        The configuration.
     speeds : sequence of float, optional
         Speeds, m/s, rising; the paper's grid for the wear by default.
     seeds : sequence of int
@@ -385,14 +329,12 @@ def compare_laws(
 ) -> CreepLawComparison:
     """Critical speeds by several creep laws; parameters and errors as of `find_critical_speed`."""
     each = len(speeds) * len(seeds)
-    return CreepLawComparison(
-        {
-            law: _found(
-                with_law(scenario, law), speeds, seeds, context.part(i * each, len(creep_laws) * each)
-            )
-            for i, law in enumerate(creep_laws)
-        }
-    )
+    results = {}
+    for i, law in enumerate(creep_laws):
+        contact = scenario.contact.model_copy(update={"creep_law": law})
+        part = context.part(i * each, len(creep_laws) * each)
+        results[law] = _found(scenario.model_copy(update={"contact": contact}), speeds, seeds, part)
+    return CreepLawComparison(results)
 
 
 def _found(
@@ -433,9 +375,3 @@ def check_laws(laws: Sequence[str], option: str) -> None:
             raise ConfigError(f"{option} {law}: unknown creep law; expected {', '.join(LAWS)}")
         if laws.count(law) > 1:
             raise ConfigError(f"{option}: '{law}' is named twice")
-
-
-def with_law(scenario: Scenario, law: str) -> Scenario:
-    """Return the same scenario with another creep law."""
-    contact = scenario.contact.model_copy(update={"creep_law": law})
-    return scenario.model_copy(update={"contact": contact})

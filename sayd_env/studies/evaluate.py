@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -101,27 +102,32 @@ class EvaluateResult:
     scenario: Scenario
     rows: list[Row]
 
-    @property
+    @cached_property
     def policies(self) -> tuple[str, ...]:
         """Policies in the order in which they were asked for."""
         return tuple(dict.fromkeys(row.policy for row in self.rows))
 
-    @property
+    @cached_property
     def conditions(self) -> tuple[Condition, ...]:
         """Conditions in the order of wear, friction and speed."""
         return tuple(sorted({_condition(row) for row in self.rows}))
 
     def runs(self, policy: str, condition: Condition | None = None) -> list[Row]:
         """Runs of a policy, of one condition or of all."""
-        return [
-            row
-            for row in self.rows
-            if row.policy == policy and (condition is None or _condition(row) == condition)
-        ]
+        chosen = [row for row in self.rows if row.policy == policy]
+        return chosen if condition is None else [row for row in chosen if _condition(row) == condition]
 
-    def medians(self, policy: str, condition: Condition) -> dict[str, float]:
-        """Medians over the seeds; NaN for what a policy does not have."""
-        return _over(np.median, self.runs(policy, condition))
+    @cached_property
+    def medians(self) -> list[dict[str, Any]]:
+        """Medians over the seeds of each condition and policy, by `_MEDIANS`; NaN for what there is not."""
+        return [
+            {"policy": policy, "condition": condition, **condition._asdict()}
+            | _over(np.median, runs)
+            | {"derailed": _derailed(runs), "runs": len(runs)}
+            for condition in self.conditions
+            for policy in self.policies
+            if (runs := self.runs(policy, condition))
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd evaluate --json``."""
@@ -133,26 +139,14 @@ class EvaluateResult:
     def tables(self) -> dict[str, Table]:
         """All runs, and the medians over the seeds that the printed table shows."""
         runs = [Column(field.name) for field in fields(Row)]
-        return {"runs": csv_table(runs, self.rows), "medians": csv_table(_MEDIANS, self._medians())}
-
-    def _medians(self) -> list[dict[str, Any]]:
-        """Medians of each condition and policy, by `_MEDIANS`."""
-        return [
-            {"policy": policy, "condition": condition, **condition._asdict()}
-            | self.medians(policy, condition)
-            | {"derailed": self._derailed(policy, condition)}
-            for condition in self.conditions
-            for policy in self.policies
-        ]
+        return {"runs": csv_table(runs, self.rows), "medians": csv_table(_MEDIANS, self.medians)}
 
     def plots(self) -> dict[str, Plot]:
         """Cost, ratios, force and comfort over speed by policy, one picture for each wear and friction."""
         pairs = list(dict.fromkeys((c.wear, c.friction) for c in self.conditions))
-        if len(pairs) == 1:
-            return {"evaluate": lambda figure: self._draw(figure, *pairs[0])}
         return {
-            f"evaluate_wear_{wear:g}_friction_{friction:g}": (
-                lambda figure, pair=(wear, friction): self._draw(figure, *pair)  # type: ignore[misc]
+            "evaluate" if len(pairs) == 1 else f"evaluate_wear_{wear:g}_friction_{friction:g}": partial(
+                self._draw, wear=wear, friction=friction
             )
             for wear, friction in pairs
         }
@@ -160,46 +154,35 @@ class EvaluateResult:
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the medians over the seeds of each condition and policy, then each policy as a whole."""
         about = f"{self.scenario.vehicle.name}, medians of {len({row.seed for row in self.rows})} seeds"
-        medians = self._medians()
-        varied = {name for name in ("wear", "friction") if len({row[name] for row in medians}) > 1}
+        varied = {name for name in ("wear", "friction") if len({row[name] for row in self.medians}) > 1}
         who = [column if column.name not in varied else replace(column, wide=False) for column in _WHO]
         for title, columns in (
             ("cost (its terms unweighted), limits, comfort", _COST_COLUMNS),
             ("dampers and valves", _DAMPER_COLUMNS),
         ):
             found = [*who, *columns]
-            print_table(console, f"{about}: {title}", found, medians, wide=wide, section="condition")
+            print_table(console, f"{about}: {title}", found, self.medians, wide=wide, section="condition")
         policies = [
             {"policy": policy, "runs": len(self.runs(policy)), **self._summary(policy)}
             for policy in self.policies
         ]
         title = f"all {len(self.conditions)} conditions: means over the runs"
         print_table(console, title, _POLICY_COLUMNS, policies, wide=wide)
-        self._name_derailments(console)
-
-    def _name_derailments(self, console: Console) -> None:
-        for policy in self.policies:
-            for condition in self.conditions:
-                if lost := self._derailed(policy, condition):
-                    console.print(
-                        f"{DERAILED}: {policy} at {condition.speed_kmh:g} km/h, wear "
-                        f"{condition.wear:g}, friction {condition.friction:g}: {lost} of "
-                        f"{len(self.runs(policy, condition))} runs; they count with infinite ratios and with "
-                        "the environment's charge in J",
-                        markup=False,
-                        style="red",
-                    )
-
-    def _derailed(self, policy: str, condition: Condition | None = None) -> int:
-        return sum(row.ending is not None for row in self.runs(policy, condition))
+        for row in self.medians:
+            if row["derailed"]:
+                console.print(
+                    f"{DERAILED}: {row['policy']} at {row['speed_kmh']:g} km/h, wear {row['wear']:g}, "
+                    f"friction {row['friction']:g}: {row['derailed']} of {row['runs']} runs; they count with "
+                    "infinite ratios and with the environment's charge in J",
+                    markup=False,
+                    style="red",
+                )
 
     def _summary(self, policy: str) -> dict[str, float]:
         """Means over all runs; the largest median of either ratio; how many runs derailed."""
-        largest = max(
-            max(m[name] for name in RATIOS) for m in (self.medians(policy, c) for c in self.conditions)
-        )
-        means = _over(np.mean, self.runs(policy))
-        return means | {"largest_ratio": largest, "derailed": float(self._derailed(policy))}
+        largest = max(row[name] for row in self.medians if row["policy"] == policy for name in RATIOS)
+        runs = self.runs(policy)
+        return _over(np.mean, runs) | {"largest_ratio": largest, "derailed": float(_derailed(runs))}
 
     def _draw(self, figure: Figure, wear: float, friction: float) -> None:
         figure.suptitle(
@@ -222,13 +205,14 @@ class EvaluateResult:
 
     def _draw_policy(self, axis: Axes, policy: str, pair: tuple[float, float], column: Column) -> None:
         """Draw medians over speed with the seeds behind them; infinite values leave gaps."""
-        style, shown = policy_style(policy), [c for c in self.conditions if (c.wear, c.friction) == pair]
-        medians = [column.scale * self.medians(policy, c)[column.name] for c in shown]
-        speeds = [c.speed_kmh for c in shown]
-        axis.plot(speeds, _finite(medians), markersize=5, label=label(policy), **style.drawn)
-        runs = [(c.speed_kmh, column.of(row)) for c in shown for row in self.runs(policy, c)]
-        values = [math.nan if value is None else column.scale * value for _, value in runs]
-        axis.plot([speed for speed, _ in runs], _finite(values), ".", color=style.colour, markersize=2)
+        style = policy_style(policy)
+        medians = [r for r in self.medians if (r["policy"], r["wear"], r["friction"]) == (policy, *pair)]
+        values = [column.scale * row[column.name] for row in medians]
+        speeds = [row["speed_kmh"] for row in medians]
+        axis.plot(speeds, _finite(values), markersize=5, label=label(policy), **style.drawn)
+        runs = [run for run in self.runs(policy) if (run.wear, run.friction) == pair]
+        found = [math.nan if (value := column.of(run)) is None else column.scale * value for run in runs]
+        axis.plot([run.speed_kmh for run in runs], _finite(found), ".", color=style.colour, markersize=2)
 
 
 def _finite(values: Sequence[float]) -> Array:
@@ -253,11 +237,10 @@ def evaluate(
     Parameters
     ----------
     scenario : Scenario
-        The configuration.
     speeds : sequence of float
-        Speeds, m/s.
+        m/s.
     seeds : sequence of int
-        Track seeds, the same for every policy and condition.
+        Track seeds.
     policies : sequence of PolicySpec
         By default what the scenario's dampers do by themselves: passive ones, or semi-active ones at the
         constant current of their configuration.
@@ -277,16 +260,8 @@ def evaluate(
         A run that diverged.
     """
     specs = tuple(policies) or (own_policy(scenario),)
-    runs = list(
-        policy_runs(
-            specs,
-            conditions(scenario, wear, friction),
-            speeds,
-            seeds,
-            environment or load_environment(),
-            initial_current=initial_current,
-        )
-    )
+    chosen, laws = conditions(scenario, wear, friction), environment or load_environment()
+    runs = list(policy_runs(specs, chosen, speeds, seeds, laws, initial_current=initial_current))
     return EvaluateResult(scenario, rows(runs, context or RunContext()))
 
 
@@ -309,6 +284,10 @@ def with_reward(scenario: Scenario, reward: str) -> Scenario:
 
 def _condition(row: Row) -> Condition:
     return Condition(row.wear, row.friction, row.speed_kmh)
+
+
+def _derailed(runs: Sequence[Row]) -> int:
+    return sum(row.ending is not None for row in runs)
 
 
 def _over(statistic: Callable[[Any], Any], rows: Sequence[Row]) -> dict[str, float]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
-from itertools import islice, pairwise, product
-from typing import TYPE_CHECKING, Any, TypeAlias
+from itertools import pairwise, product
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -22,26 +22,14 @@ from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, heat_maps
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
-from sayd_env.runs.policies import PolicySpec, for_policy
-from sayd_env.runs.rollouts import Run, conditions, policy_runs
+from sayd_env.runs.policies import PAPER, PASSIVE, PolicySpec, for_policy
+from sayd_env.runs.rollouts import conditions, policy_runs
 from sayd_env.stability import Crossing, critical_speed
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
 
-POLICIES = ("passive", "mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
-WEAR = (0.0, 0.25, 0.5, 0.75, 1.0)
-FRICTION = (0.2, 0.3, 0.4, 0.5)
-SPEEDS = tuple(v / KMH for v in range(280, 441, 40))
-"""Grid on which the crossing is looked for, m/s; the middle of the interval that holds it is run, too."""
-CONDITION_SPEEDS = tuple(v / KMH for v in (300, 400))
-"""Speeds for which the best constant current is looked for, m/s."""
-OPENINGS = (0.05, 0.1, 0.15, 0.25, 0.4, 1.0)
-"""Constant currents tried everywhere besides 0, as shares of the valve's travel beyond its overlap.
-
-Dense where the valve is nearly closed, for there the damper's force changes most.
-"""
+POLICIES = (PASSIVE, *PAPER)
 DERAILED = 10.0
 """Ratio to a limit with which a derailed run counts, so that a crossing can be interpolated."""
 RATIO = {"acceleration": "acceleration_ratio", "track_shift_force": "track_shift_ratio"}
@@ -57,12 +45,17 @@ DIGITS = 6
 class MapGrid:
     """What the maps span."""
 
-    wear: tuple[float, ...] = WEAR
-    friction: tuple[float, ...] = FRICTION
-    speeds: tuple[float, ...] = SPEEDS
-    condition_speeds: tuple[float, ...] = CONDITION_SPEEDS
-    openings: tuple[float, ...] = OPENINGS
-    """Of the constant currents besides 0: shares of the valve's travel beyond its overlap."""
+    wear: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
+    friction: tuple[float, ...] = (0.2, 0.3, 0.4, 0.5)
+    speeds: tuple[float, ...] = tuple(v / KMH for v in range(280, 441, 40))
+    """On which the crossing is looked for, m/s; the middle of the interval that holds it is run, too."""
+    condition_speeds: tuple[float, ...] = (300 / KMH, 400 / KMH)
+    """For which the best constant current is looked for, m/s."""
+    openings: tuple[float, ...] = (0.05, 0.1, 0.15, 0.25, 0.4, 1.0)
+    """Constant currents tried everywhere besides 0, as shares of the valve's travel beyond its overlap.
+
+    Dense where the valve is nearly closed, for there the damper's force changes most.
+    """
     refinements: int = 1
     """How often the steps between the currents are halved around the best one."""
 
@@ -93,19 +86,17 @@ class Cell:
     @property
     def lowest(self) -> tuple[float | None, Crossing]:
         """The lower one of both, km/h."""
-        found = [c for c in self.by_criterion.values() if c[1] is not Crossing.NOT_REACHED]
-        return (
-            min(found, key=lambda c: -math.inf if c[0] is None else c[0])
-            if found
-            else (
-                None,
-                Crossing.NOT_REACHED,
-            )
-        )
+        found = [each for each in self.by_criterion.values() if each[1] is not Crossing.NOT_REACHED]
+        below_first = [-math.inf if kmh is None else kmh for kmh, _ in found]
+        return found[int(np.argmin(below_first))] if found else (None, Crossing.NOT_REACHED)
+
+    @property
+    def status(self) -> str:
+        """How the quantities run over the grid."""
+        return self.lowest[1].name.lower()
 
 
-@dataclass(frozen=True)
-class BestConstant:
+class BestConstant(NamedTuple):
     """Best constant current for one condition."""
 
     speed_kmh: float
@@ -135,8 +126,7 @@ BEST = (
     Column("J_open", "J open", digits=4),
 )
 """Of the table of best constant currents."""
-Shown: TypeAlias = tuple[float, str]
-"""A cell of a map: a number for its colour, and its text."""
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -162,16 +152,14 @@ class MapResult:
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd map --json``; tables are lists over wear of lists over friction."""
 
-        def table(policy: str, read: Callable[[Cell], Any]) -> list[list[Any]]:
-            return [
-                [read(self.cell(policy, wear, mu)) for mu in self.grid.friction] for wear in self.grid.wear
-            ]
+        def table(read: Callable[[Cell], Any]) -> dict[str, list[list[Any]]]:
+            return {p: self._over_grid(lambda *place, p=p: read(self.cell(p, *place))) for p in self.policies}
 
         return {
-            "critical_speed_kmh": {p: table(p, lambda c: c.lowest[0]) for p in self.policies},
-            "status": {p: table(p, lambda c: c.lowest[1].name.lower()) for p in self.policies},
+            "critical_speed_kmh": table(lambda cell: cell.lowest[0]),
+            "status": table(lambda cell: cell.status),
             "by_criterion": {
-                name: {p: table(p, lambda c, n=name: c.by_criterion[n][0]) for p in self.policies}  # type: ignore[misc]
+                name: table(lambda cell, name=name: cell.by_criterion[name][0])  # type: ignore[misc]
                 for name in CRITERIA
             },
             "wear": list(self.grid.wear),
@@ -184,8 +172,8 @@ class MapResult:
     def tables(self) -> dict[str, Table]:
         """Critical speeds and best currents, one line for each condition."""
         critical = [
-            {name: getattr(cell, name) for name in ("policy", "wear", "friction")}
-            | {"critical_speed_kmh": cell.lowest[0], "status": cell.lowest[1].name.lower()}
+            {"policy": cell.policy, "wear": cell.wear, "friction": cell.friction}
+            | {"critical_speed_kmh": cell.lowest[0], "status": cell.status}
             | {f"by_{name}_kmh": cell.by_criterion[name][0] for name in CRITERIA}
             for cell in self.cells
         ]
@@ -196,10 +184,8 @@ class MapResult:
 
     def plots(self) -> dict[str, Plot]:
         """Heat maps of the critical speed by policy, and of the best constant current by speed."""
-        plots: dict[str, Plot] = {"map_critical_speed": self._draw_critical}
-        if self.best:
-            plots["map_best_constant"] = self._draw_best
-        return plots
+        plots = {"map_critical_speed": self._critical_map()}
+        return plots | ({"map_best_constant": self._best_map()} if self.best else {})
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the critical speeds of all policies, then the best currents."""
@@ -224,7 +210,7 @@ class MapResult:
             return f"> {self.grid.speeds[-1] * KMH:.0f}"
         return f"< {self.grid.speeds[0] * KMH:.0f}" if kmh is None else f"{kmh:.0f}"
 
-    def _draw_critical(self, figure: Figure) -> None:
+    def _critical_map(self) -> Plot:
         ends = self.grid.speeds[0] * KMH, self.grid.speeds[-1] * KMH
 
         def cell(policy: str, wear: float, mu: float) -> tuple[float, str]:
@@ -232,29 +218,33 @@ class MapResult:
             shown = ends[crossing is Crossing.NOT_REACHED] if kmh is None else kmh
             return shown, self._verdict(kmh, crossing)
 
-        maps = {policy: self._over_grid(partial(cell, policy)) for policy in self.policies}
-        self._draw(figure, maps, "critical speed (km/h)", ends)
+        return self._map({policy: policy for policy in self.policies}, cell, "critical speed (km/h)", ends)
 
-    def _draw_best(self, figure: Figure) -> None:
-        found = {(e.speed_kmh, e.wear, e.friction): e for e in self.best}
+    def _best_map(self) -> Plot:
+        found = {entry[:3]: entry for entry in self.best}
 
         def cell(speed: float, wear: float, mu: float) -> tuple[float, str]:
-            entry = found[speed, wear, mu]
-            return entry.current, f"{entry.current:.2g}\nJ {entry.J:.3f}"
+            best = found[speed, wear, mu]
+            return best.current, f"{best.current:.2g}\nJ {best.J:.3f}"
 
-        speeds = sorted({e.speed_kmh for e in self.best})
-        maps = {f"{speed:.0f} km/h": self._over_grid(partial(cell, speed)) for speed in speeds}
-        self._draw(figure, maps, "best constant current", (0.0, 1.0))
+        speeds = sorted({entry.speed_kmh for entry in self.best})
+        titles = {f"{speed:.0f} km/h": speed for speed in speeds}
+        return self._map(titles, cell, "best constant current", (0.0, 1.0))
 
-    def _over_grid(self, cell: Callable[[float, float], Shown]) -> list[list[Shown]]:
-        return [[cell(wear, mu) for mu in self.grid.friction] for wear in self.grid.wear]
+    def _over_grid(self, read: Callable[[float, float], Value]) -> list[list[Value]]:
+        return [[read(wear, mu) for mu in self.grid.friction] for wear in self.grid.wear]
 
-    def _draw(
-        self, figure: Figure, maps: Mapping[str, list[list[Shown]]], values: str, span: tuple[float, float]
-    ) -> None:
-        heat_maps(
-            figure,
-            maps,
+    def _map(
+        self,
+        titles: Mapping[str, Any],
+        cell: Callable[[Any, float, float], tuple[float, str]],
+        values: str,
+        span: tuple[float, float],
+    ) -> Plot:
+        """Heat maps side by side of what `cell` reads for what each title stands for."""
+        return partial(
+            heat_maps,
+            maps={title: self._over_grid(partial(cell, which)) for title, which in titles.items()},
             x=("friction", [f"{mu:g}" for mu in self.grid.friction]),
             y=("wear", [f"{wear:g}" for wear in self.grid.wear]),
             values=values,
@@ -281,7 +271,7 @@ def stability_map(
     policies : sequence of PolicySpec
         Policies whose critical speeds are mapped.
     seeds : sequence of int
-        Track seeds, the same everywhere; medians over them are judged.
+        Track seeds; medians over them are judged.
     grid : MapGrid, optional
     best_constant : bool
         Whether the best constant current is looked for, too.
@@ -309,22 +299,20 @@ def stability_map(
     return MapResult(scenario, chosen, tuple(seeds), cells, best)
 
 
-Key = tuple[str, float, float, float]
-"""Policy, wear, friction, speed (m/s)."""
+Place = tuple[float, float, float]
+"""Speed (m/s), wear, friction."""
 
 
+@dataclass
 class _Study:
     """Runs of the maps: each once, whoever asks for it."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        seeds: tuple[int, ...],
-        environment: EnvironmentConfig,
-        context: RunContext,
-    ) -> None:
-        self.scenario, self.seeds, self.environment, self.context = scenario, seeds, environment, context
-        self._found: dict[Key, list[Row]] = {}
+    scenario: Scenario
+    seeds: tuple[int, ...]
+    environment: EnvironmentConfig
+    context: RunContext
+    found: dict[tuple[str, float, float], dict[float, list[Row]]] = field(default_factory=dict)
+    """By policy, wear and friction; by speed (m/s)."""
 
     def critical(self, policies: Sequence[PolicySpec], grid: MapGrid) -> list[Cell]:
         """Critical speeds on the grid and, where a limit is crossed, on it with the interval halved."""
@@ -333,27 +321,27 @@ class _Study:
         middles = [
             (spec, w, mu, middle)
             for spec, w, mu in places
-            for name in CRITERIA
-            if (middle := self._middle(spec.title, w, mu, name, grid.speeds)) is not None
+            for column in RATIO.values()
+            if (middle := _middle(self.found[spec.title, w, mu], grid.speeds, column)) is not None
         ]
         self._run(middles, "around the crossings")
-        return [
-            Cell(
-                *(spec.title, w, mu),
-                {
-                    name: self._crossing(spec.title, w, mu, name, self._speeds(spec.title, w, mu))
-                    for name in CRITERIA
-                },
-                {name: self._ratios(spec.title, w, mu, name) for name in CRITERIA},
-            )
-            for spec, w, mu in places
-        ]
+        return [self._cell(spec.title, w, mu) for spec, w, mu in places]
+
+    def _cell(self, policy: str, wear: float, friction: float) -> Cell:
+        runs = self.found[policy, wear, friction]
+        speeds = sorted(runs)
+        ratios = {
+            name: {round(v * KMH, DIGITS): tuple(getattr(run, column) for run in runs[v]) for v in speeds}
+            for name, column in RATIO.items()
+        }
+        crossings = {name: _crossing(runs, speeds, column) for name, column in RATIO.items()}
+        return Cell(policy, wear, friction, crossings, ratios)
 
     def best_constant(self, grid: MapGrid) -> list[BestConstant]:
         """Best constant currents: a grid, then halfway to the neighbours of the best one, and again."""
         closed = self._overlap()
-        places = list(product(grid.condition_speeds, grid.wear, grid.friction))
         nodes = {0.0, *(round(closed + (1.0 - closed) * share, DIGITS) for share in grid.openings)}
+        places = list(product(grid.condition_speeds, grid.wear, grid.friction))
         tried = {place: set(nodes) for place in places}
         self._run_currents(tried)
         for _ in range(grid.refinements):
@@ -369,23 +357,21 @@ class _Study:
         assert isinstance(damper, SaydDamperConfig)  # `for_policy` sees to it
         return overlap(damper.throttle)
 
-    def _best(self, place: tuple[float, float, float], currents: set[float]) -> BestConstant:
+    def _best(self, place: Place, currents: set[float]) -> BestConstant:
         on_line, off_line = (self._lowest(name, place, currents) for name in ("J", "J_offline"))
         ends = [self._cost("J", place, current) for current in (min(currents), max(currents))]
         speed, wear, friction = place
         return BestConstant(round(speed * KMH, 6), wear, friction, *on_line, *off_line, *ends)
 
-    def _lowest(
-        self, name: str, place: tuple[float, float, float], currents: Iterable[float]
-    ) -> tuple[float, float]:
+    def _lowest(self, name: str, place: Place, currents: Iterable[float]) -> tuple[float, float]:
         cost, current = min((self._cost(name, place, current), current) for current in currents)
         return current, cost
 
-    def _cost(self, name: str, place: tuple[float, float, float], current: float) -> float:
+    def _cost(self, name: str, place: Place, current: float) -> float:
         speed, wear, friction = place
-        return self._median(name, (_constant(current).title, wear, friction, speed))
+        return _median(name, self.found[_constant(current).title, wear, friction][speed])
 
-    def _run_currents(self, tried: Mapping[tuple[float, float, float], Iterable[float]]) -> None:
+    def _run_currents(self, tried: Mapping[Place, Iterable[float]]) -> None:
         cases = [
             (_constant(current), wear, mu, speed)
             for (speed, wear, mu), currents in tried.items()
@@ -393,50 +379,44 @@ class _Study:
         ]
         self._run(cases, "constant currents")
 
-    def _speeds(self, policy: str, wear: float, friction: float) -> list[float]:
-        return sorted(key[3] for key in self._found if key[:3] == (policy, wear, friction))
-
-    def _middle(
-        self, policy: str, wear: float, friction: float, name: str, speeds: Sequence[float]
-    ) -> float | None:
-        """Middle of the interval of the grid in which a quantity crosses its limit."""
-        kmh, _ = self._crossing(policy, wear, friction, name, speeds)
-        if kmh is None:
-            return None
-        i = min(int(np.searchsorted(speeds, kmh / KMH)), len(speeds) - 1)
-        return round(0.5 * (speeds[i - 1] + speeds[i]) * KMH, 6) / KMH
-
-    def _crossing(
-        self, policy: str, wear: float, friction: float, name: str, speeds: Sequence[float]
-    ) -> tuple[float | None, Crossing]:
-        ratios = [min(self._median(RATIO[name], (policy, wear, friction, v)), DERAILED) for v in speeds]
-        found = critical_speed(np.array(speeds), np.array(ratios), 1.0)
-        return None if found.speed is None else found.speed * KMH, found.crossing
-
-    def _ratios(self, policy: str, wear: float, friction: float, name: str) -> dict[float, tuple[float, ...]]:
-        return {
-            round(v * KMH, DIGITS): tuple(
-                getattr(run, RATIO[name]) for run in self._found[policy, wear, friction, v]
-            )
-            for v in self._speeds(policy, wear, friction)
-        }
-
-    def _median(self, name: str, key: Key) -> float:
-        return float(np.median([getattr(run, name) for run in self._found[key]]))
-
     def _run(self, cases: Iterable[tuple[PolicySpec, float, float, float]], what: str) -> None:
         """Run what has not been run before."""
         asked: dict[tuple[str, float, float], tuple[PolicySpec, dict[float, None]]] = {}
-        for spec, wear, friction, speed in cases:
-            if (spec.title, wear, friction, speed) not in self._found:
-                asked.setdefault((spec.title, wear, friction), (spec, {}))[1][speed] = None
-        runs: dict[Key, list[Run]] = {}
-        for (title, wear, friction), (spec, speeds) in asked.items():
-            scenarios = conditions(self.scenario, [wear], [friction])
-            for run in policy_runs([spec], scenarios, list(speeds), self.seeds, self.environment):
-                runs.setdefault((title, wear, friction, run.speed), []).append(run)
-        found = iter(rows([run for group in runs.values() for run in group], self.context, what))
-        self._found |= {key: list(islice(found, len(group))) for key, group in runs.items()}
+        for spec, wear, mu, speed in cases:
+            if speed not in self.found.get((spec.title, wear, mu), {}):
+                asked.setdefault((spec.title, wear, mu), (spec, {}))[1][speed] = None
+        runs = [
+            run
+            for (_, wear, mu), (spec, speeds) in asked.items()
+            for run in policy_runs(
+                [spec], conditions(self.scenario, [wear], [mu]), list(speeds), self.seeds, self.environment
+            )
+        ]
+        for run, row in zip(runs, rows(runs, self.context, what), strict=True):
+            place = run.policy.title, run.scenario.wear, run.scenario.friction
+            self.found.setdefault(place, {}).setdefault(run.speed, []).append(row)
+
+
+def _median(name: str, runs: Sequence[Row]) -> float:
+    return float(np.median([getattr(run, name) for run in runs]))
+
+
+def _crossing(
+    runs: Mapping[float, Sequence[Row]], speeds: Sequence[float], column: str
+) -> tuple[float | None, Crossing]:
+    """Critical speed (km/h) from the medians of a ratio at some of the speeds."""
+    ratios = [min(_median(column, runs[speed]), DERAILED) for speed in speeds]
+    found = critical_speed(np.array(speeds), np.array(ratios), 1.0)
+    return None if found.speed is None else found.speed * KMH, found.crossing
+
+
+def _middle(runs: Mapping[float, Sequence[Row]], speeds: Sequence[float], column: str) -> float | None:
+    """Middle of the interval of the grid in which a ratio passes 1, m/s."""
+    kmh, _ = _crossing(runs, speeds, column)
+    if kmh is None:
+        return None
+    i = min(int(np.searchsorted(speeds, kmh / KMH)), len(speeds) - 1)
+    return round(0.5 * (speeds[i - 1] + speeds[i]) * KMH, 6) / KMH
 
 
 def halfway(current: float, currents: Iterable[float], closed: float) -> list[float]:
@@ -452,6 +432,6 @@ def _constant(current: float) -> PolicySpec:
 
 
 def _best_dict(entry: BestConstant) -> dict[str, Any]:
-    content = asdict(entry)
+    content = entry._asdict()
     names = ("speed_kmh", "wear", "friction")
     return {"condition": {name: content.pop(name) for name in names}, **content}

@@ -175,7 +175,6 @@ def modes(
     amplitude : float
         Amplitude at which wheel-rail contact is harmonically linearised, m.
     progress : Progress
-        Told between the parts.
 
     Raises
     ------

@@ -86,13 +86,7 @@ def policies() -> PolicyList:
 
 
 def about(name: str) -> str:
-    """What a controller is: the first line of its file.
-
-    Parameters
-    ----------
-    name : str
-        One of `baselines.NAMES`.
-    """
+    """What one of `baselines.NAMES` is: the first line of its file."""
     if name == PASSIVE:  # it has no parameters, and no file
         return "Passive yaw dampers, which no command reaches."
     text = resources.files("sayd_env.configs").joinpath("control", f"{name}.yaml").read_text(encoding="utf-8")

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
 from sayd_env.config import ConfigError
@@ -37,14 +36,10 @@ if TYPE_CHECKING:
 HOLD = 1.0
 """How long the last picture of a run that ended early stays, s."""
 COLUMNS = (
-    "time_s",
-    "J",
-    "acceleration_rms_front_m_s2",
-    "acceleration_rms_rear_m_s2",
-    "force_rms_front_n",
-    "force_rms_rear_n",
-    "valve_front",
-    "valve_rear",
+    *("time_s", "J"),
+    *("acceleration_rms_front_m_s2", "acceleration_rms_rear_m_s2"),
+    *("force_rms_front_n", "force_rms_rear_n"),
+    *("valve_front", "valve_rear"),
 )
 
 
@@ -82,7 +77,6 @@ class RenderResult:
     friction: float
     rows: list[tuple[float | None, ...]] = field(default_factory=list)
     """One for each picture, by `COLUMNS`."""
-    pictures: int = 0
     seconds: float = 0.0
     """How long the vehicle ran, s."""
     cost: float = 0.0
@@ -91,6 +85,11 @@ class RenderResult:
     cost_force: float = 0.0
     faults: tuple[str, ...] = ()
     ending: str | None = None
+
+    @property
+    def pictures(self) -> int:
+        """Number of pictures."""
+        return len(self.rows)
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``--json``."""
@@ -155,11 +154,10 @@ def render(
     Parameters
     ----------
     film : Film
-        Policy, file, length and rate.
     scenario : Scenario
         The vehicle; it gets the yaw dampers that the policy needs.
     environment : EnvironmentConfig
-        Sensors, control period, and laws by which the episode is drawn.
+        Sensors, control period, and distributions by which the episode is drawn.
     seed : int
         Episode 0 of this seed is shown.
     speed : float, optional
@@ -175,9 +173,9 @@ def render(
         A file, policy, speed, length or rate that cannot be; pygame is missing.
     """
     environment = film.policy.environment(environment)
-    _check(film, environment.control_period)
-    fitted = for_policy(scenario, film.policy)
     period = environment.control_period
+    _check(film, period)
+    fitted = for_policy(scenario, film.policy)
     config = environment.model_copy(
         update={
             "damper": fitted.damper.type,
@@ -194,22 +192,14 @@ def render(
     batch.reset([0], [episode], listen=listens(policy))
     first = recorder.frame()
     result = RenderResult(film, episode.speed, seed, first.wear, first.friction)
-    pictures = _pictures(film, result, batch, policy, recorder, renderer, progress)
     from sayd_env.envs.rendering import colours  # noqa: PLC0415 - the renderer has loaded it
 
-    write_film(film.file, pictures, film.fps, colours())
+    write_film(film.file, _pictures(result, policy, recorder, renderer, progress), film.fps, colours())
     return result
 
 
 def fixed_laws(environment: EnvironmentConfig, names: Sequence[str]) -> EnvironmentConfig:
-    """Environment that leaves some quantities to the scenario.
-
-    Parameters
-    ----------
-    environment : EnvironmentConfig
-    names : sequence of str
-        Of ``wear``, ``friction`` and ``tracks``: those that are not drawn.
-    """
+    """Environment that draws no ``wear``, ``friction`` or ``tracks`` but leaves them to the scenario."""
     laws: dict[str, Any] = {name: () if name == "tracks" else None for name in names}
     drawn = environment.randomisation.model_copy(update=laws)
     return environment.model_copy(update={"randomisation": drawn})
@@ -240,15 +230,10 @@ def _renderer(recorder: Recorder, film: Film) -> Renderer:
 
 
 def _pictures(
-    film: Film,
-    result: RenderResult,
-    batch: EpisodeBatch,
-    policy: Any,
-    recorder: Recorder,
-    renderer: Renderer,
-    progress: Progress,
+    result: RenderResult, policy: Any, recorder: Recorder, renderer: Renderer, progress: Progress
 ) -> Iterator[Picture]:
     """Run the vehicle from picture to picture, and fill in the result on the way."""
+    film, batch = result.film, recorder.batch
     period = batch.config.control_period
     observation, shape = batch.observations(), (1, batch.interface.actions)
     state, start = first_state(policy, batch)
@@ -264,7 +249,6 @@ def _pictures(
             sums += squares(np.nan_to_num(batch.vehicles.terms[0], posinf=0.0))
         picture = renderer.draw()
         assert picture is not None  # the renderer has no window
-        result.pictures += 1
         result.rows.append(_row(recorder))
         progress(n + 1, film.pictures, f"{steps * period:.1f} s")
         yield picture
@@ -272,25 +256,15 @@ def _pictures(
             held += 1
             if held >= HOLD * film.fps:
                 break
-    _finish(result, recorder, steps * period, sums)
-
-
-def _finish(result: RenderResult, recorder: Recorder, seconds: float, sums: npt.NDArray[np.float64]) -> None:
-    frame = recorder.frame()
-    result.seconds = seconds
-    if seconds > 0.0:
-        result.cost_acceleration, result.cost_force = (float(value) for value in sums / seconds)
-    result.cost = weighted(recorder.batch.scenario.cost, result.cost_acceleration, result.cost_force)
+    frame, result.seconds = recorder.frame(), steps * period
+    if steps:
+        result.cost_acceleration, result.cost_force = (sums / result.seconds).tolist()
+    result.cost = weighted(batch.scenario.cost, result.cost_acceleration, result.cost_force)
     result.faults, result.ending = frame.faults, frame.ending
 
 
 def _row(recorder: Recorder) -> tuple[float | None, ...]:
     frame = recorder.frame()
-    valves = (None, None) if frame.valve is None else tuple(float(value) for value in frame.valve[-1])
-    return (
-        frame.time,
-        float(frame.cost[-1]),
-        *(float(value) for value in frame.acceleration[-1]),
-        *(float(value) for value in frame.force[-1]),
-        *valves,
-    )
+    valves = [None, None] if frame.valve is None else np.asarray(frame.valve[-1], dtype=float).tolist()
+    signals = (frame.cost[-1], *frame.acceleration[-1], *frame.force[-1])
+    return (frame.time, *(float(value) for value in signals), *valves)

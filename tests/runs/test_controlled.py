@@ -16,12 +16,12 @@ from sayd_env.config.assessment import AssessmentConfig, load_assessment
 from sayd_env.envs.loop import LOG
 from sayd_env.envs.rollout import Rollout
 from sayd_env.runs.controlled import (
-    SAYD_SPEEDS,
     ControlledRun,
     ControlledRuns,
     controlled_run_of,
     high_frequency_power,
 )
+from sayd_env.runs.passive import SAYD_SPEEDS
 
 SPEED = 100.0  # m/s: the assessed 5 km begin at 5 s and end at 55 s
 RATE = 1000

@@ -12,6 +12,7 @@ import pytest
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.scenario import Scenario
+from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.files import json_text
 from sayd_env.runs.context import RunContext
@@ -23,7 +24,6 @@ from sayd_env.studies.critical_speed import (
     History,
     default_speeds,
     find_critical_speed,
-    model_limits,
 )
 
 KMH = [320.0, 350.0, 370.0, 395.0, 420.0, 445.0]

@@ -12,10 +12,8 @@ from sayd_env.agents import pretrained
 from sayd_env.agents.policy_archive import file_digest
 from sayd_env.agents.policy_file import NAME, StoredPolicy
 from sayd_env.config import ConfigError
-from sayd_env.runs.policies import LEARNED, ForeignReader, PolicySpec, policy_spec, read_learned
+from sayd_env.runs.policies import LEARNED, PAPER, ForeignReader, PolicySpec, policy_spec, read_learned
 
-PAPER = ("mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
-"""The paper's controllers, as printed."""
 REFERENCES = ("passive", "mppt2")
 """What all others are compared with."""
 DEFAULT = ("passive", *PAPER, "mppt2-tuned", "constant-tuned")

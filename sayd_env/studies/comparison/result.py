@@ -11,7 +11,8 @@ import numpy as np
 from sayd_env.config.comparison import ComparisonConfig
 from sayd_env.config.fingerprint import fingerprint
 from sayd_env.config.units import Array
-from sayd_env.studies.comparison.entrants import PAPER, Entrant
+from sayd_env.runs.policies import PAPER
+from sayd_env.studies.comparison.entrants import Entrant
 from sayd_env.studies.comparison.grid import (
     FILTERS,
     OWN,

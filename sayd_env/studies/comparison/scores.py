@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from sayd_env.config.units import Array
+from sayd_env.runs.policies import PAPER
 from sayd_env.stability import Crossing
-from sayd_env.studies.comparison.entrants import PAPER, REFERENCES, Entrant
+from sayd_env.studies.comparison.entrants import REFERENCES, Entrant
 from sayd_env.studies.comparison.grid import Condition, Variant
 from sayd_env.studies.comparison.statistics import (
     Bootstrap,

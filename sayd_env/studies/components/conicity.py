@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sayd_env.config import ConfigError
-from sayd_env.config.contact import ContactConfig
 from sayd_env.config.palette import BLUE, CYCLE, GREY, VERMILION
 from sayd_env.config.units import Array
 from sayd_env.physics.contact.conicity import equivalent_conicity, harmonic_conicity, radius_difference
@@ -52,41 +51,27 @@ CURVE = (
 
 @dataclass(frozen=True)
 class ConicityResult:
-    """Conicity and rolling radii of a wheelset; SI units.
-
-    Attributes
-    ----------
-    wheel, rail : Profile
-        The profiles.
-    wear : float
-        State of wear, 0 new to 1 worn.
-    gauge : float
-        Track gauge (m).
-    amplitude : ndarray, shape (m,)
-        Amplitudes (m).
-    tan_gamma_e : ndarray, shape (m,)
-        Equivalent conicity of the rigid profiles, as EN 15302 defines it; NaN where no motion of that
-        amplitude passes through the centre.
-    tan_gamma_e_table : ndarray, shape (m,)
-        The same of the regularised contact, the table that a simulation uses.
-    harmonic : ndarray, shape (m,)
-        Conicity of the regularised contact by harmonic linearisation; it exists for every profile.
-    contact : RigidContact
-        Touching points of the rigid profiles.
-    table : ContactTable
-        The regularised table.
-    """
+    """Conicity and rolling radii of a wheelset; SI units."""
 
     wheel: Profile
     rail: Profile
     wear: float
+    """0 new to 1 worn."""
     gauge: float
+    """m."""
     amplitude: Array
+    """(m,) m."""
     tan_gamma_e: Array
+    """(m,) equivalent conicity of the rigid profiles, as EN 15302 defines it; NaN where no motion of that
+    amplitude passes through the centre."""
     tan_gamma_e_table: Array
+    """(m,) the same of the regularised contact, the table that a simulation uses."""
     harmonic: Array
+    """(m,) conicity of the regularised contact by harmonic linearisation; it exists for every profile."""
     contact: RigidContact
+    """Touching points of the rigid profiles."""
     table: ContactTable
+    """The regularised table."""
 
     def delta_r(self) -> tuple[Array, Array, Array]:
         """Lateral position, rigid and regularised difference of the rolling radii (m), every 0.1 mm."""
@@ -151,73 +136,32 @@ class ConicityResult:
 
 
 def conicity(scenario: Scenario, amplitudes: Array = AMPLITUDES) -> ConicityResult:
-    """Return the conicity of a scenario's wheels on its rails.
+    """Conicity of a scenario's wheels on its rails for amplitudes of the lateral motion (m).
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Profiles, wear, gauge and contact settings are taken from it.
-    amplitudes : ndarray, shape (m,)
-        Amplitudes of the lateral motion (m).
+    The range of the lateral position is the half width of the contact table, which is pressed by the static
+    wheel load.
 
     Raises
     ------
     ConfigError, DataError
         A profile that cannot be used, or an amplitude beyond the contact table.
     """
-    return pair_conicity(
-        wheel_profile(scenario.wheel, scenario.wear),
-        rail_profile(scenario.rail),
-        scenario.track.gauge,
-        contact=scenario.contact,
-        wheel_radius=scenario.vehicle.wheel_radius,
-        load=table_load(assemble(scenario.vehicle, scenario.track.section).wheel_load),
-        wear=scenario.wear,
-        amplitudes=amplitudes,
-    )
-
-
-def pair_conicity(
-    wheel: Profile,
-    rail: Profile,
-    gauge: float,
-    *,
-    contact: ContactConfig,
-    wheel_radius: float,
-    load: float,
-    wear: float = 0.0,
-    amplitudes: Array = AMPLITUDES,
-) -> ConicityResult:
-    """Return the conicity of two profiles.
-
-    Parameters
-    ----------
-    wheel, rail : Profile
-        Sampled profiles.
-    gauge, wheel_radius : float
-        Track gauge and rolling radius at the tape circle (m).
-    contact : ContactConfig
-        Contact settings; the table's half width is the range of the lateral position.
-    load : float
-        Static wheel load (N), under which the regularised contact is pressed.
-    wear : float
-        The wheel profile's state of wear, for the record.
-    amplitudes : ndarray, shape (m,)
-        Amplitudes of the lateral motion (m).
-    """
+    contact, gauge = scenario.contact, scenario.track.gauge
     if np.max(amplitudes) > contact.table_half_width:
         raise ConfigError(
             f"contact.table_half_width: found {contact.table_half_width:g} m, amplitudes up to "
             f"{np.max(amplitudes):g} m are asked for"
         )
+    wheel, rail = wheel_profile(scenario.wheel, scenario.wear), rail_profile(scenario.rail)
+    load = table_load(assemble(scenario.vehicle, scenario.track.section).wheel_load)
     rigid = rigid_contact(wheel, rail, gauge, contact.table_half_width)
-    table = contact_table(wheel, rail, gauge, contact, wheel_radius, load)
+    table = contact_table(wheel, rail, gauge, contact, scenario.vehicle.wheel_radius, load)
     y, delta_r = radius_difference(rigid)
     table_y, table_delta_r = radius_difference(table)
     return ConicityResult(
         wheel=wheel,
         rail=rail,
-        wear=wear,
+        wear=scenario.wear,
         gauge=gauge,
         amplitude=np.asarray(amplitudes, dtype=float),
         tan_gamma_e=equivalent_conicity(y, delta_r, amplitudes),
@@ -229,15 +173,7 @@ def pair_conicity(
 
 
 def plot_conicity(figure: Figure, results: Sequence[ConicityResult]) -> None:
-    """Draw profiles in contact with their contact lines, conicity and rolling radii of one or more wheels.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        An empty figure.
-    results : sequence of ConicityResult
-        Curves to compare; each gets a panel of profiles.
-    """
+    """Draw profiles in contact with their contact lines, and conicity and rolling radii of all wheels."""
     figure.set_size_inches(10.0, 3.2 * (1 + len(results)))
     grid = figure.add_gridspec(1 + len(results), 2)
     for row, result in enumerate(results):
@@ -278,26 +214,24 @@ _WAYS = {"rigid": "-", "regularised (simulated)": "--", "regularised, harmonic":
 
 
 def _draw_curves(axes: Axes, results: Sequence[ConicityResult]) -> None:
-    for number, result in enumerate(results):
-        curves = (result.tan_gamma_e, result.tan_gamma_e_table, result.harmonic)
-        _draw_ways(axes, number, result, result.amplitude, curves, 1.0)
+    for i, each in enumerate(results):
+        curves = (each.tan_gamma_e, each.tan_gamma_e_table, each.harmonic)
+        _draw_ways(axes, i, each, each.amplitude, curves)
     axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)", title="by EN 15302")
 
 
 def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
-    for number, result in enumerate(results):
-        y, rigid, soft = result.delta_r()
+    for i, each in enumerate(results):
+        y, *radii = each.delta_r()
         near = np.abs(y) <= _CONTACT_LINES_REACH
-        _draw_ways(axes, number, result, y[near], (rigid[near], soft[near]), _MILLI)
+        _draw_ways(axes, i, each, y[near], [radius[near] * _MILLI for radius in radii])
     axes.set(xlabel="lateral position (mm)", ylabel="difference of rolling radii (mm)")
 
 
-def _draw_ways(
-    axes: Axes, number: int, result: ConicityResult, x: Array, curves: Sequence[Array], scale: float
-) -> None:
+def _draw_ways(axes: Axes, number: int, result: ConicityResult, x: Array, curves: Sequence[Array]) -> None:
     """Draw a wheel's curves by each contact in the wheel's colour."""
     for (way, line), values in zip(_WAYS.items(), curves, strict=False):
         named = f"{_label(result)}: {way}"
-        axes.plot(x * _MILLI, values * scale, CYCLE[number % len(CYCLE)], linestyle=line, label=named)
+        axes.plot(x * _MILLI, values, CYCLE[number % len(CYCLE)], linestyle=line, label=named)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7)

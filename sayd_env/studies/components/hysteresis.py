@@ -125,6 +125,15 @@ class Field:
             "force_n": self.force.tolist(),
         }
 
+    def table(self) -> Table:
+        """Every point."""
+        points = [
+            (current, v, f)
+            for current, forces in zip(self.current, self.force, strict=True)
+            for v, f in zip(self.velocity, forces, strict=True)
+        ]
+        return ("current", "velocity_m_per_s", "force_n"), points
+
 
 @dataclass(frozen=True)
 class HysteresisResult:
@@ -138,7 +147,7 @@ class HysteresisResult:
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``--json``."""
         field = {} if self.field is None else {"field": self.field.as_dict()}
-        return {"damper": self.damper.name, "loops": [loop.row() for loop in self.loops], **field}
+        return {"damper": self.damper.name, "loops": self._rows(), **field}
 
     def tables(self) -> dict[str, Table]:
         """Return the figures of the loops, and the loops themselves."""
@@ -149,18 +158,11 @@ class HysteresisResult:
             for x, f in zip(loop.cycle.elongation[::every], loop.cycle.force[::every], strict=True)
         ]
         header = ("amplitude_mm", "frequency_hz", "current", "displacement_mm", "force_n")
-        tables: dict[str, Table] = {
-            "figures": csv_table(COLUMNS, [loop.row() for loop in self.loops]),
+        return {
+            "figures": csv_table(COLUMNS, self._rows()),
             "loops": (header, samples),
+            **({} if self.field is None else {"field": self.field.table()}),
         }
-        if self.field is not None:
-            points = [
-                (current, v, f)
-                for current, forces in zip(self.field.current, self.field.force, strict=True)
-                for v, f in zip(self.field.velocity, forces, strict=True)
-            ]
-            tables["field"] = (("current", "velocity_m_per_s", "force_n"), points)
-        return tables
 
     def plots(self) -> dict[str, Plot]:
         """Return the loops (figure 3 of the paper) and the force-velocity curve (figure 2)."""
@@ -168,14 +170,18 @@ class HysteresisResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the figures of the loops."""
-        rows = [loop.row() for loop in self.loops]
-        print_table(console, f"damper {self.damper.name}", COLUMNS, rows, wide=wide, section="amplitude_mm")
+        title = f"damper {self.damper.name}"
+        print_table(console, title, COLUMNS, self._rows(), wide=wide, section="amplitude_mm")
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [loop.row() for loop in self.loops]
 
     def _draw_loops(self, figure: Figure) -> None:
         """Draw a panel for each amplitude and current: currents side by side, amplitudes below each other."""
-        currents = list(dict.fromkeys(loop.current for loop in self.loops))
-        amplitudes = list(dict.fromkeys(loop.amplitude for loop in self.loops))
-        frequencies = list(dict.fromkeys(loop.frequency for loop in self.loops))
+        currents, amplitudes, frequencies = (
+            list(dict.fromkeys(getattr(loop, name) for loop in self.loops))
+            for name in ("current", "amplitude", "frequency")
+        )
         places = list(product(amplitudes, currents))
         across = len(currents) if len(currents) > 1 else min(3, len(amplitudes))
         axes = panels(figure, len(places), across, (3.6, 3.0), sharey=True)
@@ -227,7 +233,6 @@ def hysteresis(
     currents : sequence of float, optional
         Valve currents of a semi-active damper, 0 to 1; `CURRENTS` by default.
     progress : Progress
-        Told after each motion.
 
     Raises
     ------
@@ -243,13 +248,10 @@ def hysteresis(
     for current in chosen:
         if not 0.0 <= current <= 1.0:
             raise ConfigError(f"current {current:g}: expected a number from 0 to 1")
-    grid = [(amplitude, frequency) for amplitude in amplitudes for frequency in frequencies]
+    grid = list(product(amplitudes, frequencies))
     loops: list[Loop] = []
     for done, (amplitude, frequency) in enumerate(grid, start=1):
-        if isinstance(damper, PassiveDamperConfig):
-            loops.append(_passive_loop(damper, amplitude, frequency))
-        else:
-            loops += _sayd_loops(damper, amplitude, frequency, chosen)
+        loops += _loops(damper, amplitude, frequency, chosen)
         progress(done, len(grid))
     if isinstance(damper, PassiveDamperConfig):
         return HysteresisResult(damper, tuple(loops), None)
@@ -257,19 +259,20 @@ def hysteresis(
     return HysteresisResult(damper, tuple(loops), Field(chosen, _FIELD_VELOCITIES, force))
 
 
-def _passive_loop(damper: PassiveDamperConfig, amplitude: float, frequency: float) -> Loop:
-    cycle = steady_cycle(damper, amplitude, frequency, _POINTS)
-    limit = curve_force(damper, 2.0 * math.pi * frequency * amplitude)
-    return Loop(amplitude, frequency, None, cycle, limit)
-
-
-def _sayd_loops(
-    damper: SaydDamperConfig, amplitude: float, frequency: float, currents: tuple[float, ...]
+def _loops(
+    damper: PassiveDamperConfig | SaydDamperConfig,
+    amplitude: float,
+    frequency: float,
+    currents: tuple[float, ...],
 ) -> list[Loop]:
+    """A passive damper's loop, or one for each current."""
+    velocity = 2.0 * math.pi * frequency * amplitude
+    if isinstance(damper, PassiveDamperConfig):
+        cycle = steady_cycle(damper, amplitude, frequency, _POINTS)
+        return [Loop(amplitude, frequency, None, cycle, curve_force(damper, velocity))]
     cycles = steady_sayd_cycles(damper, amplitude, frequency, currents, _POINTS)
-    limits = steady_force(damper, 2.0 * math.pi * frequency * amplitude, np.array(currents))
-    triples = zip(currents, cycles, limits, strict=True)
-    return [Loop(amplitude, frequency, i, cycle, float(limit)) for i, cycle, limit in triples]
+    limits = steady_force(damper, velocity, np.array(currents)).tolist()
+    return [Loop(amplitude, frequency, *each) for each in zip(currents, cycles, limits, strict=True)]
 
 
 def curve_force(damper: PassiveDamperConfig, velocity: float) -> float:

@@ -8,7 +8,7 @@ the median over the seeds passes and at least 80 % of 1,000 bootstraps over the 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -39,10 +39,6 @@ class Claim:
     """Share of the seeds, or of the bootstraps, that pass."""
     holds: bool
 
-    def as_dict(self) -> dict[str, object]:
-        """Keys of ``sayd reproduce --json``."""
-        return asdict(self)
-
 
 CLAIMS = (
     Column("id", "row"),
@@ -60,78 +56,29 @@ def spread(values: Array, unit: str = "", digits: int = 2) -> str:
     return f"{middle}{unit and ' ' + unit} ({low} to {high})"
 
 
-def within(low: float, high: float) -> Callable[[float], bool]:
-    """Whether a value lies between two bounds, both included; NaN does not."""
-    return lambda value: low <= value <= high
-
-
-def once(id_: str, expected: str, measured: str, holds: bool) -> Claim:
-    """Judge a row without randomness."""
-    return Claim(id_, "once", expected, measured, float(holds), holds)
-
-
-def by_seed(id_: str, expected: str, passed: Flags, measured: str) -> Claim:
-    """Judge a row that each seed passes or not.
-
-    Parameters
-    ----------
-    id_, expected : str
-        Name of the row and what the paper says.
-    passed : ndarray of bool, shape (seeds,)
-        Which seeds pass.
-    measured : str
-        What came out, see `spread`.
-    """
-    fraction = float(np.mean(passed))
-    return Claim(id_, "seed", expected, measured, fraction, fraction >= SHARE)
-
-
-def by_median(
-    id_: str,
-    expected: str,
-    unit: str,
-    count: int,
-    statistic: Callable[[Seeds], float],
-    passes: Callable[[float], bool],
-    also: Callable[[Seeds], bool] = lambda seeds: True,
-    note: str = "",
-) -> Claim:
-    """Judge a row by a number that comes from all seeds together.
-
-    Parameters
-    ----------
-    id_, expected : str
-        Name of the row and what the paper says.
-    unit : str
-        Unit of the number.
-    count : int
-        Number of seeds.
-    statistic : callable
-        The number from a selection of seeds; NaN where there is none.
-    passes : callable
-        Whether a number passes.
-    also : callable
-        A further condition on a selection of seeds.
-    note : str
-        What to add to the measured number.
-    """
-    draws, everything = bootstraps(count), np.arange(count)
-    values = np.array([statistic(seeds) for seeds in draws])
+def bootstrapped(statistic: Callable[[Seeds], float], count: int, unit: str) -> str:
+    """A number that comes from all seeds together, with its 80 % interval of bootstraps; NaN is left out."""
+    values = np.array([statistic(seeds) for seeds in bootstraps(count)])
     finite = values[np.isfinite(values)]
     low, high = np.quantile(finite, (0.1, 0.9)) if finite.size else (np.nan, np.nan)
     digits = 0 if unit == "km/h" else 3
-    measured = (
-        f"{statistic(everything):.{digits}f} {unit} (bootstraps {low:.{digits}f} to {high:.{digits}f}){note}"
-    )
-    fraction = float(np.mean([passes(v) and also(s) for v, s in zip(values, draws, strict=True)]))
-    holds = bool(passes(statistic(everything)) and also(everything) and fraction >= SHARE)
-    return Claim(id_, "median", expected, measured, fraction, holds)
+    middle = statistic(np.arange(count))
+    return f"{middle:.{digits}f} {unit} (bootstraps {low:.{digits}f} to {high:.{digits}f})"
 
 
-def by_selection(
-    id_: str, expected: str, measured: str, count: int, passes: Callable[[Seeds], bool]
-) -> Claim:
-    """Judge a row by medians that make more than one number: `passes` decides on a selection of seeds."""
+def by_seed(id_: str, expected: str, passed: Flags, measured: str, by: str = "seed") -> Claim:
+    """Judge a row that each seed passes or not."""
+    fraction = float(np.mean(passed))
+    return Claim(id_, by, expected, measured, fraction, fraction >= SHARE)
+
+
+def once(id_: str, expected: str, holds: bool, measured: str) -> Claim:
+    """Judge a row without randomness."""
+    return by_seed(id_, expected, np.array([holds]), measured, "once")
+
+
+def by_median(id_: str, expected: str, count: int, passes: Callable[[Seeds], bool], measured: str) -> Claim:
+    """Judge a row by medians over the seeds: `passes` decides on a selection of them."""
     fraction = float(np.mean([passes(seeds) for seeds in bootstraps(count)]))
     holds = bool(passes(np.arange(count)) and fraction >= SHARE)
     return Claim(id_, "median", expected, measured, fraction, holds)

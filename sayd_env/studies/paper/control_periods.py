@@ -2,76 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, TypeAlias
 
 from sayd_env.config import ConfigError, validate
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Table, csv_table
+from sayd_env.report.columns import Column
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.controlled import controlled_runs, controlled_specs
+from sayd_env.runs.controlled import controlled_runs
 from sayd_env.studies.paper.claims import Claim
 from sayd_env.studies.paper.controlled_claims import skyhook_claims, skyhook_runs
 
-PERIODS = (0.002, 0.005, 0.01)
-"""s."""
+PeriodClaims: TypeAlias = Mapping[float, list[Claim]]
+"""Rows S1 to S6 by control period (s)."""
+COLUMNS = [Column(name) for name in ("id", "control_period_s", "expected", "measured", "fraction", "holds")]
 
 
-@dataclass(frozen=True)
-class PeriodSensitivity:
-    """Rows S1 to S6 at each control period."""
-
-    claims: dict[float, list[Claim]]
-    """By control period (s)."""
-
-    @property
-    def rows(self) -> tuple[str, ...]:
-        """Names of the rows."""
-        return tuple(dict.fromkeys(claim.id for claims in self.claims.values() for claim in claims))
-
-    def claim(self, row: str, period: float) -> Claim:
-        """Verdict on a row at a control period (s)."""
-        return next(claim for claim in self.claims[period] if claim.id == row)
-
-    def as_dict(self) -> list[dict[str, Any]]:
-        """One entry for each row and period."""
-        return [
-            {"control_period_s": period, **self.claim(row, period).as_dict()}
-            for row in self.rows
-            for period in self.claims
-        ]
-
-    def table(self) -> Table:
-        """Row, control period, what is expected and measured, share of the seeds, whether it holds."""
-        names = ("id", "control_period_s", "expected", "measured", "fraction", "holds")
-        return csv_table([Column(name) for name in names], self.as_dict())
+def period_rows(claims: PeriodClaims) -> list[dict[str, Any]]:
+    """One entry for each row and period."""
+    return [
+        {"control_period_s": period, **asdict(claim)}
+        for same_row in zip(*claims.values(), strict=True)
+        for period, claim in zip(claims, same_row, strict=True)
+    ]
 
 
-def period_sensitivity(
+def period_claims(
     scenario: Scenario,
-    seeds: Sequence[int] = range(10),
-    periods: Sequence[float] = PERIODS,
+    seeds: Sequence[int],
+    periods: Sequence[float],
     *,
     environment: EnvironmentConfig | None = None,
     context: RunContext | None = None,
-) -> PeriodSensitivity:
-    """Judge rows S1 to S6 with controllers that act at several periods.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The configuration, on worn wheels.
-    seeds : sequence of int
-        Track seeds, the same at each period.
-    periods : sequence of float
-        Control periods (s), different ones.
-    environment : EnvironmentConfig, optional
-        Sensors of the controllers; those of ``nominal`` by default.
-    context : RunContext, optional
+) -> PeriodClaims:
+    """Judge rows S1 to S6 on worn wheels with controllers that act at several periods (s).
 
     Raises
     ------
@@ -87,9 +55,10 @@ def period_sensitivity(
     claims: dict[float, list[Claim]] = {}
     for number, (period, config) in enumerate(zip(periods, configs, strict=True)):
         part = context.part(number * each, len(periods) * each, f"control period {1e3 * period:g} ms")
-        specs = controlled_specs(scenario, config, seeds, skyhook_runs())
-        claims[period] = skyhook_claims(controlled_runs(specs, part), limits)
-    return PeriodSensitivity(claims)
+        claims[period] = skyhook_claims(
+            controlled_runs(scenario, config, seeds, skyhook_runs(), part), limits
+        )
+    return claims
 
 
 def environments_at(periods: Sequence[float], base: EnvironmentConfig) -> list[EnvironmentConfig]:

@@ -28,19 +28,10 @@ _COLOURS = {CLOSED: BLUE, OPEN: VERMILION}
 def controlled_plots(runs: ControlledRuns, limits: Limits, wheelsets: Sequence[str]) -> dict[str, Plot]:
     """Counterparts of figures 11 to 18, by file name; histories are those of the first seed.
 
-    Parameters
-    ----------
-    runs : ControlledRuns
-        All of `claims_controlled.required_runs`.
-    limits : Limits
-        Limits of EN 14363.
-    wheelsets : sequence of str
-        Their names.
-
     Raises
     ------
     ValueError
-        A run is missing.
+        One of `required_runs` is missing.
     """
 
     def trends(policy: str, title: str, *, track_shift: bool) -> Plot:
@@ -72,14 +63,7 @@ def controlled_plots(runs: ControlledRuns, limits: Limits, wheelsets: Sequence[s
 def draw_starts(figure: Figure, runs: Sequence[ControlledRun], title: str) -> None:
     """Draw rear command and force of one rear damper of runs with different first commands (figure 12).
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        An empty figure.
-    runs : sequence of ControlledRun
-        The last one is drawn in front in the upper panel, the first one in the lower.
-    title : str
-        What the runs are of.
+    The last run is drawn in front in the upper panel, the first one in the lower.
     """
     top, bottom = panels(figure, 2, size=(8.0, 3.0), sharex=True)
     for run in runs:
@@ -92,17 +76,7 @@ def draw_starts(figure: Figure, runs: Sequence[ControlledRun], title: str) -> No
 
 
 def draw_switching(figure: Figure, run: ControlledRun, title: str) -> None:
-    """Draw rear command and force of one rear damper, the whole and a detail of two seconds (figure 16).
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        An empty figure.
-    run : ControlledRun
-        What to draw.
-    title : str
-        What the run is of.
-    """
+    """Draw rear command and force of one rear damper, the whole and a detail of two seconds (figure 16)."""
     axes = panels(figure, 4, 2, (5.0, 3.0), sharex="col", sharey="row", width_ratios=(3, 2))
     for command, force, span in zip(axes[:2], axes[2:], ((0.0, _SHOWN), ZOOM), strict=True):
         _draw_command(command, run)

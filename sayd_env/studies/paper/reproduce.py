@@ -11,39 +11,35 @@ from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario
+from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics import sayd
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Table, csv_table, print_table
+from sayd_env.report.columns import Table, csv_table, json_rows, print_table
 from sayd_env.report.figures import Plot
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.controlled import ControlledRuns, controlled_runs, controlled_specs
-from sayd_env.runs.passive import Sweep, runs_table, sweep
+from sayd_env.runs.controlled import ControlledRuns, controlled_runs
+from sayd_env.runs.passive import LAW_SPEEDS, NEW_SPEEDS, WORN_SPEEDS, Sweep, runs_table, sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.components.conicity import conicity, plot_conicity
 from sayd_env.studies.components.hysteresis import HysteresisResult, hysteresis
 from sayd_env.studies.critical_speed import (
-    LAW_SPEEDS,
     CreepLawComparison,
     check_laws,
     compare_laws,
     draw_trends,
-    model_limits,
     wheelset_names,
 )
+from sayd_env.studies.paper import control_periods as periods
 from sayd_env.studies.paper.claims import CLAIMS, Claim, once
-from sayd_env.studies.paper.control_periods import PeriodSensitivity, environments_at, period_sensitivity
 from sayd_env.studies.paper.controlled_claims import controlled_claims, required_runs, skyhook_runs
 from sayd_env.studies.paper.figures import controlled_plots
 from sayd_env.studies.paper.page import reproduce_page
-from sayd_env.studies.paper.passive_claims import NEW_SPEEDS, WORN_SPEEDS, passive_claims
+from sayd_env.studies.paper.passive_claims import passive_claims
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-DEGREES_OF_FREEDOM = 62
-YAW_DAMPERS = 8
-SAYD_STATES = 6
 ROWS = (
     *(f"P{i}" for i in range(1, 12)),
     *(f"M{i}" for i in range(1, 10)),
@@ -69,7 +65,7 @@ class ReproduceResult:
     loops: HysteresisResult
     controlled: ControlledRuns
     """Runs with semi-active dampers."""
-    sensitivity: PeriodSensitivity | None = None
+    by_period: periods.PeriodClaims = field(default_factory=dict)
     """Rows S1 to S6 at other control periods."""
     creep_laws: Mapping[str, CreepLawComparison] = field(default_factory=dict)
     """Critical speeds on new and on worn wheels by creep law."""
@@ -81,23 +77,23 @@ class ReproduceResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd reproduce --json``."""
-        periods = {} if self.sensitivity is None else {"control_periods": self.sensitivity.as_dict()}
         laws = {wheels: found.as_dict() for wheels, found in self.creep_laws.items()}
         return {
-            "claims": [c.as_dict() for c in self.claims],
+            "claims": json_rows(CLAIMS, self.claims),
             "seeds": list(self.new.seeds),
-            **periods,
+            **({"control_periods": periods.period_rows(self.by_period)} if self.by_period else {}),
             **({"by_creep_law": laws} if laws else {}),
         }
 
     def tables(self) -> dict[str, Table]:
         """Claims, and every run."""
+        by_period = csv_table(periods.COLUMNS, periods.period_rows(self.by_period))
         return {
             "claims": csv_table(CLAIMS, self.claims),
             "runs_new": runs_table(self.new, self.wheelsets),
             "runs_worn": runs_table(self.worn, self.wheelsets),
             **self.controlled.tables(self.wheelsets),
-            **({} if self.sensitivity is None else {"control_periods": self.sensitivity.table()}),
+            **({"control_periods": by_period} if self.by_period else {}),
             **{f"creep_laws_{wheels}": found.table() for wheels, found in self.creep_laws.items()},
         }
 
@@ -107,8 +103,8 @@ class ReproduceResult:
         return {
             "figure_01_conicity": self._draw_conicity,
             **{f"figure_{'02' if name == 'curve' else '03'}_{name}": draw for name, draw in loops.items()},
-            "figure_08_new_wheels": lambda f: self._draw_sweep(f, self.new, "new wheels"),
-            "figure_10_worn_wheels": lambda f: self._draw_sweep(f, self.worn, "worn wheels"),
+            "figure_08_new_wheels": self._trends(self.new, "new wheels"),
+            "figure_10_worn_wheels": self._trends(self.worn, "worn wheels"),
             **controlled_plots(self.controlled, self.limits, self.wheelsets),
         }
 
@@ -120,7 +116,7 @@ class ReproduceResult:
         """Print the table of claims."""
         title = f"what the paper shows, on {len(self.new.seeds)} track seeds"
         print_table(console, title, CLAIMS, self.claims, wide=wide)
-        for period, claims in () if self.sensitivity is None else self.sensitivity.claims.items():
+        for period, claims in self.by_period.items():
             title = f"rows S1 to S6 with a control period of {1e3 * period:g} ms"
             print_table(console, title, CLAIMS, claims, wide=wide)
         for wheels, found in self.creep_laws.items():
@@ -133,8 +129,9 @@ class ReproduceResult:
             + (f"; not: {', '.join(self.failed)}" if self.failed else "")
         )
 
-    def _draw_sweep(self, figure: Figure, grid: Sweep, title: str) -> None:
-        draw_trends(figure, grid, self.limits, self.wheelsets, f"passive yaw dampers, {title}")
+    def _trends(self, runs: Sweep, wheels: str) -> Plot:
+        title = f"passive yaw dampers, {wheels}"
+        return lambda figure: draw_trends(figure, runs, self.limits, self.wheelsets, title)
 
     def _draw_conicity(self, figure: Figure) -> None:
         ends = [self.scenario.model_copy(update={"wear": wear}) for wear in (0.0, 1.0)]
@@ -179,46 +176,47 @@ def reproduce(
         raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
     laws = environment or load_environment()
     if control_periods:
-        environments_at(control_periods, laws)  # refused before any work
+        periods.environments_at(control_periods, laws)  # refused before any work
     check_laws(creep_laws, "creep laws")
-    context = context or RunContext()
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
-    new_wheels, worn_wheels = (model.scenario for model in models)
-    specs = controlled_specs(worn_wheels, laws, seeds, required_runs())
-    sizes = {
-        "new": len(seeds) * len(NEW_SPEEDS),
-        "worn": len(seeds) * len(WORN_SPEEDS),
-        "controlled": len(specs),
-        "periods": len(seeds) * len(control_periods) * len(skyhook_runs()),
-        "laws new": len(seeds) * len(creep_laws) * len(LAW_SPEEDS),
-        "laws worn": len(seeds) * len(creep_laws) * len(LAW_SPEEDS),
-    }
-    begin = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
-
-    def part(name: str) -> RunContext:
-        return context.part(begin[name], sum(sizes.values()))
-
-    new = sweep(new_wheels, NEW_SPEEDS, seeds, part("new"))
-    worn = sweep(worn_wheels, WORN_SPEEDS, seeds, part("worn"))
-    runs = controlled_runs(specs, part("controlled"))
-    sensitivity = None
+    wheels = dict(zip(("new", "worn"), (model.scenario for model in models), strict=True))
+    new, worn, controlled, others, *by_law = _parts(
+        context or RunContext(),
+        len(seeds),
+        (len(NEW_SPEEDS), len(WORN_SPEEDS), len(required_runs()), len(control_periods) * len(skyhook_runs()))
+        + 2 * (len(creep_laws) * len(LAW_SPEEDS),),
+    )
+    new_runs = sweep(wheels["new"], NEW_SPEEDS, seeds, new)
+    worn_runs = sweep(wheels["worn"], WORN_SPEEDS, seeds, worn)
+    runs = controlled_runs(wheels["worn"], laws, seeds, required_runs(), controlled)
+    by_period: periods.PeriodClaims = {}
     if control_periods:
-        sensitivity = period_sensitivity(
-            worn_wheels, seeds, control_periods, environment=laws, context=part("periods")
+        by_period = periods.period_claims(
+            wheels["worn"], seeds, control_periods, environment=laws, context=others
         )
-    by_law: dict[str, CreepLawComparison] = {}
-    for wheels, vehicle in (("new", new_wheels), ("worn", worn_wheels)) if creep_laws else ():
-        by_law[wheels] = compare_laws(vehicle, LAW_SPEEDS, seeds, creep_laws, part(f"laws {wheels}"))
+    compared = {
+        name: compare_laws(vehicle, LAW_SPEEDS, seeds, creep_laws, part)
+        for (name, vehicle), part in zip(wheels.items(), by_law, strict=True)
+        if creep_laws
+    }
     limits = model_limits(models[0])
     loops = hysteresis(scenario)
     claims = [
-        *passive_claims(new, worn, limits),
+        *passive_claims(new_runs, worn_runs, limits),
         damper_claim(loops),
         *controlled_claims(runs, limits),
         model_claim(models[0]),
     ]
     names = wheelset_names(models[0])
-    return ReproduceResult(scenario, claims, new, worn, limits, names, loops, runs, sensitivity, by_law)
+    return ReproduceResult(
+        scenario, claims, new_runs, worn_runs, limits, names, loops, runs, by_period, compared
+    )
+
+
+def _parts(context: RunContext, seeds: int, runs: Sequence[int]) -> list[RunContext]:
+    """Contexts of the parts of the study, each of so many runs of a seed."""
+    begins = accumulate((seeds * count for count in runs[:-1]), initial=0)
+    return [context.part(begin, seeds * sum(runs)) for begin in begins]
 
 
 def damper_claim(result: HysteresisResult) -> Claim:
@@ -233,7 +231,7 @@ def damper_claim(result: HysteresisResult) -> Claim:
         f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.1f} % of the curve; "
         f"slope at zero force {min(stiffness):.2f} to {max(stiffness):.2f} of the series stiffness"
     )
-    return once("P11", "hysteresis: loops dissipate, peak force <= curve at peak velocity", measured, holds)
+    return once("P11", "hysteresis: loops dissipate, peak force <= curve at peak velocity", holds, measured)
 
 
 def model_claim(model: VehicleModel) -> Claim:
@@ -241,5 +239,5 @@ def model_claim(model: VehicleModel) -> Claim:
     n, d = model.multibody.n, len(model.multibody.yaw_dampers)
     mechanical = (sayd.STROKE, sayd.STROKE_RATE, sayd.ROD, sayd.ROD_RATE)
     states = len({*mechanical, sayd.PRESSURE_A, sayd.PRESSURE_B})
-    holds = n == DEGREES_OF_FREEDOM and d == YAW_DAMPERS and states == SAYD_STATES
-    return once("C2", "62 degrees of freedom, 8 yaw dampers of 6 states", f"{n}, {d} and {states}", holds)
+    holds = (n, d, states) == (62, 8, 6)
+    return once("C2", "62 degrees of freedom, 8 yaw dampers of 6 states", holds, f"{n}, {d} and {states}")

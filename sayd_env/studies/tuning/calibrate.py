@@ -21,13 +21,13 @@ from sayd_env.config.calibration import CalibrationConfig, Search
 from sayd_env.config.palette import cycled
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import KMH, Array
+from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, label, panels
 from sayd_env.runs.context import RunContext, silent
 from sayd_env.runs.passive import Sweep, sweep
 from sayd_env.stability import Limits
-from sayd_env.studies.critical_speed import model_limits
 from sayd_env.studies.paper.passive_claims import PassiveMeasures
 
 if TYPE_CHECKING:
@@ -277,9 +277,8 @@ def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, flo
     m = PassiveMeasures(new, worn, limits)
     spread = m.frequency_spread(m.all)
     above = float(np.max(spread[m.high]))
-    v2 = _extrapolated(new, new.acceleration, limits.acceleration)
-    v5 = _extrapolated(worn, worn.acceleration, limits.acceleration)
-    v8 = _extrapolated(worn, worn.track_shift, limits.track_shift_force)
+    crossing = (m.new_acceleration, m.worn_acceleration, m.worn_force)
+    v2, v5, v8 = (criterion.extrapolated_kmh() for criterion in crossing)
     measures = {
         "stable_280": float(np.quantile(m.stable_280(), 0.8)),
         "critical_new_kmh": v2,
@@ -315,16 +314,3 @@ def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, flo
 def _over(value: float, bound: float, scale: float) -> float:
     """How far a value exceeds a bound, in units of the scale."""
     return max(0.0, (value - bound) / scale)
-
-
-def _extrapolated(grid: Sweep, values: Array, limit: float) -> float:
-    """Crossing speed in km/h of the median over seeds; the end segments go on beyond the grid."""
-    v = grid.speeds * KMH
-    peak = np.median(values.max(axis=-1), axis=1)
-    above = np.flatnonzero(peak > limit)
-    i = len(v) - 1 if above.size == 0 else max(1, int(above[0]))
-    slope = (peak[i] - peak[i - 1]) / (v[i] - v[i - 1])
-    if above.size > 0 and above[0] > 0:
-        return float(v[i] + (limit - peak[i]) / slope)
-    end = i if above.size == 0 else 0
-    return float(v[end] + (limit - peak[end]) / max(slope, limit / 200.0))

@@ -10,28 +10,23 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from sayd_env.config import ConfigError
-from sayd_env.config.contact import ContactConfig
-from sayd_env.config.profile import load_rail, load_wheel
-from sayd_env.physics.profiles import rail_profile, wheel_profile
-from sayd_env.studies.components.conicity import ConicityResult, pair_conicity, plot_conicity
+from sayd_env.config.scenario import load_scenario
+from sayd_env.studies.components.conicity import ConicityResult, conicity, plot_conicity
 
-CONFIG = ContactConfig(
-    youngs_modulus=2.1e11, poisson_ratio=0.28, regularisation=0.27, table_step=5e-5, table_half_width=9e-3
-)
+LMB10 = ("wheel=lmb10", "rail=cn60", "wear=0", "contact.table_half_width=0.009", "contact.table_step=5e-5")
 
 
 @pytest.fixture(scope="module")
 def result() -> ConicityResult:
-    wheel, rail = wheel_profile(load_wheel("lmb10")), rail_profile(load_rail("cn60"))
-    return pair_conicity(wheel, rail, 1.435, contact=CONFIG, wheel_radius=0.46, load=60e3)
+    return conicity(load_scenario("estimates", LMB10))
 
 
 def test_keys_and_values(result: ConicityResult) -> None:
     data = result.as_dict()
-    amplitude, conicity = data["amplitude_mm"], data["tan_gamma_e"]
+    amplitude, rigid = data["amplitude_mm"], data["tan_gamma_e"]
     # LMB10 on CN60: 0.101 at 1 to 4 mm (computed elsewhere; the design value is 0.1).
     inner = amplitude <= 4.0
-    np.testing.assert_allclose(conicity[inner], 0.101, atol=0.002)
+    np.testing.assert_allclose(rigid[inner], 0.101, atol=0.002)
     y, delta_r = data["y_mm"], data["delta_r_mm"]
     np.testing.assert_allclose(delta_r, -delta_r[::-1], atol=1e-12)
     assert np.interp(2.0, y, delta_r) == pytest.approx(2.0 * 0.101 * 2.0, rel=0.02)
@@ -55,17 +50,14 @@ def test_picture(result: ConicityResult) -> None:
 
 
 def test_amplitude_beyond_the_table() -> None:
-    wheel, rail = wheel_profile(load_wheel("lmb10")), rail_profile(load_rail("cn60"))
     with pytest.raises(ConfigError, match=r"contact\.table_half_width"):
-        pair_conicity(
-            wheel, rail, 1.435, contact=CONFIG, wheel_radius=0.46, load=60e3, amplitudes=np.array([0.02])
-        )
+        conicity(load_scenario("estimates", LMB10), np.array([0.02]))
 
 
 def test_says_which_contact_a_simulation_uses(result: ConicityResult) -> None:
     data = result.as_dict()
     assert data["simulation_uses"] == "regularised"
-    assert data["load_kn"] == 60.0
+    assert data["load_kn"] == pytest.approx(150 / 2, rel=1e-3)  # axle load of Wang et al. (2022)
     figure = Figure()
     plot_conicity(figure, [result])
     for axes in figure.axes[1:]:

@@ -13,7 +13,7 @@ from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import ControlledRuns
 from sayd_env.stability import Limits
-from sayd_env.studies.paper.control_periods import period_sensitivity
+from sayd_env.studies.paper.control_periods import period_claims, period_rows
 from sayd_env.studies.paper.controlled_claims import controlled_claims, skyhook_claims, skyhook_runs
 
 
@@ -38,19 +38,12 @@ def test_the_rows_are_judged_as_among_all_others(paper_runs: Callable[..., Contr
 def test_periods_stand_side_by_side_and_are_run_once(tmp_path: Path):
     scenario = load_scenario("estimates", ("assessment.run_in=200", "assessment.length=600"))
     caches = [RunCache(tmp_path), RunCache(tmp_path)]
-    first = period_sensitivity(scenario, [0], (0.005, 0.01), context=RunContext(cache=caches[0]))
-    assert first.rows == ("S1", "S2", "S3", "S4", "S5", "S6")
-    header, rows = first.table()
-    assert [(row[0], row[1]) for row in rows[:4]] == [
-        ("S1", 0.005),
-        ("S1", 0.01),
-        ("S2", 0.005),
-        ("S2", 0.01),
-    ]
-    assert {len(row) for row in rows} == {len(header)}
-    second = period_sensitivity(scenario, [0], (0.01, 0.02), context=RunContext(cache=caches[1]))
+    first = period_claims(scenario, [0], (0.005, 0.01), context=RunContext(cache=caches[0]))
+    rows = [(row["id"], row["control_period_s"]) for row in period_rows(first)]
+    assert rows[:4] == [("S1", 0.005), ("S1", 0.01), ("S2", 0.005), ("S2", 0.01)]
+    second = period_claims(scenario, [0], (0.01, 0.02), context=RunContext(cache=caches[1]))
     assert [cache.reused for cache in caches] == [0, len(skyhook_runs())]
-    assert second.claims[0.01] == first.claims[0.01]
+    assert second[0.01] == first[0.01]
 
 
 @pytest.mark.parametrize(
@@ -60,4 +53,4 @@ def test_periods_that_cannot_be_are_refused(
     periods: tuple[float, ...], problem: str, short_scenario: Scenario
 ):
     with pytest.raises(ConfigError, match=problem):
-        period_sensitivity(short_scenario, [0], periods)
+        period_claims(short_scenario, [0], periods)

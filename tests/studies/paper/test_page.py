@@ -45,8 +45,8 @@ def test_the_page_shows_claims_and_figures_side_by_side(
 
 
 def test_every_figure_of_results_has_words_and_every_row_a_place():
-    assert [figure.number for figure in FIGURES] == [1, 2, 3, 8, *range(10, 19)]
-    rows = [row for figure in FIGURES for row in figure.rows]
+    assert list(FIGURES) == [1, 2, 3, 8, *range(10, 19)]
+    rows = [row for figure in FIGURES.values() for row in figure.rows]
     expected = [f"{kind}{i}" for kind, count in (("P", 11), ("M", 9), ("S", 6)) for i in range(1, count + 1)]
     assert sorted(rows) == sorted(expected)
 

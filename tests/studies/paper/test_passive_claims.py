@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sayd_env.runs.passive import Sweep
+from sayd_env.runs.passive import NEW_SPEEDS, WORN_SPEEDS, Sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.paper.claims import Claim
-from sayd_env.studies.paper.passive_claims import NEW_SPEEDS, WORN_SPEEDS, PassiveMeasures, passive_claims
+from sayd_env.studies.paper.passive_claims import PassiveMeasures, passive_claims
 
 NEW = [280, 310, 340, 370, 400]
 WORN = [320, 350, 370, 395, 420, 445]
@@ -136,11 +136,13 @@ def test_measures_on_a_selection_of_seeds(synthetic: Callable[..., Sweep], limit
     new = synthetic(NEW, [350.0, 360.0, 380.0], [0.0] * 3, slope=1 / 120, frequency=rising)
     worn = synthetic(WORN, [325.0, 330.0, 340.0], [355.0, 361.0, 380.0])
     m = PassiveMeasures(new, worn, limits)
-    assert m.critical_new(np.array([0, 1, 2])) == pytest.approx(360.0)
-    assert m.critical_new(np.array([2])) == pytest.approx(380.0)
+    assert m.new_acceleration.kmh(np.array([0, 1, 2])) == pytest.approx(360.0)
+    assert m.new_acceleration.kmh(np.array([2])) == pytest.approx(380.0)
     assert m.frequency_at_critical(np.array([2])) == pytest.approx(4.05)
-    assert m.critical_worn(np.array([0, 2])) == pytest.approx(332.5)  # the median of two is their mean
-    assert m.critical_worn_force(np.array([2, 2, 2])) == pytest.approx(380.0)
+    assert m.worn_acceleration.kmh(np.array([0, 2])) == pytest.approx(
+        332.5
+    )  # the median of two is their mean
+    assert m.worn_force.kmh(np.array([2, 2, 2])) == pytest.approx(380.0)
     assert m.stable_280() == pytest.approx(1 + (280 - np.array([350.0, 360.0, 380.0])) / 120)
     assert m.ratios_320() == pytest.approx(1 + (320 - np.array([325.0, 330.0, 340.0])) / 200)
     assert m.lowest_ratio_above() == pytest.approx(1 + (350 - np.array([325.0, 330.0, 340.0])) / 200)

@@ -18,7 +18,7 @@ from sayd_env.runs.context import RunContext
 from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.studies.components.hysteresis import hysteresis
 from sayd_env.studies.critical_speed import find_critical_speed
-from sayd_env.studies.paper.passive_claims import WORN_SPEEDS, passive_claims
+from sayd_env.studies.paper.passive_claims import passive_claims
 from sayd_env.studies.paper.reproduce import ROWS, ReproduceResult, damper_claim, model_claim, reproduce
 
 RUNS = 11 + 22
@@ -102,7 +102,7 @@ def test_wear_is_0_and_1_in_turn(result: ReproduceResult, short_scenario: Scenar
         scenario = short_scenario.model_copy(update={"wear": wear})
         (run,) = passive.assessed([passive.PassiveRun(scenario, float(grid.speeds[0]), 3)])
         assert (grid.acceleration[0, 0] == run.acceleration).all()
-    assert result.worn.speeds == pytest.approx(WORN_SPEEDS)
+    assert result.worn.speeds == pytest.approx(passive.WORN_SPEEDS)
 
 
 def test_the_model_is_counted(short_model: VehicleModel):
@@ -169,9 +169,8 @@ def test_rows_that_are_allowed_to_fail_are_no_error(capsys: pytest.CaptureFixtur
 def test_rows_on_skyhook_at_another_control_period(short_scenario: Scenario):
     """At the period that the environment has anyway, the rows are the same ones."""
     found = reproduce(short_scenario, [3], control_periods=[0.01])
-    assert found.sensitivity is not None
     rows = [claim for claim in found.claims if claim.id.startswith("S")]
-    assert found.sensitivity.claims[0.01] == rows
+    assert found.by_period[0.01] == rows
     assert {entry["control_period_s"] for entry in found.as_dict()["control_periods"]} == {0.01}
 
 

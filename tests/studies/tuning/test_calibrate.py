@@ -13,12 +13,12 @@ from sayd_env.cli import main
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.calibration import CalibrationConfig, load_calibration
 from sayd_env.config.scenario import load_scenario
+from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.passive import Sweep, sweep
 from sayd_env.stability import Limits
-from sayd_env.studies.critical_speed import model_limits
 from sayd_env.studies.tuning import calibrate as module
 from sayd_env.studies.tuning.calibrate import Evaluation, assignments, calibrate, penalties_of, residuals_of
 
