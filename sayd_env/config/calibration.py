@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -39,6 +40,10 @@ class Parameter(Model):
             return float(self.low * (self.high / self.low) ** unit)
         return self.low + (self.high - self.low) * unit
 
+    def assignments(self, value: float) -> dict[str, float]:
+        """Numbers of its keys at a value, to five digits."""
+        return {key: float(f"{factor * value:.5g}") for key, factor in self.keys.items()}
+
     def place(self, value: float) -> float:
         """Place of a value in the unit interval."""
         if self.scale == "log":
@@ -74,6 +79,10 @@ class CalibrationConfig(Model):
             if after <= before:
                 raise ValueError(f"speeds must be positive and rise: {after:g} follows {before:g}")
         return speeds
+
+    def values(self, place: Sequence[float]) -> dict[str, float]:
+        """Value of each parameter by name at a place of the unit cube."""
+        return {p.name: p.value(float(u)) for p, u in zip(self.parameters, place, strict=True)}
 
 
 def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ()) -> CalibrationConfig:

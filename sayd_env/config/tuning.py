@@ -41,6 +41,11 @@ class GainRange(Model):
             raise ValueError("needs low < high")
         return self
 
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"{self.low:g} to {self.high:g}{f' of {self.share_of}' if self.share_of else ''}"
+
 
 class ControllerTuning(Model):
     """A search for the gains of one controller."""
