@@ -47,7 +47,7 @@ def _speeds(result: Comparison, axes: Axes) -> None:
     speeds = np.array([condition.speed_kmh for condition in result.grid.conditions])
     grid = np.unique(speeds)
     for name, found in result.scores[OWN].items():
-        means = [found.by_condition[speeds == speed].mean() for speed in grid]
+        means = [found.J_by_condition[speeds == speed].mean() for speed in grid]
         axes.plot(grid, means, markersize=5, label=label(name), **policy_style(name).drawn)
     bound = result.bounds[OWN].costs[0].mean(axis=1)
     means = [bound[speeds == speed].mean() for speed in grid]
@@ -75,7 +75,7 @@ def _profiles(result: Comparison, axes: Axes) -> None:
 def _middles(result: Comparison, axes: Axes) -> None:
     controlled = _controlled(result)
     for i, (name, found) in enumerate(controlled.items()):
-        _draw_estimate(axes, found.to_mppt2, i, name)
+        _draw_estimate(axes, found.relative_to_mppt2, i, name)
     reference_line(axes, 1.0, vertical=True)
     name_rows(axes, controlled)
     axes.set(title="IQM of J / J of MPPT2, 95 % interval", xlabel="ratio")
@@ -85,9 +85,9 @@ def _trainings(result: Comparison, axes: Axes) -> None:
     controlled = _controlled(result)
     for i, (name, found) in enumerate(controlled.items()):
         style = policy_style(name)
-        places = [i] * len(found.by_training)
-        axes.plot(found.by_training, places, style.marker, color=style.colour, alpha=0.7)
-        axes.plot(found.mean, i, "|", color=style.colour, markersize=18)
+        places = [i] * len(found.J_by_training_seed)
+        axes.plot(found.J_by_training_seed, places, style.marker, color=style.colour, alpha=0.7)
+        axes.plot(found.J, i, "|", color=style.colour, markersize=18)
     name_rows(axes, controlled)
     axes.set(title="mean J of each training seed; bar: mean of all", xlabel="J")
 
@@ -98,7 +98,7 @@ def _bounds(result: Comparison, axes: Axes) -> None:
     order = np.argsort(bound)
     for name, found in _controlled(result).items():
         style = policy_style(name)
-        ratio = (found.by_condition / bound)[order]
+        ratio = (found.J_by_condition / bound)[order]
         # No lines: neighbours have nothing in common but their place.
         axes.plot(np.arange(len(ratio)), ratio, style.marker, color=style.colour, markersize=4)
     reference_line(axes, 1.0)
