@@ -127,7 +127,8 @@ class Bootstrap:
 
 def estimate(value: float, resampled: Array, name: str = "value") -> Estimate:
     """A number with the interval that its resamples span."""
-    return Estimate(float(value), *_ends(resampled).tolist(), name)
+    low, high = _ends(resampled)
+    return Estimate(float(value), float(low), float(high), name)
 
 
 def middle(values: Array, bootstrap: Bootstrap) -> Estimate:
