@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from sayd_env.config.base import Model, Number, quantity
-from sayd_env.config.loader import beside, read_config, section, validated
+from sayd_env.config.loader import read_study
 
 
 class Parameter(Model):
@@ -93,8 +92,4 @@ def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ())
     ConfigError
         A file, key or value that cannot be used.
     """
-    content, source = read_config("study", name)
-    data = section(content, source)
-    if isinstance(data.get("base"), str):
-        data = {**data, "base": beside(data["base"], Path(source).parent)}
-    return validated(CalibrationConfig, data, source, overrides)
+    return read_study(CalibrationConfig, name, overrides, "base")

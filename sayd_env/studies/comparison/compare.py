@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
 from sayd_env.config.comparison import ComparisonConfig, CriticalSpeedConfig
 from sayd_env.config.environment import load_environment
-from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
-from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.comparison.entrants import Entrant, provenance
 from sayd_env.studies.comparison.grid import (
+    FILTERS,
     ScenarioGrid,
+    Variant,
+    checked_scenario,
     constant,
     run_all,
-    variants,
 )
 from sayd_env.studies.comparison.page import CompareResult
-from sayd_env.studies.comparison.scores import (
-    STABLE_TO,
-    best_constants,
-    score,
-    stability_of,
-)
+from sayd_env.studies.comparison.scores import STABLE_TO, best_constants, score, stability_of
 from sayd_env.studies.comparison.statistics import Bootstrap
 from sayd_env.studies.map import MapGrid, MapResult, stability_map
 
@@ -51,7 +48,8 @@ def compare(
     """
     chosen = fewer(config) if quick else config
     grid = ScenarioGrid.of(chosen)
-    study = _critical_study(chosen.critical_speed)
+    worn = chosen.critical_speed
+    study = checked_scenario(worn.study, f"wear={worn.wear!r}", "critical_speed", worn.speeds_kmh)
     learned = tuple(provenance(p) for each in entrants if each.learned for p in each.members)
     members = [member for each in entrants for member in each.members]
     bounding = [constant(current) for current in chosen.constants]
@@ -59,8 +57,8 @@ def compare(
     runs = run_all(grid, members, context, "conditions")
     new = [policy for policy in bounding if policy.title not in runs]
     constants = runs | run_all(grid, new, context, "constant currents")
-    cells = _critical_speeds(study, chosen.critical_speed, members, context)
-    ways = variants(chosen)
+    cells = _critical_speeds(study, worn, members, context)
+    ways = [Variant(*each) for each in product(FILTERS, chosen.force_weights)]
     costs = {
         variant: {
             each.name: np.stack([grid.costs(runs[title], variant) for title in each.titles])
@@ -94,15 +92,6 @@ def compare(
         learned=learned,
         quick=quick,
     )
-
-
-def _critical_study(settings: CriticalSpeedConfig) -> Scenario:
-    """Scenario in which the critical speed is looked for; refused before any work."""
-    study = load_scenario(settings.study, [f"wear={settings.wear!r}"], option="critical_speed")
-    model = VehicleModel(study)
-    for kmh in settings.speeds_kmh:
-        model.check_speed(kmh / KMH)
-    return study
 
 
 def _critical_speeds(

@@ -107,10 +107,7 @@ class ScenarioGrid:
                 f"{fastest * KMH:g} km/h; expected {math.ceil(fastest * episode)} m or more"
             )
         length = f"assessment.length={config.length!r}"
-        scenario = load_scenario(environment.study, [length], option="length")
-        model = VehicleModel(scenario)
-        for kmh in config.speeds_kmh:
-            model.check_speed(kmh / KMH)
+        scenario = checked_scenario(environment.study, length, "length", config.speeds_kmh)
         spans = product(config.tracks, config.speeds_kmh, config.wear, config.friction)
         conditions = tuple(Condition(*each) for each in spans)
         return cls(config, environment, scenario, conditions, tuple(t.irregularity for t in config.tracks))
@@ -180,9 +177,13 @@ def constant(current: float) -> PolicySpec:
     return PolicySpec("constant", {"current": current}, f"constant:{current:g}")
 
 
-def variants(config: ComparisonConfig) -> tuple[Variant, ...]:
-    """All ways in which J is taken."""
-    return tuple(Variant(*each) for each in product(FILTERS, config.force_weights))
+def checked_scenario(study: str, assignment: str, option: str, speeds_kmh: Iterable[float]) -> Scenario:
+    """A study with one assignment, which stands behind an option, and whose vehicle allows the speeds."""
+    scenario = load_scenario(study, [assignment], option=option)
+    model = VehicleModel(scenario)
+    for kmh in speeds_kmh:
+        model.check_speed(kmh / KMH)
+    return scenario
 
 
 def _arrays(grid: ScenarioGrid, found: Sequence[Row]) -> Runs:
@@ -191,17 +192,17 @@ def _arrays(grid: ScenarioGrid, found: Sequence[Row]) -> Runs:
     def table(values: Iterable[float | None]) -> Array:
         return np.array([math.nan if value is None else value for value in values]).reshape(shape)
 
+    def lost(times: Array | float) -> Array:
+        """Share of times (s) from step 0 on that an early end has cut off."""
+        return np.maximum(1.0 - ends / times, 0.0)
+
+    ends = table(math.inf if row.ending is None else row.duration_s for row in found)
     length = grid.scenario.assessment.length or 0.0
     return {
         **{name: table(getattr(row, name) for row in found) for name in MEASURED},
-        "lost": table(_lost(row, grid.environment.episode_s) for row in found),
-        "offline_lost": table(_lost(row, length / row.speed_kmh * KMH) for row in found),
+        "lost": lost(grid.environment.episode_s),
+        "offline_lost": lost(table(length / row.speed_kmh * KMH for row in found)),
     }
-
-
-def _lost(row: Row, time: float) -> float:
-    """Share of a time (s) from step 0 on that an early end has cut off."""
-    return 0.0 if row.ending is None else max(1.0 - row.duration_s / time, 0.0)
 
 
 def _weighted(cost: CostConfig, acceleration: Array, force: Array) -> Array:
