@@ -175,8 +175,7 @@ def _scores(result: Comparison) -> list[dict[str, Any]]:
             "J_worst_training_seed": own.J_by_training_seed.max(),
         }
         for variant, found in result.scores.items()
-        for each in result.entrants
-        for own in [found[each.name]]
+        for each, own in ((each, found[each.name]) for each in result.entrants)
     ]
 
 

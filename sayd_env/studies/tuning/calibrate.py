@@ -253,7 +253,7 @@ def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, flo
     v2 = _extrapolated(new, new.acceleration, limits.acceleration)
     v5 = _extrapolated(worn, worn.acceleration, limits.acceleration)
     v8 = _extrapolated(worn, worn.track_shift, limits.track_shift_force)
-    measures = {
+    x = measures = {
         "stable_280": float(np.quantile(m.stable_280(), 0.8)),
         "critical_new_kmh": v2,
         "frequency_hz": float(np.interp(v2 / KMH, new.speeds, np.median(new.frequency, axis=(1, 2)))),
@@ -267,7 +267,6 @@ def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, flo
         "spread_320_hz": float(spread[m.low]),
         "frequency_rise_hz": m.frequency_rise(m.all),
     }
-    x = measures
     penalties = {
         "P1": _over(x["stable_280"], 0.42, 0.05),
         "P2": _over(abs(v2 - 372.0), 4.0, 6.0),

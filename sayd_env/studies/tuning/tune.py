@@ -186,9 +186,8 @@ class TuneResult:
     def _draw_search(self, axes: Axes) -> None:
         names = list(self.best.gains)
         if len(names) == 1:
-            axes.plot(
-                [e.gains[names[0]] for e in self.tried], [e.cost for e in self.tried], "o", markersize=4
-            )
+            places = [e.gains[names[0]] for e in self.tried]
+            axes.plot(places, [e.cost for e in self.tried], "o", markersize=4)
             axes.set_xlabel(names[0])
         else:
             draw_costs(axes, self.tried)
@@ -204,12 +203,7 @@ HEAD = """\
 # The controller {controller} with the gains of the smallest mean J, by `sayd tune`.
 # Tags: calibrated = found so, in the named range; the rest is as in {controller}.yaml.
 """
-GAINS = (
-    Column("gain", "gain"),
-    Column("before", "before"),
-    Column("tuned", "tuned"),
-    Column("range", "range"),
-)
+GAINS = tuple(Column(name, name) for name in ("gain", "before", "tuned", "range"))
 COSTS = (
     Column("policy", "policy"),
     Column("J", "J", digits=5, best=True),
@@ -231,20 +225,9 @@ def tune(
 ) -> TuneResult:
     """Find the gains of a controller with the smallest mean J over a list of scenarios.
 
-    Parameters
-    ----------
-    controller : str
-        One of the settings' controllers.
-    settings : TuningConfig
-        Scenarios, ranges and budget.
-    name : str
-        What the scenarios are called in the controller's file.
-    seed : int
-        Seed of the global search (not of the scenarios).
-    command : str
-        How to repeat it.
-    context : RunContext, optional
-        Its cache keeps evaluations, its executor gives the number of threads.
+    `name` is what the scenarios are called in the controller's file, `seed` that of the global search (not of
+    the scenarios), `command` how to repeat it. The context's cache keeps evaluations, its executor gives the
+    number of threads.
 
     Raises
     ------
