@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from sayd_env.config.base import Model, Number, quantity
-from sayd_env.config.loader import beside, read_config, section, validated
+from sayd_env.config.loader import read_study
 
 
 class Parameter(Model):
@@ -38,6 +38,10 @@ class Parameter(Model):
         if self.scale == "log":
             return float(self.low * (self.high / self.low) ** unit)
         return self.low + (self.high - self.low) * unit
+
+    def assignments(self, value: float) -> dict[str, float]:
+        """Numbers of its keys at a value, to five digits."""
+        return {key: float(f"{factor * value:.5g}") for key, factor in self.keys.items()}
 
     def place(self, value: float) -> float:
         """Place of a value in the unit interval."""
@@ -75,6 +79,10 @@ class CalibrationConfig(Model):
                 raise ValueError(f"speeds must be positive and rise: {after:g} follows {before:g}")
         return speeds
 
+    def values(self, place: Sequence[float]) -> dict[str, float]:
+        """Value of each parameter by name at a place of the unit cube."""
+        return {p.name: p.value(float(u)) for p, u in zip(self.parameters, place, strict=True)}
+
 
 def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ()) -> CalibrationConfig:
     """Read a calibration study by packaged name or path.
@@ -84,8 +92,4 @@ def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ())
     ConfigError
         A file, key or value that cannot be used.
     """
-    content, source = read_config("study", name)
-    data = section(content, source)
-    if isinstance(data.get("base"), str):
-        data = {**data, "base": beside(data["base"], Path(source).parent)}
-    return validated(CalibrationConfig, data, source, overrides)
+    return read_study(CalibrationConfig, name, overrides, "base")

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import pairwise
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 
 from sayd_env.config.base import Model, Number, quantity
 from sayd_env.config.environment import LIMITS, scalable
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.loader import beside, read_config, section, validated
+from sayd_env.config.loader import read_study
 from sayd_env.config.track import IrregularityConfig, read_track
 
 HELD_OUT = "heldout"
@@ -140,41 +139,12 @@ class ComparisonConfig(Model):
 
 
 def load_comparison(name: str = HELD_OUT, overrides: Iterable[str] = ()) -> ComparisonConfig:
-    """Read a comparison.
-
-    Parameters
-    ----------
-    name : str
-        The packaged comparison (``heldout``) or a path to a YAML file; paths in it are relative to it.
-    overrides : iterable of str
-        ``key=value`` assignments, applied last, for example ``bootstrap.samples=1000``.
+    """Read a comparison by packaged name or path; paths in it are relative to it.
 
     Raises
     ------
     ConfigError
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
-    content, source = read_config("study", name)
-    return validated(
-        ComparisonConfig, _placed(section(content, source), Path(source).parent), source, overrides
-    )
-
-
-def _placed(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Content with paths relative to the folder of its file resolved."""
-    result = dict(content)
-    _place(result, "environment", folder)
-    critical, tracks = result.get("critical_speed"), result.get("tracks")
-    if isinstance(critical, dict):
-        result["critical_speed"] = _place(dict(critical), "study", folder)
-    if isinstance(tracks, list):
-        result["tracks"] = [
-            _place(dict(track), "name", folder) if isinstance(track, dict) else track for track in tracks
-        ]
-    return result
-
-
-def _place(content: dict[str, Any], key: str, folder: Path) -> dict[str, Any]:
-    if isinstance(content.get(key), str):
-        content[key] = beside(content[key], folder)
-    return content
+    references = "environment", "critical_speed.study", "tracks.*.name"
+    return read_study(ComparisonConfig, name, overrides, *references)

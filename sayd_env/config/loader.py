@@ -25,6 +25,7 @@ __all__ = [
     "parse_yaml",
     "read_config",
     "read_overridden",
+    "read_study",
     "read_text",
     "section",
     "validate",
@@ -195,6 +196,30 @@ def read_overridden(model: type[M], kind: str, name_or_path: str, overrides: Ite
     """
     content, source = read_config(kind, name_or_path)
     return validated(model, section(content, source), source, overrides)
+
+
+def read_study(model: type[M], name_or_path: str, overrides: Iterable[str], *references: str) -> M:
+    """Read a study like `read_overridden`, with paths in it relative to its file.
+
+    References are the keys under which other files are named, ``a.b`` in a section and ``a.*.b`` in each
+    section of a list.
+    """
+    content, source = read_config("study", name_or_path)
+    data = section(content, source)
+    for reference in references:
+        data = _placed(data, reference.split("."), Path(source).parent)
+    return validated(model, data, source, overrides)
+
+
+def _placed(node: Any, keys: list[str], folder: Path) -> Any:
+    if not keys:
+        return beside(node, folder) if isinstance(node, str) else node
+    key, *below = keys
+    if key == "*":
+        return [_placed(each, below, folder) for each in node] if isinstance(node, list) else node
+    if isinstance(node, dict) and key in node:
+        return node | {key: _placed(node[key], below, folder)}
+    return node
 
 
 def apply_overrides(data: dict[str, Any], overrides: Iterable[str], option: str = "--set") -> dict[str, Any]:

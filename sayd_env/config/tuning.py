@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 
 from pydantic import Field, field_validator, model_validator
 
@@ -11,7 +10,7 @@ from sayd_env.config.base import Model, Number, quantity
 from sayd_env.config.control import CONTROLLERS, load_controller
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
-from sayd_env.config.loader import beside, read_config, section, validated
+from sayd_env.config.loader import read_study
 
 Gains = Mapping[str, float]
 """Values of a controller's gains by name."""
@@ -40,6 +39,11 @@ class GainRange(Model):
         if not self.low < self.high:
             raise ValueError("needs low < high")
         return self
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"{self.low:g} to {self.high:g}{f' of {self.share_of}' if self.share_of else ''}"
 
 
 class ControllerTuning(Model):
@@ -191,8 +195,4 @@ def load_tuning(name: str = "tuning", overrides: Iterable[str] = ()) -> TuningCo
     ConfigError
         A file, key or value that cannot be used.
     """
-    content, source = read_config("study", name)
-    data = section(content, source)
-    if isinstance(data.get("environment"), str):
-        data = {**data, "environment": beside(data["environment"], Path(source).parent)}
-    return validated(TuningConfig, data, source, overrides)
+    return read_study(TuningConfig, name, overrides, "environment")

@@ -2,60 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
 from sayd_env.config.comparison import ComparisonConfig, CriticalSpeedConfig
 from sayd_env.config.environment import load_environment
-from sayd_env.config.scenario import Scenario, load_scenario
-from sayd_env.config.units import KMH, Array
-from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Table
-from sayd_env.report.figures import Plot
+from sayd_env.config.scenario import Scenario
+from sayd_env.config.units import KMH
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec
-from sayd_env.studies.comparison import page
 from sayd_env.studies.comparison.entrants import Entrant, provenance
-from sayd_env.studies.comparison.figures import draw
 from sayd_env.studies.comparison.grid import (
+    FILTERS,
     ScenarioGrid,
     Variant,
+    checked_scenario,
     constant,
     run_all,
-    variants,
 )
-from sayd_env.studies.comparison.result import Comparison
-from sayd_env.studies.comparison.scores import (
-    STABLE_TO,
-    Bound,
-    Score,
-    best_constants,
-    score,
-    stability_of,
-)
+from sayd_env.studies.comparison.page import CompareResult
+from sayd_env.studies.comparison.scores import STABLE_TO, best_constants, score, stability_of
 from sayd_env.studies.comparison.statistics import Bootstrap
 from sayd_env.studies.map import MapGrid, MapResult, stability_map
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-
-class CompareResult(Comparison):
-    """A comparison and how it is shown."""
-
-    def tables(self) -> dict[str, Table]:
-        """Scores of all variants, the score matrix, targets and the best constant commands."""
-        return page.tables(self)
-
-    def plots(self) -> dict[str, Plot]:
-        """One page."""
-        return {"compare": lambda figure: draw(self, figure)}
-
-    def summary(self, console: Console, wide: bool = False) -> None:
-        """Print the scores, then the targets."""
-        page.show(self, console, wide)
 
 
 def compare(
@@ -65,16 +35,9 @@ def compare(
     quick: bool = False,
     context: RunContext | None = None,
 ) -> CompareResult:
-    """Compare policies on the same conditions.
+    """Compare policies, the passive vehicle and MPPT2 among them, on the same conditions.
 
-    Parameters
-    ----------
-    config : ComparisonConfig
-    entrants : sequence of Entrant
-        The passive vehicle and MPPT2 among them.
-    quick : bool
-        A look at a few of the conditions, see `fewer`.
-    context : RunContext, optional
+    `quick` is a look at a few of the conditions, see `fewer`.
 
     Raises
     ------
@@ -85,7 +48,8 @@ def compare(
     """
     chosen = fewer(config) if quick else config
     grid = ScenarioGrid.of(chosen)
-    study = _critical_study(chosen.critical_speed)
+    worn = chosen.critical_speed
+    study = checked_scenario(worn.study, f"wear={worn.wear!r}", "critical_speed", worn.speeds_kmh)
     learned = tuple(provenance(p) for each in entrants if each.learned for p in each.members)
     members = [member for each in entrants for member in each.members]
     bounding = [constant(current) for current in chosen.constants]
@@ -93,26 +57,36 @@ def compare(
     runs = run_all(grid, members, context, "conditions")
     new = [policy for policy in bounding if policy.title not in runs]
     constants = runs | run_all(grid, new, context, "constant currents")
-    cells = _critical_speeds(study, chosen.critical_speed, members, context)
+    cells = _critical_speeds(study, worn, members, context)
+    ways = [Variant(*each) for each in product(FILTERS, chosen.force_weights)]
     costs = {
         variant: {
             each.name: np.stack([grid.costs(runs[title], variant) for title in each.titles])
             for each in entrants
         }
-        for variant in variants(chosen)
+        for variant in ways
     }
     bounds = {
         variant: best_constants(
             chosen.constants, [grid.costs(constants[policy.title], variant)[None] for policy in bounding]
         )
-        for variant in costs
+        for variant in ways
+    }
+    controllers = [each.name for each in entrants if not each.learned]
+    bootstrap = Bootstrap(len(grid.conditions), len(chosen.seeds), chosen.bootstrap)
+    scores = {
+        variant: {
+            name: score(name, table, bounds[variant].costs, grid.conditions, bootstrap, controllers)
+            for name in table
+        }
+        for variant, table in costs.items()
     }
     return CompareResult(
         grid=grid,
         entrants=tuple(entrants),
         runs=runs,
         costs=costs,
-        scores=_scores(grid, costs, bounds, [each.name for each in entrants if not each.learned]),
+        scores=scores,
         bounds=bounds,
         stability={cell.policy: stability_of(cell) for cell in cells.cells},
         learned=learned,
@@ -120,20 +94,8 @@ def compare(
     )
 
 
-def _critical_study(settings: CriticalSpeedConfig) -> Scenario:
-    """Scenario in which the critical speed is looked for; refused before any work."""
-    study = load_scenario(settings.study, [f"wear={settings.wear!r}"], option="critical_speed")
-    model = VehicleModel(study)
-    for kmh in settings.speeds_kmh:
-        model.check_speed(kmh / KMH)
-    return study
-
-
 def _critical_speeds(
-    study: Scenario,
-    settings: CriticalSpeedConfig,
-    policies: Sequence[PolicySpec],
-    context: RunContext,
+    study: Scenario, settings: CriticalSpeedConfig, policies: Sequence[PolicySpec], context: RunContext
 ) -> MapResult:
     """One cell of the map for each policy."""
     speeds = tuple(kmh / KMH for kmh in settings.speeds_kmh)
@@ -146,23 +108,6 @@ def _critical_speeds(
         environment=load_environment(),
         context=context,
     )
-
-
-def _scores(
-    grid: ScenarioGrid,
-    costs: Mapping[Variant, Mapping[str, Array]],
-    bounds: Mapping[Variant, Bound],
-    controllers: Sequence[str],
-) -> dict[Variant, dict[str, Score]]:
-    settings = grid.config
-    bootstrap = Bootstrap(len(grid.conditions), len(settings.seeds), settings.bootstrap)
-    return {
-        variant: {
-            name: score(name, table, bounds[variant].costs, grid.conditions, bootstrap, controllers)
-            for name in table
-        }
-        for variant, table in costs.items()
-    }
 
 
 def fewer(config: ComparisonConfig) -> ComparisonConfig:

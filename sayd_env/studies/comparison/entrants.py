@@ -60,10 +60,8 @@ def read_entrants(names: Sequence[str] | None = None, foreign: ForeignReader | N
     DataError
         A damaged file.
     """
-    if names is None:
-        chosen = [*DEFAULT, *pretrained.groups()]
-    else:
-        chosen = [*(name for name in REFERENCES if name not in names), *names]
+    chosen = list(names if names is not None else (*DEFAULT, *pretrained.groups()))
+    chosen = [*(name for name in REFERENCES if name not in chosen), *chosen]
     found = [entrant for text in chosen for entrant in _read(text.strip(), foreign)]
     _refuse_duplicates(found)
     return found
@@ -86,12 +84,9 @@ def provenance(policy: PolicySpec) -> dict[str, Any]:
         "sha256": file_digest(stored.where),
         "algorithm": stored.algorithm,
         "seed": stored.seed,
-        "steps": made.get("steps"),
-        "seconds": made.get("seconds"),
+        **{name: made.get(name) for name in ("steps", "seconds")},
         "training_J": made.get("J"),
-        "environment_sha256": made.get("environment_sha256"),
-        "git_commit": made.get("git_commit"),
-        "git_modified": made.get("git_modified"),
+        **{name: made.get(name) for name in ("environment_sha256", "git_commit", "git_modified")},
     }
 
 
@@ -145,14 +140,12 @@ def _group(name: str, policies: Sequence[StoredPolicy]) -> Entrant:
         )
     if name in baselines.NAMES:  # it would be taken for that controller, the paper's perhaps
         raise ConfigError(f"policies '{name}=...': is the name of a controller; choose another one")
-    seeds = [policy.seed for policy in policies]
-    if None not in seeds and len(set(seeds)) == len(seeds):
-        numbered = sorted(
-            zip((f"s{seed}" for seed in seeds), policies, strict=True), key=lambda p: p[1].seed or 0
-        )
+    by_seed = {policy.seed: policy for policy in policies if policy.seed is not None}
+    if len(by_seed) == len(policies):
+        numbered = {f"s{seed}": by_seed[seed] for seed in sorted(by_seed)}
     else:
-        numbered = [(str(i), policy) for i, policy in enumerate(policies)]
-    return Entrant(name, tuple(PolicySpec(f"{name}-{number}", stored=policy) for number, policy in numbered))
+        numbered = {str(i): policy for i, policy in enumerate(policies)}
+    return Entrant(name, tuple(PolicySpec(f"{name}-{k}", stored=policy) for k, policy in numbered.items()))
 
 
 def _refuse_duplicates(found: Sequence[Entrant]) -> None:
@@ -162,12 +155,9 @@ def _refuse_duplicates(found: Sequence[Entrant]) -> None:
             raise ConfigError(f"policy '{entrant.name}': duplicate")
         names.add(entrant.name)
         titles.update(entrant.titles)
-        for member in entrant.members:
-            if member.learned is not None:
-                where = member.learned.where
-                digest = file_digest(where)
-                if digest in files:
-                    raise ConfigError(
-                        f"{where}: is the same policy as {files[digest]}; a training seed counts once"
-                    )
-                files[digest] = where
+        for where in (member.learned.where for member in entrant.members if member.learned is not None):
+            digest = file_digest(where)
+            if digest in files:
+                first = files[digest]
+                raise ConfigError(f"{where}: is the same policy as {first}; a training seed counts once")
+            files[digest] = where

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sayd_env.config.palette import LIMIT, policy_style
+from sayd_env.config.units import Array
 from sayd_env.report.figures import (
     label,
     legend_below,
@@ -46,12 +47,15 @@ def draw(result: Comparison, figure: Figure) -> None:
 def _speeds(result: Comparison, axes: Axes) -> None:
     speeds = np.array([condition.speed_kmh for condition in result.grid.conditions])
     grid = np.unique(speeds)
+
+    def plot(costs: Array, name: str, **style: Any) -> None:
+        means = [costs[speeds == speed].mean() for speed in grid]
+        axes.plot(grid, means, label=name, **style)
+
     for name, found in result.scores[OWN].items():
-        means = [found.by_condition[speeds == speed].mean() for speed in grid]
-        axes.plot(grid, means, markersize=5, label=label(name), **policy_style(name).drawn)
+        plot(found.J_by_condition, label(name), markersize=5, **policy_style(name).drawn)
     bound = result.bounds[OWN].costs[0].mean(axis=1)
-    means = [bound[speeds == speed].mean() for speed in grid]
-    axes.plot(grid, means, color=LIMIT, linestyle="--", label="best constant of each condition")
+    plot(bound, "best constant of each condition", color=LIMIT, linestyle="--")
     axes.set(title="mean J over speed", xlabel="speed (km/h)", ylabel="J")
     log_axis(axes)
 
@@ -75,7 +79,7 @@ def _profiles(result: Comparison, axes: Axes) -> None:
 def _middles(result: Comparison, axes: Axes) -> None:
     controlled = _controlled(result)
     for i, (name, found) in enumerate(controlled.items()):
-        _draw_estimate(axes, found.to_mppt2, i, name)
+        _draw_estimate(axes, found.relative_to_mppt2, i, name)
     reference_line(axes, 1.0, vertical=True)
     name_rows(axes, controlled)
     axes.set(title="IQM of J / J of MPPT2, 95 % interval", xlabel="ratio")
@@ -85,9 +89,9 @@ def _trainings(result: Comparison, axes: Axes) -> None:
     controlled = _controlled(result)
     for i, (name, found) in enumerate(controlled.items()):
         style = policy_style(name)
-        places = [i] * len(found.by_training)
-        axes.plot(found.by_training, places, style.marker, color=style.colour, alpha=0.7)
-        axes.plot(found.mean, i, "|", color=style.colour, markersize=18)
+        places = [i] * len(found.J_by_training_seed)
+        axes.plot(found.J_by_training_seed, places, style.marker, color=style.colour, alpha=0.7)
+        axes.plot(found.J, i, "|", color=style.colour, markersize=18)
     name_rows(axes, controlled)
     axes.set(title="mean J of each training seed; bar: mean of all", xlabel="J")
 
@@ -98,14 +102,12 @@ def _bounds(result: Comparison, axes: Axes) -> None:
     order = np.argsort(bound)
     for name, found in _controlled(result).items():
         style = policy_style(name)
-        ratio = (found.by_condition / bound)[order]
+        ratio = (found.J_by_condition / bound)[order]
         # No lines: neighbours have nothing in common but their place.
         axes.plot(np.arange(len(ratio)), ratio, style.marker, color=style.colour, markersize=4)
     reference_line(axes, 1.0)
     axes.set(
-        title="J / J of the best constant current",
-        xlabel="conditions, from easy to hard",
-        ylabel="ratio",
+        title="J / J of the best constant current", xlabel="conditions, from easy to hard", ylabel="ratio"
     )
     axes.locator_params(axis="x", integer=True)
 
@@ -117,18 +119,15 @@ def _controlled(result: Comparison) -> dict[str, Score]:
 
 def _reductions(result: Comparison, axes: Axes) -> None:
     """Reduction against the best of the paper's controllers by each way of taking J."""
-    chosen = [each.name for each in result.entrants if each.learned] or [
-        each.name for each in result.entrants if each.name != "passive"
-    ]
+    chosen = [each.name for each in result.entrants if each.learned] or list(_controlled(result))
     for k, name in enumerate(chosen):
         for i, found in enumerate(result.scores.values()):
             place = i + 0.6 * ((k + 0.5) / len(chosen) - 0.5)
             _draw_estimate(axes, found[name].reduction, place, name, 100.0)
     reference_line(axes, 0.0, vertical=True)
     limit_line(axes, 100 * LEAST_REDUCTION, vertical=True)
-    name_rows(
-        axes, [f"{'on' if v.filter == 'online' else 'off'} line, k_F x {v.factor:g}" for v in result.scores]
-    )
+    words = {"online": "on line", "offline": "off line"}
+    name_rows(axes, [f"{words[v.filter]}, k_F x {v.factor:g}" for v in result.scores])
     axes.set(title="mean J below the best of the paper's (%)", xlabel="%")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice, product
 from typing import Literal, NamedTuple
 
@@ -64,13 +65,11 @@ class Variant(NamedTuple):
 
 OWN = Variant("online", 1.0)
 """The environment's J, in MPPT2's weighting."""
+OFFLINE = Variant("offline", 1.0)
 
-
-MEASURED = (
-    *("J_acceleration", "J_force", "J_offline_acceleration", "J_offline_force"),
-    *("acceleration_ratio", "track_shift_ratio", "force_rms_n", "comfort"),
-    *("valve_mean", "valve_travel_per_km", "switching_per_s"),
-)
+RATIOS = ("acceleration_ratio", "track_shift_ratio")
+AVERAGED = ("force_rms_n", "comfort", "valve_mean", "valve_travel_per_km", "switching_per_s")
+MEASURED = ("J_acceleration", "J_force", "J_offline_acceleration", "J_offline_force", *RATIOS, *AVERAGED)
 """Fields of a `Row` that a comparison reads."""
 Runs = Mapping[str, Array]
 """`MEASURED` by name, over conditions and seeds: shape (C, S); NaN where nothing is measured, infinite
@@ -80,28 +79,19 @@ that of the assessed length."""
 
 @dataclass(frozen=True)
 class ScenarioGrid:
-    """The conditions of a comparison, and what they stand on.
-
-    Attributes
-    ----------
-    config : ComparisonConfig
-    environment : EnvironmentConfig
-    scenario : Scenario
-        The environment's study at the assessed length.
-    conditions : tuple of Condition
-    irregularities : tuple of IrregularityConfig
-        Of each track.
-    """
+    """The conditions of a comparison, and what they stand on."""
 
     config: ComparisonConfig
     environment: EnvironmentConfig
     scenario: Scenario
+    """The environment's study at the assessed length."""
     conditions: tuple[Condition, ...]
     irregularities: tuple[IrregularityConfig, ...]
+    """Of each track."""
 
     @classmethod
     def of(cls, config: ComparisonConfig) -> ScenarioGrid:
-        """ScenarioGrid of a comparison.
+        """Conditions of a comparison.
 
         Raises
         ------
@@ -110,12 +100,14 @@ class ScenarioGrid:
             outside the vehicle's range.
         """
         environment = load_environment(config.environment)
-        _check_episode(config, environment)
+        fastest, episode = max(config.speeds_kmh) / KMH, environment.episode_s
+        if config.length < fastest * episode:  # J on line would be taken over less time at higher speeds
+            raise ConfigError(
+                f"length: {config.length:g} m are over before the {episode:g} s of an episode at "
+                f"{fastest * KMH:g} km/h; expected {math.ceil(fastest * episode)} m or more"
+            )
         length = f"assessment.length={config.length!r}"
-        scenario = load_scenario(environment.study, [length], option="length")
-        model = VehicleModel(scenario)
-        for kmh in config.speeds_kmh:
-            model.check_speed(kmh / KMH)
+        scenario = checked_scenario(environment.study, length, "length", config.speeds_kmh)
         spans = product(config.tracks, config.speeds_kmh, config.wear, config.friction)
         conditions = tuple(Condition(*each) for each in spans)
         return cls(config, environment, scenario, conditions, tuple(t.irregularity for t in config.tracks))
@@ -124,31 +116,30 @@ class ScenarioGrid:
         """Runs of a policy: condition by condition, seed by seed."""
         fitted = for_policy(self.scenario, policy)
         environment = environment_of(fitted, self.environment)
-        scenarios: dict[tuple[int, float, float], Scenario] = {}
-        runs = []
-        for condition in self.conditions:
-            number = self.config.tracks.index(condition.track)
-            key = (number, condition.wear, condition.friction)
-            if key not in scenarios:
-                track = fitted.track.model_copy(update={"irregularity": self.irregularities[number]})
-                changes = {"track": track, "wear": condition.wear, "friction": condition.friction}
-                scenarios[key] = fitted.model_copy(update=changes)
-            speed, current = condition.speed_kmh / KMH, self.config.initial_current
-            runs += [
-                Run(policy, scenarios[key], environment, speed, seed, current) for seed in self.config.seeds
-            ]
-        return runs
+
+        @cache
+        def scenario(number: int, wear: float, friction: float) -> Scenario:
+            track = fitted.track.model_copy(update={"irregularity": self.irregularities[number]})
+            return fitted.model_copy(update={"track": track, "wear": wear, "friction": friction})
+
+        return [
+            Run(
+                policy,
+                scenario(self.config.tracks.index(each.track), each.wear, each.friction),
+                environment,
+                each.speed_kmh / KMH,
+                seed,
+                self.config.initial_current,
+            )
+            for each in self.conditions
+            for seed in self.config.seeds
+        ]
 
     def costs(self, runs: Runs, variant: Variant) -> Array:
         """J of runs, charge for derailments included.
 
         A run that derailed has no assessed length: off line it counts with what it cost on line until then,
         and with the charge for the larger share that is missing, of the episode or of the length.
-
-        Parameters
-        ----------
-        runs : mapping of ndarray
-        variant : Variant
         """
         own = self.scenario.cost
         cost = own.model_copy(update={"force_weight": own.force_weight * variant.factor})
@@ -164,12 +155,7 @@ class ScenarioGrid:
 def run_all(
     grid: ScenarioGrid, policies: Sequence[PolicySpec], context: RunContext, what: str
 ) -> dict[str, Runs]:
-    """Run policies in all conditions; `what` names them where progress is reported.
-
-    Returns
-    -------
-    dict
-        Runs by the policies' titles.
+    """Run policies in all conditions, by title; `what` names them where progress is reported.
 
     Raises
     ------
@@ -191,19 +177,13 @@ def constant(current: float) -> PolicySpec:
     return PolicySpec("constant", {"current": current}, f"constant:{current:g}")
 
 
-def variants(config: ComparisonConfig) -> tuple[Variant, ...]:
-    """All ways in which J is taken."""
-    return tuple(Variant(*each) for each in product(FILTERS, config.force_weights))
-
-
-def _check_episode(config: ComparisonConfig, environment: EnvironmentConfig) -> None:
-    """Refuse a length over which J on line would be taken over different times at different speeds."""
-    fastest, episode = max(config.speeds_kmh), environment.episode_s
-    if config.length < fastest / KMH * episode:
-        raise ConfigError(
-            f"length: {config.length:g} m are over before the {episode:g} s of an episode at {fastest:g} "
-            f"km/h; expected {math.ceil(fastest / KMH * episode)} m or more"
-        )
+def checked_scenario(study: str, assignment: str, option: str, speeds_kmh: Iterable[float]) -> Scenario:
+    """A study with one assignment, which stands behind an option, and whose vehicle allows the speeds."""
+    scenario = load_scenario(study, [assignment], option=option)
+    model = VehicleModel(scenario)
+    for kmh in speeds_kmh:
+        model.check_speed(kmh / KMH)
+    return scenario
 
 
 def _arrays(grid: ScenarioGrid, found: Sequence[Row]) -> Runs:
@@ -212,17 +192,17 @@ def _arrays(grid: ScenarioGrid, found: Sequence[Row]) -> Runs:
     def table(values: Iterable[float | None]) -> Array:
         return np.array([math.nan if value is None else value for value in values]).reshape(shape)
 
+    def lost(times: Array | float) -> Array:
+        """Share of times (s) from step 0 on that an early end has cut off."""
+        return np.maximum(1.0 - ends / times, 0.0)
+
+    ends = table(math.inf if row.ending is None else row.duration_s for row in found)
     length = grid.scenario.assessment.length or 0.0
     return {
         **{name: table(getattr(row, name) for row in found) for name in MEASURED},
-        "lost": table(_lost(row, grid.environment.episode_s) for row in found),
-        "offline_lost": table(_lost(row, length / row.speed_kmh * KMH) for row in found),
+        "lost": lost(grid.environment.episode_s),
+        "offline_lost": lost(table(length / row.speed_kmh * KMH for row in found)),
     }
-
-
-def _lost(row: Row, time: float) -> float:
-    """Share of a time (s) from step 0 on that an early end has cut off."""
-    return 0.0 if row.ending is None else max(1.0 - row.duration_s / time, 0.0)
 
 
 def _weighted(cost: CostConfig, acceleration: Array, force: Array) -> Array:

@@ -1,11 +1,16 @@
-"""A comparison as tables: on the console, and as CSV."""
+"""How a comparison is shown: tables on the console and as CSV, and a page of plots."""
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sayd_env.report.columns import Column, Table, csv_table, print_table
-from sayd_env.studies.comparison.grid import OWN, Variant
+from sayd_env.report.figures import Plot
+from sayd_env.studies.comparison.figures import draw
+from sayd_env.studies.comparison.grid import OFFLINE, OWN, RATIOS
 from sayd_env.studies.comparison.result import MATRIX, Comparison
 from sayd_env.studies.comparison.scores import Stability
 from sayd_env.studies.comparison.statistics import Estimate
@@ -16,23 +21,15 @@ if TYPE_CHECKING:
 
 BEST_CONSTANT = "best constant each"
 """How the table calls the best constant command of each condition."""
-OFFLINE = Variant("offline", 1.0)
 
 
-def _estimate(
-    name: str,
-    header: str = "",
-    unit: str = "",
-    scale: float = 1.0,
-    digits: int | None = None,
-    *,
-    wide: bool = False,
-) -> tuple[Column, ...]:
+def _estimate(name: str, header: str = "", *, wide: bool = False, **shown: Any) -> tuple[Column, ...]:
     """Columns of an estimate and of the ends of its interval, which are not printed where it is `wide`."""
-    ends = {"low": "from", "high": "to"} if header and not wide else {"low": "", "high": ""}
+    low, high = ("from", "to") if header and not wide else ("", "")
     return (
-        Column(name, header, unit, scale, digits, wide=wide),
-        *(Column(f"{name}_{end}", words, unit, scale, digits) for end, words in ends.items()),
+        Column(name, header, wide=wide, **shown),
+        Column(f"{name}_low", low, **shown),
+        Column(f"{name}_high", high, **shown),
     )
 
 
@@ -42,9 +39,9 @@ _COSTS = (
     Column("force_weight"),
     Column("training_seeds", "trainings", wide=True),
     Column("J", "J", digits=4, best=True),
-    *_estimate("iqm_to_passive", "/ passive", "", 1.0, 2, wide=True),
-    *_estimate("iqm_to_mppt2", "/ MPPT2", "", 1.0, 2),
-    *_estimate("improvement_over_mppt2", "P below MPPT2", "", 1.0, 2, wide=True),
+    *_estimate("iqm_to_passive", "/ passive", digits=2, wide=True),
+    *_estimate("iqm_to_mppt2", "/ MPPT2", digits=2),
+    *_estimate("improvement_over_mppt2", "P below MPPT2", digits=2, wide=True),
     Column("best_of_paper"),
     *_estimate("improvement_over_best"),
     *_estimate("reduction"),
@@ -54,11 +51,12 @@ _COSTS = (
     Column("J_best_training_seed"),
     Column("J_worst_training_seed"),
 )
+_LIMITED: dict[str, Any] = {"digits": 2, "limit": 1.0, "infinite": "derailed"}
 _BESIDE = (
     Column("J_offline", "J off line", digits=4, best=True, wide=True),
-    Column("acceleration_ratio", "acc. / limit", digits=2, limit=1.0, infinite="derailed", wide=True),
-    Column("track_shift_ratio", "shift / limit", digits=2, limit=1.0, infinite="derailed", wide=True),
-    Column("largest_ratio", "largest ratio", digits=2, limit=1.0, infinite="derailed"),
+    Column("largest_acceleration_ratio", "acc. / limit", wide=True, **_LIMITED),
+    Column("largest_track_shift_ratio", "shift / limit", wide=True, **_LIMITED),
+    Column("largest_ratio", "largest ratio", **_LIMITED),
     Column("critical", "crit. km/h"),
 )
 """Printed beside the scores of J on line."""
@@ -67,8 +65,8 @@ _GAINS = (
     Column("filter"),
     Column("force_weight"),
     Column("controller", "below that of"),
-    *_estimate("reduction", "by", "%", 100.0, 1),
-    *_estimate("improvement", "P below", "", 1.0, 2, wide=True),
+    *_estimate("reduction", "by", unit="%", scale=100.0, digits=1),
+    *_estimate("improvement", "P below", digits=2, wide=True),
 )
 _TARGETS = (
     Column("policy", "policy"),
@@ -81,58 +79,54 @@ _STABILITY = [
 ]
 
 
-def tables(result: Comparison) -> dict[str, Table]:
-    """Tables by file name: scores by policy and way of taking J, pairs, score matrix, targets, bounds."""
-    condition = [Column(name) for name in result.grid.conditions[0].as_dict()]
-    run = [Column("policy"), Column("training_seed"), *condition, *map(Column, ("seed", *MATRIX))]
-    bound = result.bounds[OWN]
-    best = zip(result.grid.conditions, bound.currents, bound.costs[0], strict=True)
-    found = {
-        "scores": csv_table(_COSTS, _scores(result)),
-        "against": csv_table(_GAINS, _gains(result)),
-        "matrix": csv_table(run, _matrix(result)),
-        "stability": csv_table(_STABILITY, _stabilities(result)),
-        "best_constant": csv_table(
-            [*condition, Column("current"), Column("J")],
-            [each.as_dict() | {"current": current, "J": cost.mean()} for each, current, cost in best],
-        ),
-    }
-    return found | ({"targets": csv_table(_TARGETS, result.targets)} if result.targets else {})
+class CompareResult(Comparison):
+    """A comparison and how it is shown."""
 
+    def tables(self) -> dict[str, Table]:
+        """Tables by file name: scores by policy and way of taking J, pairs, score matrix, bounds, targets."""
+        condition = [Column(name) for name in self.grid.conditions[0].as_dict()]
+        run = [Column("policy"), Column("training_seed"), *condition, *map(Column, ("seed", *MATRIX))]
+        bounds = [row["condition"] | row for row in self.best_constants()]
+        found = {
+            "scores": csv_table(_COSTS, _scores(self)),
+            "against": csv_table(_GAINS, _gains(self)),
+            "matrix": csv_table(run, _matrix(self)),
+            "stability": csv_table(_STABILITY, _stabilities(self)),
+            "best_constant": csv_table([*condition, Column("current"), Column("J")], bounds),
+        }
+        return found | ({"targets": csv_table(_TARGETS, self.targets)} if self.targets else {})
 
-def show(result: Comparison, console: Console, wide: bool = False) -> None:
-    """Print the scores, the targets, and what a reader has to know about them."""
-    title = (
-        f"{len(result.grid.conditions)} conditions x {len(result.config.seeds)} seeds: J on line, "
-        "and IQM of its ratio to MPPT2's (95 %)"
-    )
-    print_table(console, title, (*_COSTS, *_BESIDE), _lines(result), wide=wide, section="bound")
-    for line in _notes(result):
-        console.print(line, markup=False, highlight=False)
-    learned = {each.name for each in result.entrants if each.learned}
-    gains = [row for row in _own(_gains(result)) if row["policy"] in learned]
-    if gains:
-        title = "mean J of learned policies below the controllers' (95 %)"
-        print_table(console, title, _GAINS, gains, wide=wide, section="policy")
-    if result.targets:
-        title = "learned policies: what was asked"
-        print_table(console, title, _TARGETS, result.targets, wide=wide, section="policy")
+    def plots(self) -> dict[str, Plot]:
+        """One page."""
+        return {"compare": lambda figure: draw(self, figure)}
+
+    def summary(self, console: Console, wide: bool = False) -> None:
+        """Print the scores, the targets, and what a reader has to know about them."""
+        title = (
+            f"{len(self.grid.conditions)} conditions x {len(self.config.seeds)} seeds: J on line, "
+            "and IQM of its ratio to MPPT2's (95 %)"
+        )
+        print_table(console, title, (*_COSTS, *_BESIDE), _lines(self), wide=wide, section="bound")
+        for line in _notes(self):
+            console.print(line, markup=False, highlight=False)
+        learned = {each.name for each in self.entrants if each.learned}
+        gains = [row for row in _own(_gains(self)) if row["policy"] in learned]
+        if gains:
+            title = "mean J of learned policies below the controllers' (95 %)"
+            print_table(console, title, _GAINS, gains, wide=wide, section="policy")
+        if self.targets:
+            title = "learned policies: what was asked"
+            print_table(console, title, _TARGETS, self.targets, wide=wide, section="policy")
 
 
 def _lines(result: Comparison) -> list[dict[str, Any]]:
     """What is printed of each entrant, and of the best constant command of each condition."""
     rows = []
-    for each, row in zip(result.entrants, _own(_scores(result)), strict=True):
-        acceleration, force = result.largest_ratios(each)
-        beside = {
-            "bound": False,
-            "J_offline": result.scores[OFFLINE][each.name].mean,
-            "acceleration_ratio": acceleration,
-            "track_shift_ratio": force,
-            "largest_ratio": max(acceleration, force),
-            "critical": _critical(result.stability_of(each), result.config.critical_speed.speeds_kmh),
-        }
-        rows.append(row | beside)
+    for each, scores in zip(result.entrants, _own(_scores(result)), strict=True):
+        row = scores | result.overview(each) | {"bound": False}
+        row["largest_ratio"] = max(row[f"largest_{name}"] for name in RATIOS)
+        row["critical"] = _critical(result.stability_of(each), result.config.critical_speed.speeds_kmh)
+        rows.append(row)
     costs = {"J": result.bounds[OWN].costs.mean(), "J_offline": result.bounds[OFFLINE].costs.mean()}
     return [*rows, dict.fromkeys(rows[0]) | {"policy": BEST_CONSTANT, "bound": True} | costs]
 
@@ -149,14 +143,15 @@ def _notes(result: Comparison) -> list[str]:
         f"{worn.wear:g}, medians of {len(worn.seeds)} track seeds, of training seeds the lowest"
     ]
     notes += [
-        f"{each.name}: {count} of {result.field(each, 'lost').size} runs derailed; they count with infinite "
-        "ratios, and in J with the environment's charge for what is missing, off line of the whole length"
+        f"{each.name}: {count} of {result.costs[OWN][each.name].size} runs derailed; they count with "
+        "infinite ratios, and in J with the environment's charge for what is missing, off line of the "
+        "whole length"
         for each in result.entrants
-        if (count := result.derailed(each))
+        if (count := result.overview(each)["derailed"])
     ]
     notes += [
         f"{each.name}, mean J of each training seed: "
-        + ", ".join(f"{cost:.4f}" for cost in result.scores[OWN][each.name].by_training)
+        + ", ".join(f"{cost:.4f}" for cost in result.scores[OWN][each.name].J_by_training_seed)
         for each in result.entrants
         if len(each.members) > 1
     ]
@@ -170,38 +165,32 @@ def _scores(result: Comparison) -> list[dict[str, Any]]:
     return [
         {
             **{"policy": each.name, "filter": variant.filter, "force_weight": variant.factor},
-            **{"training_seeds": len(each.members), "J": own.mean},
-            **_numbers("iqm_to_passive", own.to_passive),
-            **_numbers("iqm_to_mppt2", own.to_mppt2),
-            **_numbers("improvement_over_mppt2", own.improvement["mppt2"]),
-            "best_of_paper": own.best_of_paper,
-            **_numbers("improvement_over_best", own.improvement[own.best_of_paper]),
+            **{"training_seeds": len(each.members), **vars(own)},
+            **_numbers("iqm_to_passive", own.relative_to_passive),
+            **_numbers("iqm_to_mppt2", own.relative_to_mppt2),
+            **_numbers("improvement_over_mppt2", own.probability_of_improvement["mppt2"]),
+            **_numbers("improvement_over_best", own.probability_of_improvement[own.best_of_paper]),
             **_numbers("reduction", own.reduction),
-            "worst_vs_passive": own.worst_vs_passive,
-            "conditions_worse_than_passive": own.worse_than_passive,
-            "relative_to_best_constant": own.to_best_constant,
-            "J_best_training_seed": own.by_training.min(),
-            "J_worst_training_seed": own.by_training.max(),
+            "J_best_training_seed": own.J_by_training_seed.min(),
+            "J_worst_training_seed": own.J_by_training_seed.max(),
         }
         for variant, found in result.scores.items()
-        for each in result.entrants
-        for own in [found[each.name]]
+        for each, own in ((each, found[each.name]) for each in result.entrants)
     ]
 
 
 def _gains(result: Comparison) -> list[dict[str, Any]]:
     """Reduction of mean J against each controller, and the chance of a lower one, by `_GAINS`."""
-    controllers = [each.name for each in result.entrants if not each.learned]
     return [
         {
             **{"policy": name, "filter": variant.filter, "force_weight": variant.factor},
             "controller": other,
-            **_numbers("reduction", own.reductions[other]),
-            **_numbers("improvement", own.improvement[other]),
+            **_numbers("reduction", own.reduction_by_controller[other]),
+            **_numbers("improvement", own.probability_of_improvement[other]),
         }
         for variant, found in result.scores.items()
         for name, own in found.items()
-        for other in controllers
+        for other in (each.name for each in result.entrants if not each.learned)
     ]
 
 
@@ -209,19 +198,16 @@ def _matrix(result: Comparison) -> list[dict[str, Any]]:
     rows = []
     for each in result.entrants:
         columns = result.columns(each)
-        for r, title in enumerate(each.titles):
-            for c, condition in enumerate(result.grid.conditions):
-                for s, seed in enumerate(result.config.seeds):
-                    about = {"policy": each.name, "training_seed": title, **condition.as_dict(), "seed": seed}
-                    rows.append(about | {name: columns[name][r, c, s] for name in MATRIX})
+        places = product(each.titles, result.grid.conditions, result.config.seeds)
+        for place, (title, condition, seed) in zip(np.ndindex(columns["J"].shape), places, strict=True):
+            about = {"policy": each.name, "training_seed": title, **condition.as_dict(), "seed": seed}
+            rows.append(about | {name: values[place] for name, values in columns.items()})
     return rows
 
 
 def _stabilities(result: Comparison) -> list[dict[str, Any]]:
     return [
-        {"policy": title, "critical_speed_kmh": found.critical_speed_kmh, "status": found.status}
-        | {RATIO[name]: ratio for name, ratio in found.ratios.items()}
-        | {"largest_run": found.largest_run}
+        vars(found) | {"policy": title} | {RATIO[name]: ratio for name, ratio in found.ratios.items()}
         for title, found in result.stability.items()
     ]
 

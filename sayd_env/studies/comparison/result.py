@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,25 +14,18 @@ from sayd_env.config.units import Array
 from sayd_env.runs.policies import PAPER
 from sayd_env.studies.comparison.entrants import Entrant
 from sayd_env.studies.comparison.grid import (
+    AVERAGED,
     FILTERS,
+    OFFLINE,
     OWN,
+    RATIOS,
     Runs,
     ScenarioGrid,
     Variant,
 )
-from sayd_env.studies.comparison.scores import (
-    Bound,
-    Score,
-    Stability,
-    Target,
-    least_stable,
-    targets,
-)
+from sayd_env.studies.comparison.scores import Bound, Score, Stability, Target, least_stable, targets
 
-if TYPE_CHECKING:
-    pass
-
-MATRIX = ("J", "J_offline", "acceleration_ratio", "track_shift_ratio", "valve_mean")
+MATRIX = ("J", "J_offline", *RATIOS, "valve_mean")
 
 
 @dataclass(frozen=True)
@@ -66,17 +59,6 @@ class Comparison:
         """A field of `MEASURED`, shape (training seeds, conditions, seeds)."""
         return np.stack([self.runs[title][name] for title in entrant.titles])
 
-    def largest_ratios(self, entrant: Entrant) -> tuple[float, float]:
-        """Largest ratios of all runs to the limits of acceleration and track shift force."""
-        acceleration, force = (
-            float(self.field(entrant, name).max()) for name in ("acceleration_ratio", "track_shift_ratio")
-        )
-        return acceleration, force
-
-    def derailed(self, entrant: Entrant) -> int:
-        """Runs that derailed."""
-        return int(np.count_nonzero(np.isinf(self.field(entrant, "acceleration_ratio"))))
-
     @property
     def missing(self) -> tuple[str, ...]:
         """The paper's controllers that do not take part; with one missing there are no targets."""
@@ -96,93 +78,81 @@ class Comparison:
                 each,
                 {variant: found[each.name] for variant, found in self.scores.items()},
                 self.stability_of(each),
-                max(self.largest_ratios(each)),
+                max(float(self.field(each, name).max()) for name in RATIOS),
             )
         ]
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd compare --json``; arrays over scenarios are in the order of ``scenarios``."""
+        stability = {each.name: self.stability_of(each).as_dict() for each in self.entrants}
         return {
-            "scores": {each.name: self._score_dict(each) for each in self.entrants},
+            "scores": {each.name: self.overview(each) | self._by_filter(each) for each in self.entrants},
             "scenarios": [
                 {**condition.as_dict(), "seed": seed}
                 for condition in self.grid.conditions
                 for seed in self.config.seeds
             ],
-            "critical_speed_kmh": {
-                each.name: self.stability_of(each).critical_speed_kmh for each in self.entrants
+            "critical_speed_kmh": {name: found["critical_speed_kmh"] for name, found in stability.items()},
+            "stability": {
+                each.name: stability[each.name]
+                | {"members": {title: self.stability[title].as_dict() for title in each.titles}}
+                for each in self.entrants
             },
-            "stability": {each.name: self._stability_dict(each) for each in self.entrants},
             "targets": [asdict(row) for row in self.targets],
-            "best_constant": self._bound_dict(),
-            "matrix": {each.name: self._matrix(each) for each in self.entrants},
+            "best_constant": {
+                "J": self.bounds[OWN].costs.mean(),
+                "J_offline": self.bounds[OFFLINE].costs.mean(),
+                "conditions": self.best_constants(),
+            },
+            "matrix": {
+                each.name: {"training_seeds": each.titles}
+                | {name: values.reshape(len(values), -1) for name, values in self.columns(each).items()}
+                for each in self.entrants
+            },
             "learned": self.learned,
             "frozen": fingerprint(self.grid.scenario, self.grid.environment),
             "quick": self.quick,
         }
 
-    def _score_dict(self, entrant: Entrant) -> dict[str, Any]:
+    def overview(self, entrant: Entrant) -> dict[str, Any]:
+        """How an entrant did on line, and how the vehicle fared; means are infinite where a run derailed."""
         own = self.scores[OWN][entrant.name]
-        acceleration, force = self.largest_ratios(entrant)
-        by_filter: dict[str, Any] = {
+        fields = {name: self.field(entrant, name) for name in (*RATIOS, *AVERAGED)}
+        return {
+            **own.relative_to_mppt2.as_dict(),
+            "worst_vs_passive": own.worst_vs_passive,
+            "J": own.J,
+            "J_offline": self.scores[OFFLINE][entrant.name].J,
+            **{f"largest_{name}": float(fields[name].max()) for name in RATIOS},
+            "derailed": int(np.count_nonzero(np.isinf(fields["acceleration_ratio"]))),
+            **{name: float(fields[name].mean()) for name in AVERAGED},
+            "training_seeds": len(entrant.members),
+        }
+
+    def _by_filter(self, entrant: Entrant) -> dict[str, Any]:
+        return {
             filter_: {
                 f"{factor:g}": self.scores[Variant(filter_, factor)][entrant.name].as_dict()
                 for factor in self.config.force_weights
             }
             for filter_ in FILTERS
         }
-        return {
-            "iqm": own.to_mppt2.value,
-            "ci95": own.to_mppt2.interval,
-            "worst_vs_passive": own.worst_vs_passive,
-            "J": own.mean,
-            "J_offline": self.scores[Variant("offline", 1.0)][entrant.name].mean,
-            "largest_acceleration_ratio": acceleration,
-            "largest_track_shift_ratio": force,
-            "derailed": self.derailed(entrant),
-            "force_rms_n": _mean(self.field(entrant, "force_rms_n")),
-            "comfort": _mean(self.field(entrant, "comfort")),
-            "valve_mean": _mean(self.field(entrant, "valve_mean")),
-            "valve_travel_per_km": _mean(self.field(entrant, "valve_travel_per_km")),
-            "switching_per_s": _mean(self.field(entrant, "switching_per_s")),
-            "training_seeds": len(entrant.members),
-            **by_filter,
-        }
 
-    def _stability_dict(self, entrant: Entrant) -> dict[str, Any]:
-        members = {title: self.stability[title].as_dict() for title in entrant.titles}
-        return {**self.stability_of(entrant).as_dict(), "members": members}
-
-    def _bound_dict(self) -> dict[str, Any]:
-        own, offline = self.bounds[OWN], self.bounds[Variant("offline", 1.0)]
-        return {
-            "J": float(own.costs.mean()),
-            "J_offline": float(offline.costs.mean()),
-            "conditions": [
-                {
-                    "condition": condition.as_dict(),
-                    "current": own.currents[i],
-                    "J": own.costs[0, i].mean(),
-                    "current_offline": offline.currents[i],
-                    "J_offline": offline.costs[0, i].mean(),
-                }
-                for i, condition in enumerate(self.grid.conditions)
-            ],
-        }
-
-    def _matrix(self, entrant: Entrant) -> dict[str, Any]:
-        table = {name: values.reshape(len(values), -1) for name, values in self.columns(entrant).items()}
-        return {"training_seeds": entrant.titles, **table}
+    def best_constants(self) -> list[dict[str, Any]]:
+        """The best constant command of each condition, and what it costs."""
+        own, offline = self.bounds[OWN], self.bounds[OFFLINE]
+        return [
+            {
+                "condition": condition.as_dict(),
+                "current": own.currents[i],
+                "J": own.costs[0, i].mean(),
+                "current_offline": offline.currents[i],
+                "J_offline": offline.costs[0, i].mean(),
+            }
+            for i, condition in enumerate(self.grid.conditions)
+        ]
 
     def columns(self, entrant: Entrant) -> dict[str, Array]:
         """What the score matrix holds, each of shape (training seeds, conditions, seeds)."""
-        costs = {
-            "J": self.costs[OWN][entrant.name],
-            "J_offline": self.costs[Variant("offline", 1.0)][entrant.name],
-        }
+        costs = {"J": self.costs[OWN][entrant.name], "J_offline": self.costs[OFFLINE][entrant.name]}
         return costs | {name: self.field(entrant, name) for name in MATRIX[2:]}
-
-
-def _mean(values: Array) -> float:
-    """Mean, NaN where nothing was measured, and infinite where a run derailed."""
-    return float(values.mean())

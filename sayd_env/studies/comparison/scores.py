@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,58 +33,45 @@ STABLE_TO = 400.0
 class Score:
     """How a policy did by one way of taking J."""
 
-    mean: float
-    by_condition: Array
+    J: float
+    J_by_condition: Array
     """(C,) means over training seeds and seeds."""
-    by_training: Array
-    """(R,) mean of each training seed."""
-    to_passive: Estimate
+    J_by_training_seed: Array
+    """(R,)."""
+    relative_to_passive: Estimate
     """Interquartile mean of J over the passive vehicle's in the same scenario."""
-    to_mppt2: Estimate
+    relative_to_mppt2: Estimate
     """The same over MPPT2's."""
-    improvement: Mapping[str, Estimate]
+    probability_of_improvement: Mapping[str, Estimate]
     """Probability of a lower J than each controller, MPPT2 and the best of the paper's among them."""
     best_of_paper: str
     """The one of the paper's controllers that take part with the lowest mean J."""
     reduction: Estimate
     """Of mean J against that one, as a share."""
-    reductions: Mapping[str, Estimate]
+    reduction_by_controller: Mapping[str, Estimate]
     """The same against each controller."""
     difference: Estimate
     """Mean J minus that one's."""
     worst_vs_passive: float
     """Largest J of a condition over the passive vehicle's."""
     worst_condition: Condition
-    worse_than_passive: int
+    conditions_worse_than_passive: int
     """Conditions with a larger J than the passive vehicle's."""
-    worse_trainings: int
+    conditions_of_training_seeds_worse_than_passive: int
     """The same counted for each training seed by itself."""
-    to_best_constant: float
+    relative_to_best_constant: float
     """Mean J over that of the best constant command of each condition."""
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of a variant in the result."""
-        return {
-            "J": self.mean,
-            "J_by_condition": self.by_condition,
-            "J_by_training_seed": self.by_training,
-            "relative_to_passive": _estimate_dict(self.to_passive, "iqm"),
-            "relative_to_mppt2": _estimate_dict(self.to_mppt2, "iqm"),
-            "probability_of_improvement": {
-                name: _estimate_dict(each, "probability") for name, each in self.improvement.items()
-            },
-            "best_of_paper": self.best_of_paper,
-            "reduction": _estimate_dict(self.reduction, "share"),
-            "reduction_by_controller": {
-                name: _estimate_dict(each, "share") for name, each in self.reductions.items()
-            },
-            "difference": _estimate_dict(self.difference, "J"),
-            "worst_vs_passive": self.worst_vs_passive,
-            "worst_condition": self.worst_condition.as_dict(),
-            "conditions_worse_than_passive": self.worse_than_passive,
-            "conditions_of_training_seeds_worse_than_passive": self.worse_trainings,
-            "relative_to_best_constant": self.to_best_constant,
-        }
+        return {name: _plain(value) for name, value in vars(self).items()}
+
+
+def _plain(value: Any) -> Any:
+    """Estimates and conditions, alone or by name, as the result has them."""
+    if isinstance(value, Mapping):
+        return {name: _plain(each) for name, each in value.items()}
+    return value.as_dict() if isinstance(value, Estimate | Condition) else value
 
 
 def score(
@@ -95,42 +82,36 @@ def score(
     bootstrap: Bootstrap,
     controllers: Sequence[str] = REFERENCES,
 ) -> Score:
-    """Judge a policy.
+    """Judge a policy by the costs of all, ``passive`` and ``mppt2`` among them.
 
-    Parameters
-    ----------
-    name : str
-    costs : mapping of ndarray
-        Those of all policies, ``passive`` and ``mppt2`` among them.
-    bound : ndarray, shape (1, C, S)
-        J of the best constant command of each condition.
-    conditions : sequence of Condition
-    bootstrap : Bootstrap
-    controllers : sequence of str
-        All that were not trained, with which the policy is compared one by one.
+    `bound` is J of the best constant command of each condition, shape (1, C, S); `controllers` are all that
+    were not trained, with which the policy is compared one by one.
     """
     mine, passive, mppt2 = costs[name], costs["passive"], costs["mppt2"]
     best = best_of_paper(costs)
     against = {other: costs[other] for other in dict.fromkeys(("mppt2", best, *controllers))}
+    reductions = {other: reduction(mine, theirs, bootstrap) for other, theirs in against.items()}
     by_condition = mine.mean(axis=(0, 2))
     allowed = passive.mean(axis=(0, 2))
     worst = int(np.argmax(by_condition / allowed))
     return Score(
-        mean=float(mine.mean()),
-        by_condition=by_condition,
-        by_training=mine.mean(axis=(1, 2)),
-        to_passive=middle(mine / passive, bootstrap),
-        to_mppt2=middle(mine / mppt2, bootstrap),
-        improvement={other: improvement(mine, theirs, bootstrap) for other, theirs in against.items()},
+        J=float(mine.mean()),
+        J_by_condition=by_condition,
+        J_by_training_seed=mine.mean(axis=(1, 2)),
+        relative_to_passive=middle(mine / passive, bootstrap),
+        relative_to_mppt2=middle(mine / mppt2, bootstrap),
+        probability_of_improvement={
+            other: improvement(mine, theirs, bootstrap) for other, theirs in against.items()
+        },
         best_of_paper=best,
-        reduction=reduction(mine, costs[best], bootstrap),
-        reductions={other: reduction(mine, theirs, bootstrap) for other, theirs in against.items()},
+        reduction=reductions[best],
+        reduction_by_controller=reductions,
         difference=difference(mine, costs[best], bootstrap),
         worst_vs_passive=float(by_condition[worst] / allowed[worst]),
         worst_condition=conditions[worst],
-        worse_than_passive=int(np.count_nonzero(by_condition > allowed)),
-        worse_trainings=int(np.count_nonzero(mine.mean(axis=2) > allowed)),
-        to_best_constant=float(mine.mean() / bound.mean()),
+        conditions_worse_than_passive=int(np.count_nonzero(by_condition > allowed)),
+        conditions_of_training_seeds_worse_than_passive=int(np.count_nonzero(mine.mean(axis=2) > allowed)),
+        relative_to_best_constant=float(mine.mean() / bound.mean()),
     )
 
 
@@ -150,14 +131,7 @@ class Bound:
 
 
 def best_constants(currents: Sequence[float], costs: Sequence[Array]) -> Bound:
-    """Choose in each condition the command with the lowest mean over its seeds.
-
-    Parameters
-    ----------
-    currents : sequence of float
-    costs : sequence of ndarray, each of shape (1, C, S)
-        J of each of them.
-    """
+    """Choose in each condition the command with the lowest mean over its seeds; costs: (1, C, S) of each."""
     table = np.concatenate(costs)
     best = np.argmin(table.mean(axis=2), axis=0)
     chosen = table[best, np.arange(table.shape[1])]
@@ -221,10 +195,8 @@ def stability_of(cell: Cell) -> Stability:
 def least_stable(members: Sequence[Stability]) -> Stability:
     """Stability of several trainings together: the lowest critical speed, the largest ratios."""
     lowest = min(members, key=_rank)
-    return Stability(
-        critical_speed_kmh=lowest.critical_speed_kmh,
-        status=lowest.status,
-        by_criterion=lowest.by_criterion,
+    return replace(
+        lowest,
         speeds_kmh=max((member.speeds_kmh for member in members), key=len),
         ratios={name: max(member.ratios[name] for member in members) for name in lowest.ratios},
         largest_run=max(member.largest_run for member in members),
@@ -248,42 +220,21 @@ LEAST_REDUCTION = 0.1
 def targets(
     entrant: Entrant, scores: Mapping[Variant, Score], stability: Stability, largest: float
 ) -> list[Target]:
-    """Judge a learned policy by what it was to reach.
+    """Judge a learned policy by what it was to reach, by all ways of taking J and on worn wheels.
 
-    Parameters
-    ----------
-    entrant : Entrant
-    scores : mapping
-        By all ways of taking J.
-    stability : Stability
-        On worn wheels.
-    largest : float
-        Largest ratio to a limit of EN 14363 of all runs in the comparison's conditions, reported beside it.
+    `largest` is the largest ratio to a limit of EN 14363 of all runs in the comparison's conditions,
+    reported beside it.
     """
-    name, count = entrant.name, len(entrant.members)
-    rows = [_reduced(name, variant, found) for variant, found in scores.items()]
-    rows += [
-        _never_worse(name, variant, found, count)
-        for variant, found in scores.items()
-        if variant.factor == 1.0
-    ]
-    worst = max(stability.ratios.values())
-    rows.append(
-        Target(
-            name,
-            f"stable by EN 14363 up to {STABLE_TO:g} km/h on worn wheels, each training seed",
-            f"{_span(stability.speeds_kmh)}: largest median {worst:.2f} of a limit, largest run "
-            f"{stability.largest_run:.2f}; largest run in the comparison's conditions {largest:.2f}",
-            stability.stable and max(stability.speeds_kmh) == STABLE_TO,
-        )
-    )
-    return rows
+    trainings = len(entrant.members)
+    rows = [_reduced(variant, found) for variant, found in scores.items()]
+    rows += [_never_worse(v, found, trainings) for v, found in scores.items() if v.factor == 1.0]
+    rows.append(_stable(stability, largest))
+    return [Target(entrant.name, *row) for row in rows]
 
 
-def _reduced(name: str, variant: Variant, found: Score) -> Target:
+def _reduced(variant: Variant, found: Score) -> tuple[str, str, bool]:
     gain = found.reduction
-    return Target(
-        name,
+    return (
         f"mean J {100 * LEAST_REDUCTION:g} % below the best of the paper's four, interval above 0: "
         f"{_FILTER[variant.filter]}, k_F x {variant.factor:g}",
         f"{100 * gain.value:.1f} % ({100 * gain.low:.1f} to {100 * gain.high:.1f} %) below "
@@ -292,29 +243,31 @@ def _reduced(name: str, variant: Variant, found: Score) -> Target:
     )
 
 
-def _never_worse(name: str, variant: Variant, found: Score, trainings: int) -> Target:
-    count = len(found.by_condition)
-    return Target(
-        name,
+def _never_worse(variant: Variant, found: Score, trainings: int) -> tuple[str, str, bool]:
+    count, worse = len(found.J_by_condition), found.conditions_of_training_seeds_worse_than_passive
+    return (
         f"J of no condition above the passive vehicle's, each training seed: {_FILTER[variant.filter]}",
-        f"{found.worse_trainings} of {count * trainings} (mean of the seeds {found.worse_than_passive} of "
+        f"{worse} of {count * trainings} (mean of the seeds {found.conditions_worse_than_passive} of "
         f"{count}); worst mean {found.worst_vs_passive:.2f} times, at {found.worst_condition.text}",
-        found.worse_trainings == 0,
+        worse == 0,
+    )
+
+
+def _stable(stability: Stability, largest: float) -> tuple[str, str, bool]:
+    speeds = stability.speeds_kmh
+    span = f"{min(speeds):g} to {max(speeds):g} km/h" if speeds else f"no speed up to {STABLE_TO:g} km/h"
+    return (
+        f"stable by EN 14363 up to {STABLE_TO:g} km/h on worn wheels, each training seed",
+        f"{span}: largest median {max(stability.ratios.values()):.2f} of a limit, largest run "
+        f"{stability.largest_run:.2f}; largest run in the comparison's conditions {largest:.2f}",
+        stability.stable and max(speeds) == STABLE_TO,
     )
 
 
 _FILTER = {"online": "on-line filter", "offline": "off-line filter"}
 
 
-def _span(speeds: Sequence[float]) -> str:
-    return f"{min(speeds):g} to {max(speeds):g} km/h" if speeds else f"no speed up to {STABLE_TO:g} km/h"
-
-
 def _rank(stability: Stability) -> float:
     if stability.critical_speed_kmh is not None:
         return stability.critical_speed_kmh
     return -np.inf if stability.status == Crossing.BELOW_GRID.value else np.inf
-
-
-def _estimate_dict(estimate: Estimate, name: str) -> dict[str, Any]:
-    return {name: estimate.value, "ci95": estimate.interval}

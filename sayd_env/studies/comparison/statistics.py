@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,11 +45,12 @@ class Estimate:
     value: float
     low: float
     high: float
+    name: str = "value"
+    """Key of the number in the result."""
 
-    @property
-    def interval(self) -> list[float]:
-        """Both ends."""
-        return [self.low, self.high]
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of an estimate in the result."""
+        return {self.name: self.value, "ci95": [self.low, self.high]}
 
 
 def interquartile_mean(values: Array, axis: int | None = None) -> Array:
@@ -60,47 +62,24 @@ def improvements(values: Array, reference: Array) -> Array:
     """Whether each value is below the reference's in the same scenario: 1, or 0; one half for a tie.
 
     Their mean is the probability of improvement: the Mann-Whitney statistic of each scenario, as a share of
-    the pairs, averaged over the scenarios.
-
-    Parameters
-    ----------
-    values : ndarray, shape (R, C, S)
-    reference : ndarray, shape (1, C, S)
+    the pairs, averaged over the scenarios. The reference has the shape (1, C, S).
     """
     return 0.5 * (1.0 + np.sign(reference - values))
 
 
 class Bootstrap:
-    """Resamples, the same for all policies.
-
-    Parameters
-    ----------
-    conditions, scenarios : int
-        C and S.
-    settings : BootstrapConfig
-        Number of resamples B, and their seed.
-    """
+    """B resamples of C conditions and S scenarios of each, the same for all policies."""
 
     def __init__(self, conditions: int, scenarios: int, settings: BootstrapConfig) -> None:
         self.samples, self.seed = settings.samples, settings.seed
         self._seeds = self._random(0).integers(0, scenarios, (self.samples, scenarios))
         drawn = self._random(1).integers(0, conditions, (self.samples, conditions))
-        self._conditions = _counts(drawn, conditions) / conditions
+        self._seed_shares = _shares(self._seeds, scenarios)
+        self._condition_shares = _shares(drawn, conditions)
         self._trainings = lru_cache(self._drawn_trainings)
 
     def stratified(self, values: Array, statistic: Callable[[Array, int], Array]) -> Array:
-        """A statistic of each resample.
-
-        Parameters
-        ----------
-        values : ndarray, shape (R, C, S)
-        statistic : callable
-            Of an array, along an axis.
-
-        Returns
-        -------
-        ndarray, shape (B,)
-        """
+        """A statistic, of an array along an axis, of each resample of values (R, C, S): shape (B,)."""
         trainings = self._trainings(len(values))
         places = np.arange(values.shape[1])[None, None, :, None]
         step = max(CHUNK // values.size, 1)
@@ -118,39 +97,26 @@ class Bootstrap:
         return np.concatenate(parts)
 
     def means(self, values: Array) -> Array:
-        """Means of each resample of the stratified kind, for K quantities at once.
-
-        Parameters
-        ----------
-        values : ndarray, shape (R, C, S, K)
-
-        Returns
-        -------
-        ndarray, shape (B, K)
-        """
-        count, _, scenarios, _ = values.shape
-        seeds = _counts(self._seeds, scenarios) / scenarios
-        trainings = _counts(self._trainings(count), count) / count
-        return np.asarray(np.einsum("br,bs,rsk->bk", trainings, seeds, values.mean(axis=1), optimize=True))
+        """Stratified means of K quantities at once: (B, K) from values of shape (R, C, S, K)."""
+        shares = self._training_shares(len(values)), self._seed_shares
+        return np.asarray(np.einsum("br,bs,rsk->bk", *shares, values.mean(axis=1), optimize=True))
 
     def paired(self, values: Array, reference: Array) -> tuple[Array, Array]:
-        """Means of a policy and of a reference over the same resampled scenarios, each of shape (B,).
+        """Means of a policy and of a reference over the same resampled scenarios, each of shape (B,)."""
+        trainings = self._training_shares(len(values))
+        mine, theirs = self._over_scenarios(values), self._over_scenarios(reference)
+        return (trainings * mine).sum(axis=1), theirs[:, 0]
 
-        Parameters
-        ----------
-        values : ndarray, shape (R, C, S)
-        reference : ndarray, shape (1, C, S)
-        """
-        count, _, scenarios = values.shape
-        trainings = _counts(self._trainings(count), count) / count
-        theirs = self._over_scenarios(reference, scenarios)[:, 0]
-        return (trainings * self._over_scenarios(values, scenarios)).sum(axis=1), theirs
-
-    def _over_scenarios(self, values: Array, scenarios: int) -> Array:
+    def _over_scenarios(self, values: Array) -> Array:
         """Means over resampled conditions and seeds, shape (B, R)."""
-        seeds = _counts(self._seeds, scenarios) / scenarios
-        means = [seeds[:, s, None] * (self._conditions @ values[:, :, s].T) for s in range(scenarios)]
+        means = [
+            share[:, None] * (self._condition_shares @ values[:, :, s].T)
+            for s, share in enumerate(self._seed_shares.T)
+        ]
         return np.asarray(np.sum(means, axis=0))
+
+    def _training_shares(self, count: int) -> Array:
+        return _shares(self._trainings(count), count)
 
     def _drawn_trainings(self, count: int) -> Draws:
         return self._random(2).integers(0, count, (self.samples, count))
@@ -159,53 +125,49 @@ class Bootstrap:
         return np.random.default_rng([self.seed, stream])
 
 
-def estimate(value: float, resampled: Array) -> Estimate:
+def estimate(value: float, resampled: Array, name: str = "value") -> Estimate:
     """A number with the interval that its resamples span."""
-    low, high = np.quantile(resampled, (0.5 - LEVEL / 2, 0.5 + LEVEL / 2))
-    return Estimate(float(value), float(low), float(high))
+    low, high = _ends(resampled)
+    return Estimate(float(value), float(low), float(high), name)
 
 
 def middle(values: Array, bootstrap: Bootstrap) -> Estimate:
     """Interquartile mean over training seeds and scenarios, stratified; values of shape (R, C, S)."""
-    return estimate(float(interquartile_mean(values)), bootstrap.stratified(values, interquartile_mean))
+    resampled = bootstrap.stratified(values, interquartile_mean)
+    return estimate(float(interquartile_mean(values)), resampled, "iqm")
 
 
 def improvement(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:
     """Probability that a run is below the reference's in the same scenario, stratified: `improvements`."""
     better = improvements(values, reference)
-    return estimate(float(better.mean()), bootstrap.means(better[..., None])[:, 0])
+    return estimate(better.mean(), bootstrap.means(better[..., None])[:, 0], "probability")
 
 
 def reduction(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:
     """How far the mean lies below the reference's, as a share of that, paired."""
     mine, theirs = bootstrap.paired(values, reference)
-    return estimate(1.0 - values.mean() / reference.mean(), 1.0 - mine / theirs)
+    return estimate(1.0 - values.mean() / reference.mean(), 1.0 - mine / theirs, "share")
 
 
 def difference(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:
-    """Mean minus the reference's, paired."""
+    """Mean J minus the reference's, paired."""
     mine, theirs = bootstrap.paired(values, reference)
-    return estimate(values.mean() - reference.mean(), mine - theirs)
+    return estimate(values.mean() - reference.mean(), mine - theirs, "J")
 
 
 def profile(values: Array, thresholds: Array, bootstrap: Bootstrap) -> tuple[Array, Array, Array]:
-    """Share of the runs that do not exceed each threshold, and both ends of its stratified interval.
-
-    Parameters
-    ----------
-    values : ndarray, shape (R, C, S)
-    thresholds : ndarray, shape (K,)
-
-    Returns
-    -------
-    tuple of ndarray, each of shape (K,)
-    """
+    """Share of the runs that do not exceed each of K thresholds, and both ends of its stratified interval."""
     below = (values[..., None] <= thresholds).astype(np.float64)
-    low, high = np.quantile(bootstrap.means(below), (0.5 - LEVEL / 2, 0.5 + LEVEL / 2), axis=0)
+    low, high = _ends(bootstrap.means(below))
     return below.mean(axis=(0, 1, 2)), low, high
 
 
-def _counts(draws: Draws, count: int) -> Array:
-    """How often each of `count` places was drawn, along the last axis."""
+def _ends(resampled: Array) -> Array:
+    """Both ends of the interval, along the first axis."""
+    return np.asarray(np.quantile(resampled, (0.5 - LEVEL / 2, 0.5 + LEVEL / 2), axis=0))
+
+
+def _shares(draws: Draws, count: int) -> Array:
+    """How often each of `count` places was drawn, along the last axis, as a share of the draws."""
     counts = np.stack([(draws == place).sum(axis=-1) for place in range(count)], axis=-1)
-    return counts.astype(np.float64)
+    return counts.astype(np.float64) / count

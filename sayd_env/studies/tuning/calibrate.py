@@ -18,17 +18,17 @@ from scipy.stats import qmc
 
 from sayd_env.config import StudyError
 from sayd_env.config.calibration import CalibrationConfig, Search
-from sayd_env.config.palette import cycled
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, print_table
-from sayd_env.report.figures import Plot, label, panels
+from sayd_env.report.figures import Plot, panels
 from sayd_env.runs.context import RunContext, silent
 from sayd_env.runs.passive import Sweep, sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.paper.passive_claims import PassiveMeasures
+from sayd_env.studies.tuning.search import best_of, draw_costs, provenance_lines
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 WORST = 8.0
 """Largest penalty of one row: beyond it, further away is no worse, and other rows matter more."""
 ROWS = tuple(f"P{i}" for i in range(1, 11))
-TARGETS = (
-    ("critical_new_kmh", 372.0, 6.0),
-    ("critical_worn_kmh", 331.0, 5.0),
-    ("critical_force_kmh", 361.0, 5.0),
-)
-"""Critical speeds (km/h) of rows P2, P5 and P8: target and scale."""
+TARGETS = {
+    "P2": ("critical_new_kmh", 372.0, 6.0),
+    "P5": ("critical_worn_kmh", 331.0, 5.0),
+    "P8": ("critical_force_kmh", 361.0, 5.0),
+}
+"""Critical speeds (km/h) of three rows: target and scale."""
 PRIOR = 0.05
 """Weight of a parameter's distance from the middle of its range: settles what the rows do not."""
 DIVERGED = 1e3
@@ -77,39 +77,28 @@ class CalibrationResult:
     @property
     def best(self) -> Evaluation:
         """Best evaluation of the last stage that was reached."""
-        last = self.evaluations[-1].stage
-        return min((e for e in self.evaluations if e.stage == last), key=lambda e: e.cost)
+        return best_of(self.evaluations, self.evaluations[-1].stage)
 
     @property
     def values(self) -> dict[str, float]:
         """Calibrated value of each parameter, in its unit."""
-        return {p.name: p.value(u) for p, u in zip(self.config.parameters, self.best.place, strict=True)}
+        return self.config.values(self.best.place)
 
     def study(self) -> str:
         """Text of a study file that holds the calibrated numbers, as `configs/study/nominal.yaml` does."""
-        last = (
-            self.config.first_seed
-            + max((s.seeds for s in self.config.searches), default=self.config.screening_seeds)
-            - 1
-        )
-        lines = [
-            "# The paper's conditions: the estimates, with calibrated numbers on top.",
-            "#",
-            "# Written by `sayd calibrate`, which found every number under `set` from rows P1 to P10 of",
-            "# the paper's statements on the passive vehicle, within the ranges that",
-            "# configs/study/calibration.yaml gives with their sources.",
-            f"base: {self.config.base}",
-            "description: the EMU of the paper with passive yaw dampers",
-            "provenance:",
-            "  command: sayd calibrate",
-            f"  track_seeds: {self.config.first_seed} to {last}",
-            f"  evaluations: {len(self.evaluations)}",
-            f"  cost: {self.best.cost:.3g}",
-            "set:",
-        ]
-        for p, u in zip(self.config.parameters, self.best.place, strict=True):
-            lines.append(f"  # {p.name}: {p.value(u):.5g} {p.unit}, from {p.low:g} to {p.high:g}")
-            lines += [f"  {key}: {float(f'{f * p.value(u):.5g}')!r}" for key, f in p.keys.items()]
+        config = self.config
+        seeds = max((search.seeds for search in config.searches), default=config.screening_seeds)
+        about = {
+            "command": "sayd calibrate",
+            "track_seeds": f"{config.first_seed} to {config.first_seed + seeds - 1}",
+            "evaluations": len(self.evaluations),
+            "cost": f"{self.best.cost:.3g}",
+        }
+        lines = [HEAD.format(base=config.base), *provenance_lines(about), "set:"]
+        for p in config.parameters:
+            value = self.values[p.name]
+            lines.append(f"  # {p.name}: {value:.5g} {p.unit}, from {p.low:g} to {p.high:g}")
+            lines += [f"  {key}: {number!r}" for key, number in p.assignments(value).items()]
         return "\n".join(lines) + "\n"
 
     def as_dict(self) -> dict[str, Any]:
@@ -127,16 +116,12 @@ class CalibrationResult:
 
     def tables(self) -> dict[str, Table]:
         """Every evaluation."""
-        names = [p.name for p in self.config.parameters]
         rows = sorted({row for e in self.evaluations for row in e.penalties})
-        header = ("stage", "cost", *names, *rows)
         lines = [
-            [e.stage, e.cost]
-            + [p.value(u) for p, u in zip(self.config.parameters, e.place, strict=True)]
-            + [e.penalties.get(r, np.nan) for r in rows]
+            [e.stage, e.cost, *self.config.values(e.place).values(), *map(e.penalties.get, rows)]
             for e in self.evaluations
         ]
-        return {"evaluations": (header, lines)}
+        return {"evaluations": (("stage", "cost", *self.values, *rows), lines)}
 
     def plots(self) -> dict[str, Plot]:
         """Cost over the search."""
@@ -144,11 +129,7 @@ class CalibrationResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the calibrated values and what is left of each row's penalty."""
-        rows = [
-            {"name": p.name, "value": self.values[p.name], "unit": p.unit}
-            | {"low": p.low, "high": p.high, "source": p.source}
-            for p in self.config.parameters
-        ]
+        rows = [p.model_dump() | {"value": self.values[p.name]} for p in self.config.parameters]
         title = f"cost {self.best.cost:.3f} ({self.best.stage})"
         print_table(console, title, PARAMETERS, rows, wide=wide)
         left = {k: round(v, 2) for k, v in self.best.penalties.items() if v > 0.0}
@@ -156,16 +137,20 @@ class CalibrationResult:
 
     def _draw(self, figure: Figure) -> None:
         (axes,) = panels(figure, 1, size=(8.0, 4.5))
-        for number, stage in enumerate(dict.fromkeys(e.stage for e in self.evaluations)):
-            places = [i for i, e in enumerate(self.evaluations) if e.stage == stage]
-            costs = [self.evaluations[i].cost for i in places]
-            style = cycled(number)
-            axes.plot(places, costs, style.marker, color=style.colour, markersize=3, label=label(stage))
-        axes.set(xlabel="evaluation", ylabel="cost", title="calibration", yscale="symlog")
+        draw_costs(axes, self.evaluations)
+        axes.set(ylabel="cost", title="calibration", yscale="symlog")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.legend()
 
 
+HEAD = """\
+# The paper's conditions: the estimates, with calibrated numbers on top.
+#
+# Written by `sayd calibrate`, which found every number under `set` from rows P1 to P10 of
+# the paper's statements on the passive vehicle, within the ranges that
+# configs/study/calibration.yaml gives with their sources.
+base: {base}
+description: the EMU of the paper with passive yaw dampers"""
 PARAMETERS = (
     Column("name", "parameter"),
     Column("value", "value"),
@@ -179,28 +164,16 @@ PARAMETERS = (
 
 def assignments(config: CalibrationConfig, place: Sequence[float]) -> dict[str, float]:
     """Scenario keys and their values at a place of the unit cube, to five digits."""
-    return {
-        key: float(f"{factor * p.value(float(u)):.5g}")
-        for p, u in zip(config.parameters, place, strict=True)
-        for key, factor in p.keys.items()
-    }
+    places = zip(config.parameters, place, strict=True)
+    return {key: number for p, u in places for key, number in p.assignments(p.value(float(u))).items()}
 
 
 def calibrate(
-    config: CalibrationConfig,
-    *,
-    seed: int = 0,
-    context: RunContext | None = None,
+    config: CalibrationConfig, *, seed: int = 0, context: RunContext | None = None
 ) -> CalibrationResult:
     """Search for the parameters that meet most of rows P1 to P10.
 
-    Parameters
-    ----------
-    config : CalibrationConfig
-        Parameters and budget.
-    seed : int
-        Seed of the Latin hypercube (not of the tracks).
-    context : RunContext, optional
+    The seed is that of the Latin hypercube, not of the tracks.
 
     Raises
     ------
@@ -217,20 +190,20 @@ def calibrate(
         key = tuple(round(float(u), 9) for u in np.clip(place, 0.0, 1.0))
         found = _evaluate(config, stage, key, seeds, runs)
         evaluations.append(found)
-        best = min(e.cost for e in evaluations if e.stage == stage)
-        context.progress(min(len(evaluations), total), total, f"{stage}, best cost {best:.2f}")
+        best = best_of(evaluations, stage)
+        context.progress(min(len(evaluations), total), total, f"{stage}, best cost {best.cost:.2f}")
         return found
 
     guess = [p.place(p.guess) for p in config.parameters]
     cube = qmc.LatinHypercube(len(guess), seed=seed).random(config.screening_samples - 1)
-    screened = [evaluate("screening", place, config.screening_seeds) for place in [np.array(guess), *cube]]
-    if min(e.cost for e in screened) >= DIVERGED:
+    for place in [np.array(guess), *cube]:
+        evaluate("screening", place, config.screening_seeds)
+    if best_of(evaluations).cost >= DIVERGED:
         raise StudyError("calibration: no parameters within the ranges gave a finite run")
-    best = min(screened, key=lambda e: e.cost)
+    result = CalibrationResult(config, evaluations)
     for search in config.searches:
-        _search(search, np.array(best.place), evaluate)
-        best = min((e for e in evaluations if e.stage == search.name), key=lambda e: e.cost)
-    return CalibrationResult(config, evaluations)
+        _search(search, np.array(result.best.place), evaluate)
+    return result
 
 
 def _search(search: Search, start: Array, evaluate: Callable[[str, Array, int], Evaluation]) -> None:
@@ -267,8 +240,8 @@ def _evaluate(
 
 def residuals_of(penalties: dict[str, float], measures: dict[str, float]) -> list[float]:
     """Distances of the critical speeds from their targets, and the other rows' penalties."""
-    signed = [(measures[key] - target) / scale for key, target, scale in TARGETS]
-    others = [value for row, value in penalties.items() if row not in ("P2", "P5", "P8")]
+    signed = [(measures[key] - target) / scale for key, target, scale in TARGETS.values()]
+    others = [value for row, value in penalties.items() if row not in TARGETS]
     return [*np.clip(signed, -WORST, WORST).tolist(), *others]
 
 
@@ -279,7 +252,7 @@ def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, flo
     above = float(np.max(spread[m.high]))
     crossing = (m.new_acceleration, m.worn_acceleration, m.worn_force)
     v2, v5, v8 = (criterion.extrapolated_kmh() for criterion in crossing)
-    measures = {
+    x = measures = {
         "stable_280": float(np.quantile(m.stable_280(), 0.8)),
         "critical_new_kmh": v2,
         "frequency_hz": float(np.interp(v2 / KMH, new.speeds, np.median(new.frequency, axis=(1, 2)))),
@@ -293,7 +266,6 @@ def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, flo
         "spread_320_hz": float(spread[m.low]),
         "frequency_rise_hz": m.frequency_rise(m.all),
     }
-    x = measures
     penalties = {
         "P1": _over(x["stable_280"], 0.42, 0.05),
         "P2": _over(abs(v2 - 372.0), 4.0, 6.0),

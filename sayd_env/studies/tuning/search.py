@@ -1,20 +1,63 @@
-"""The search of a tuning: gains within their ranges for which a cost is smallest."""
+"""What searches have in common, and the search of a tuning: gains for which a cost is smallest."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 from scipy.optimize import differential_evolution, minimize, minimize_scalar
 from scipy.stats import qmc
 
+from sayd_env.config.palette import BLACK, cycled
 from sayd_env.config.tuning import ControllerTuning, Gains
 from sayd_env.config.units import Array
+from sayd_env.report.figures import label
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LAST_RADIUS = 0.01
 """Step at which the local search ends, as a share of half the ranges."""
 CostAt = Callable[[str, Array], float]
 """Stage and place in the ranges -> what is to be small."""
+
+
+class Tried(Protocol):
+    """An evaluation of a search."""
+
+    @property
+    def stage(self) -> str:
+        """What asked for it."""
+
+    @property
+    def cost(self) -> float:
+        """What is to be small."""
+
+
+E = TypeVar("E", bound=Tried)
+
+
+def best_of(evaluations: Iterable[E], *stages: str) -> E:
+    """The first evaluation with the lowest cost, among those of some stages or of all."""
+    return min((e for e in evaluations if not stages or e.stage in stages), key=lambda e: e.cost)
+
+
+def draw_costs(axes: Axes, evaluations: Sequence[Tried]) -> None:
+    """Draw the costs of a search in its order: points for each stage, and the best of it so far."""
+    for number, stage in enumerate(dict.fromkeys(e.stage for e in evaluations)):
+        places = [i for i, e in enumerate(evaluations) if e.stage == stage]
+        costs = [evaluations[i].cost for i in places]
+        style = cycled(number)
+        axes.plot(places, costs, style.marker, color=style.colour, markersize=3, label=label(stage))
+        best: dict[str, Any] = {} if number else {"label": "best of the stage"}
+        axes.plot(places, np.minimum.accumulate(costs), color=BLACK, linewidth=1.0, **best)
+    axes.set_xlabel("evaluation")
+
+
+def provenance_lines(about: Mapping[str, object]) -> list[str]:
+    """Where the numbers of a YAML file come from."""
+    return ["provenance:", *(f"  {name}: {value}" for name, value in about.items())]
 
 
 def minimise(tuning: ControllerTuning, own: Gains, cost: CostAt, seed: int) -> None:
@@ -24,16 +67,7 @@ def minimise(tuning: ControllerTuning, own: Gains, cost: CostAt, seed: int) -> N
     the controller has, the guesses and a Latin hypercube; then COBYQA, a trust-region method without
     derivatives, from its best point.
 
-    Parameters
-    ----------
-    tuning : ControllerTuning
-        Ranges and budget.
-    own : mapping
-        The gains that the controller has.
-    cost : callable
-        Cost at a place.
-    seed : int
-        Of the global search.
+    `own` are the gains that the controller has; the seed is that of the global search.
     """
     bounds = [(gain.low, gain.high) for gain in tuning.gains.values()]
     if len(bounds) == 1:

@@ -12,9 +12,9 @@ import numpy as np
 from sayd_env.config import ConfigError
 from sayd_env.config.control import load_controller
 from sayd_env.config.loader import packaged_names
-from sayd_env.config.palette import SKY, VERMILION, policy_style
+from sayd_env.config.palette import policy_style
 from sayd_env.config.software import git_state
-from sayd_env.config.tuning import Gains, TuningConfig
+from sayd_env.config.tuning import Gains, TuningConfig, TuningScenario
 from sayd_env.config.units import Array
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, label, log_axis, panels
@@ -22,7 +22,7 @@ from sayd_env.runs.cache import fingerprint
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.evaluator import Costs, PolicyEvaluator
 from sayd_env.runs.policies import PolicySpec, policy_spec
-from sayd_env.studies.tuning.search import minimise
+from sayd_env.studies.tuning.search import best_of, draw_costs, minimise, provenance_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,7 @@ class Evaluation:
     """Scenarios that ended early."""
 
     @property
-    def mean(self) -> float:
+    def cost(self) -> float:
         """Mean of J."""
         return float(np.mean(self.costs))
 
@@ -77,6 +77,11 @@ class TuneResult:
         return {e.policy: e for e in self.evaluations if e.stage == REFERENCE}
 
     @property
+    def shown(self) -> dict[str, Evaluation]:
+        """The references, then the tuned controller."""
+        return self.references | {self.title: self.best}
+
+    @property
     def tried(self) -> list[Evaluation]:
         """Sets of gains."""
         return [e for e in self.evaluations if e.stage != REFERENCE]
@@ -84,7 +89,7 @@ class TuneResult:
     @property
     def best(self) -> Evaluation:
         """The gains with the lowest mean J."""
-        return min(self.tried, key=lambda e: e.mean)
+        return best_of(self.tried)
 
     @property
     def before(self) -> Evaluation:
@@ -93,35 +98,32 @@ class TuneResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Gains, mean J before and after and of the references, and J of each scenario."""
-        everything = self.references | {self.title: self.best}
         return {
             "controller": self.controller,
-            "gains": dict(self.best.gains),
-            "J_before": self.before.mean,
-            "J_after": self.best.mean,
-            "J": {name: e.mean for name, e in everything.items()},
-            "J_by_scenario": {name: list(e.costs) for name, e in everything.items()},
-            "derailed": {name: e.derailed for name, e in everything.items()},
+            "gains": self.best.gains,
+            "J_before": self.before.cost,
+            "J_after": self.best.cost,
+            "J": {name: e.cost for name, e in self.shown.items()},
+            "J_by_scenario": {name: e.costs for name, e in self.shown.items()},
+            "derailed": {name: e.derailed for name, e in self.shown.items()},
             "scenarios": self.settings.scenarios,
             "evaluations": len(self.tried),
         }
 
     def tables(self) -> dict[str, Table]:
         """J by scenario and policy, the tuned controller last; the evaluations."""
-        everything = self.references | {self.title: self.best}
-        conditions = ("speed_kmh", "wear", "friction", "seed")
         rows = [
-            [*(getattr(case, name) for name in conditions), *(e.costs[i] for e in everything.values())]
+            [*case.model_dump().values(), *(e.costs[i] for e in self.shown.values())]
             for i, case in enumerate(self.settings.scenarios)
         ]
-        gains = list(self.settings.of(self.controller).gains)
+        gains = list(self.best.gains)
         costs = [f"J_{case.seed}" for case in self.settings.scenarios]
         tried = [
-            [e.policy, e.stage, *map(e.gains.get, gains), e.mean, e.derailed, *e.costs]
+            [e.policy, e.stage, *map(e.gains.get, gains), e.cost, e.derailed, *e.costs]
             for e in self.evaluations
         ]
         return {
-            "scenarios": ((*conditions, *everything), rows),
+            "scenarios": ((*TuningScenario.model_fields, *self.shown), rows),
             "evaluations": (("policy", "stage", *gains, "J", "derailed", *costs), tried),
         }
 
@@ -131,56 +133,43 @@ class TuneResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the gains, and mean J beside that of the references."""
-        own, gains = load_controller(self.controller), self.settings.of(self.controller).gains
+        own = load_controller(self.controller)
         rows = [
-            {"gain": name, "before": getattr(own, name), "tuned": self.best.gains[name]}
-            | {"range": f"{gain.low:g} to {gain.high:g}{f' of {gain.share_of}' if gain.share_of else ''}"}
-            for name, gain in gains.items()
+            {"gain": name, "before": getattr(own, name), "tuned": self.best.gains[name], "range": gain.text}
+            for name, gain in self.settings.of(self.controller).gains.items()
         ]
         print_table(console, f"{self.title}: {len(self.tried)} evaluations", GAINS, rows, wide=wide)
         costs = [
-            {"policy": name, "J": e.mean, "change": e.mean / self.before.mean - 1.0}
-            | {"better": sum(a < b for a, b in zip(e.costs, self.before.costs, strict=True))}
-            | {"derailed": e.derailed}
-            for name, e in (self.references | {self.title: self.best}).items()
+            {"policy": name, "J": e.cost, "change": e.cost / self.before.cost - 1.0}
+            | {"better": int(np.less(e.costs, self.before.costs).sum()), "derailed": e.derailed}
+            for name, e in self.shown.items()
         ]
         title = f"mean J of {len(self.settings.scenarios)} scenarios"
         print_table(console, title, COSTS, costs, wide=wide)
 
     def control_file(self) -> str:
         """Text of a file of parameters: the controller's own, with the tuned gains in their places."""
-        tuning = self.settings.of(self.controller)
+        ranges = self.settings.of(self.controller).gains
         own = load_controller(self.controller)
         seeds = [case.seed for case in self.settings.scenarios]
-        lines = [
-            f"# The controller {self.controller} with the gains of the smallest mean J, by `sayd tune`.",
-            f"# Tags: calibrated = found so, in the named range; the rest is as in {self.controller}.yaml.",
-            "",
-        ]
+        about = {
+            "command": self.command,
+            "scenarios": f"{len(seeds)} of {self.name}, {self.settings.episode_s:g} s, "
+            f"seeds {min(seeds)} to {max(seeds)}",
+            "evaluations": len(self.tried),
+            "J_before": f"{self.before.cost:.6g}",
+            "J_after": f"{self.best.cost:.6g}",
+            "commit": self.commit or "null",
+        }
+        lines = [HEAD.format(controller=self.controller)]
         for name, info in type(own).model_fields.items():
             extra = info.json_schema_extra
             unit = extra.get("unit") if isinstance(extra, dict) else None
-            if name in tuning.gains:
-                gain = tuning.gains[name]
-                share = f" of {gain.share_of}" if gain.share_of else ""
-                value: Any = self.best.gains[name]
-                tag = f"calibrated: from {gain.low:g} to {gain.high:g}{share}"
-            else:
-                value, tag = getattr(own, name), f"as {self.controller}"
+            value: Any = self.best.gains.get(name, getattr(own, name))
+            tag = f"calibrated: from {ranges[name].text}" if name in ranges else f"as {self.controller}"
             text = f"{name}: {'null' if value is None else value}"
-            comment = f"{unit}; {tag}" if unit else tag
-            lines.append(f"{text:<{COMMENT_COLUMN - 1}} # {comment}")
-        lines += [
-            "provenance:",
-            f"  command: {self.command}",
-            f"  scenarios: {len(seeds)} of {self.name}, {self.settings.episode_s:g} s, seeds {min(seeds)} "
-            f"to {max(seeds)}",
-            f"  evaluations: {len(self.tried)}",
-            f"  J_before: {self.before.mean:.6g}",
-            f"  J_after: {self.best.mean:.6g}",
-            f"  commit: {self.commit or 'null'}",
-        ]
-        return "\n".join(lines) + "\n"
+            lines.append(f"{text:<{COMMENT_COLUMN - 1}} # {f'{unit}; ' if unit else ''}{tag}")
+        return "\n".join([*lines, *provenance_lines(about)]) + "\n"
 
     def _draw(self, figure: Figure) -> None:
         left, right = panels(figure, 2, 2, (5.0, 4.2))
@@ -195,29 +184,26 @@ class TuneResult:
         right.legend(fontsize="small")
 
     def _draw_search(self, axes: Axes) -> None:
-        costs = [e.mean for e in self.tried]
         names = list(self.best.gains)
         if len(names) == 1:
-            axes.plot([e.gains[names[0]] for e in self.tried], costs, "o", markersize=4)
+            places = [e.gains[names[0]] for e in self.tried]
+            axes.plot(places, [e.cost for e in self.tried], "o", markersize=4)
             axes.set_xlabel(names[0])
         else:
-            axes.plot(costs, ".", color=SKY, label="evaluation")
-            axes.plot(np.minimum.accumulate(costs), color=VERMILION, label="best so far")
-            axes.set_xlabel("evaluation")
+            draw_costs(axes, self.tried)
         for name, e in self.references.items():
-            if e.mean < 2.0 * self.before.mean:
-                axes.axhline(e.mean, linewidth=1.0, label=label(name), **policy_style(name).plain)
+            if e.cost < 2.0 * self.before.cost:
+                axes.axhline(e.cost, linewidth=1.0, label=label(name), **policy_style(name).plain)
         axes.set(ylabel="mean J", title=self.title)
         log_axis(axes)
         axes.legend(fontsize="small")
 
 
-GAINS = (
-    Column("gain", "gain"),
-    Column("before", "before"),
-    Column("tuned", "tuned"),
-    Column("range", "range"),
-)
+HEAD = """\
+# The controller {controller} with the gains of the smallest mean J, by `sayd tune`.
+# Tags: calibrated = found so, in the named range; the rest is as in {controller}.yaml.
+"""
+GAINS = tuple(Column(name, name) for name in ("gain", "before", "tuned", "range"))
 COSTS = (
     Column("policy", "policy"),
     Column("J", "J", digits=5, best=True),
@@ -239,20 +225,9 @@ def tune(
 ) -> TuneResult:
     """Find the gains of a controller with the smallest mean J over a list of scenarios.
 
-    Parameters
-    ----------
-    controller : str
-        One of the settings' controllers.
-    settings : TuningConfig
-        Scenarios, ranges and budget.
-    name : str
-        What the scenarios are called in the controller's file.
-    seed : int
-        Seed of the global search (not of the scenarios).
-    command : str
-        How to repeat it.
-    context : RunContext, optional
-        Its cache keeps evaluations, its executor gives the number of threads.
+    `name` is what the scenarios are called in the controller's file, `seed` that of the global search (not of
+    the scenarios), `command` how to repeat it. The context's cache keeps evaluations, its executor gives the
+    number of threads.
 
     Raises
     ------
@@ -262,27 +237,25 @@ def tune(
         A run that diverged.
     """
     tuning = settings.of(controller)
-    context = context or RunContext()
     commit, _ = git_state()  # of the software that runs, not of its end
     asked = [policy_spec(reference) for reference in dict.fromkeys((*settings.references, controller))]
-    run = _Tuning(controller, settings, len(asked), context)
+    total = len(asked) + tuning.search + tuning.polish
+    run = _Tuning(controller, settings, total, context or RunContext())
     for spec in asked:
         run.evaluate(spec, REFERENCE, {})
     own = load_controller(controller).model_dump()
     own |= {k: settings.initial_current for k in ("initial",) if k in own and own[k] is None}
     minimise(tuning, own, run.cost_at, seed)
-    return TuneResult(
-        controller, settings, name, command or f"sayd tune {controller}", commit, run.evaluations
-    )
+    command = command or f"sayd tune {controller}"
+    return TuneResult(controller, settings, name, command, commit, run.evaluations)
 
 
 class _Tuning:
     """A tuning under way."""
 
-    def __init__(self, controller: str, settings: TuningConfig, references: int, context: RunContext) -> None:
+    def __init__(self, controller: str, settings: TuningConfig, total: int, context: RunContext) -> None:
         self.evaluations: list[Evaluation] = []
-        self._controller, self._settings, self._tuning = controller, settings, settings.of(controller)
-        self._context = context
+        self._controller, self._settings, self._context = controller, settings, context
         self._evaluator = PolicyEvaluator(
             settings.environment,
             [case.model_dump() for case in settings.scenarios],
@@ -291,20 +264,19 @@ class _Tuning:
             workers=context.executor.workers,
         )
         self._inputs = fingerprint(*self._evaluator.inputs())
-        self._total = references + self._tuning.search + self._tuning.polish
-        self._asked = 0
+        self._asked, self._total = 0, total
         self._seen: dict[tuple[float, ...], Evaluation] = {}
 
     def cost_at(self, stage: str, place: Array) -> float:
         """Mean J of the controller at a place of the ranges."""
-        gains = self._tuning.values(place, self._settings.digits)
+        gains = self._settings.of(self._controller).values(place, self._settings.digits)
         key = tuple(gains.values())
         if key in self._seen:  # a place that rounds to the same gains
             self._tell(stage)
         else:
             spec = PolicySpec(self._controller, gains, f"{self._controller}-tuned")
             self._seen[key] = self.evaluate(spec, stage, gains)
-        return self._seen[key].mean
+        return self._seen[key].cost
 
     def evaluate(self, spec: PolicySpec, stage: str, gains: Gains) -> Evaluation:
         """Evaluate a policy, unless it is in the cache."""
@@ -320,8 +292,8 @@ class _Tuning:
 
     def _tell(self, stage: str) -> None:
         self._asked += 1
-        tried = [e.mean for e in self.evaluations if e.stage != REFERENCE]
-        best = f", best J {min(tried):.5f}" if tried else ""
+        tried = [e for e in self.evaluations if e.stage != REFERENCE]
+        best = f", best J {best_of(tried).cost:.5f}" if tried else ""
         self._context.progress(min(self._asked, self._total), self._total, f"{stage}{best}")
 
 

@@ -272,7 +272,7 @@ def test_nothing_is_run_twice(
     # Three policies and the constant in two conditions; three at two speeds, and halfway to a crossing.
     assert cache.reused == 4 * 2 + 3 * 2 + sum(crosses(each) for each in result.stability.values())
     assert np.array_equal(again.costs[OWN]["blind"], result.costs[OWN]["blind"])
-    assert again.scores[OWN]["blind"].to_passive == result.scores[OWN]["blind"].to_passive
+    assert again.scores[OWN]["blind"].relative_to_passive == result.scores[OWN]["blind"].relative_to_passive
 
 
 def test_other_weights_under_the_same_name_are_another_policy(

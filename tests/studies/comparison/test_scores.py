@@ -39,18 +39,23 @@ def made_up(learned: list[list[float]]) -> Score:
 
 def test_a_score_compares_scenario_by_scenario():
     found = made_up([[0.5, 1.5], [0.5, 2.1]])
-    assert found.mean == pytest.approx(4.6 / 4)
-    assert found.by_training.tolist() == [1.0, pytest.approx(1.3)]
+    assert pytest.approx(4.6 / 4) == found.J
+    assert found.J_by_training_seed.tolist() == [1.0, pytest.approx(1.3)]
     assert found.best_of_paper == "mppt2"
-    assert found.to_mppt2.value == 0.5  # the middle two of 0.5, 0.5, 0.5 and 0.7
-    assert found.improvement["mppt2"].value == 1.0
+    assert found.relative_to_mppt2.value == 0.5  # the middle two of 0.5, 0.5, 0.5 and 0.7
+    assert found.probability_of_improvement["mppt2"].value == 1.0
     assert found.reduction.value == pytest.approx(1 - 1.15 / 2)
-    assert found.reductions["passive"].value == pytest.approx(1 - 1.15 / 2)
-    assert found.improvement["passive"].value == 0.75  # 2.1 in one of four is above the passive 2
+    assert found.reduction_by_controller["passive"].value == pytest.approx(1 - 1.15 / 2)
+    assert (
+        found.probability_of_improvement["passive"].value == 0.75
+    )  # 2.1 in one of four is above the passive 2
     assert found.worst_vs_passive == pytest.approx(0.9)
     assert found.worst_condition == CONDITIONS[1]
-    assert (found.worse_than_passive, found.worse_trainings) == (0, 1)
-    assert found.to_best_constant == pytest.approx(2.3)
+    assert (found.conditions_worse_than_passive, found.conditions_of_training_seeds_worse_than_passive) == (
+        0,
+        1,
+    )
+    assert found.relative_to_best_constant == pytest.approx(2.3)
 
 
 STABLE = Stability(None, "not reached", {}, (340.0, 400.0), {"acceleration": 0.4}, 0.5)

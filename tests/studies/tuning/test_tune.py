@@ -134,8 +134,8 @@ def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_pa
     assert bowl.made == needed
     assert result.best.gains["current"] == pytest.approx(0.45, abs=1e-4)
     # Mean over 24 scenarios of 0.1 k is 1.15; the least J is 0.02.
-    assert result.best.mean == pytest.approx(1.17, abs=1e-6)
-    assert result.before.mean == pytest.approx(1.17 + 0.45**2, abs=1e-9)
+    assert result.best.cost == pytest.approx(1.17, abs=1e-6)
+    assert result.before.cost == pytest.approx(1.17 + 0.45**2, abs=1e-9)
 
 
 def test_progress_counts_every_evaluation_once(bowl: type[Bowl]):
