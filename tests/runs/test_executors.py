@@ -30,7 +30,7 @@ from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.evaluate import evaluate
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of Ray's and Dask's own
-os.environ["RAY_worker_niceness"] = "0"  # or its workers wait for all other tests
+os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112 - or its workers wait for all other tests
 
 SHORT = ["assessment.run_in=200", "assessment.length=600"]
 CLUSTERS = [executors.RAY, executors.DASK]
