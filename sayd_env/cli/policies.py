@@ -121,6 +121,12 @@ def map_(
     )
 
 
+def _held_out() -> list[str]:
+    from sayd_env.config.comparison import HELD_OUT  # noqa: PLC0415 - keeps --help fast
+
+    return [HELD_OUT]
+
+
 @command(GROUP, "--quick --policies ppo,own=a.npz+b.npz", runs=True)
 def compare(
     foreign: options.ForeignOptions,
@@ -133,7 +139,7 @@ def compare(
     config: str | None = scenario(
         "--config NAME|FILE",
         "Conditions: a YAML file. Default: the held-out ones, which nothing was trained on.",
-        autocompletion=lambda: ["heldout"],
+        autocompletion=_held_out,
     ),
     assignments: options.Set = None,
     quick: options.Quick = False,
