@@ -38,7 +38,7 @@ OFFERED = {
     "export": {*FOREIGN, *SHOWN, "onnx"} - {"wide"},
     "conicity": {*WHEELS, *SHOWN},
     "hysteresis": {*CONFIG, *SHOWN, "damper", "amplitudes", "frequencies", "current"},
-    "bench": {*VEHICLE, *SHOWN, "speed", "quick", "workers"},
+    "bench": {*VEHICLE, *SHOWN, "speed", "quick", "workers", "executor"},
     "soak": {*SHOWN, "set", "steps", "environment", "environments", "seed", "workers"},
 }
 OFFERED["render"] -= {"wide"}
