@@ -216,13 +216,13 @@ def render(
         "friction": choice.friction is not None or "friction" in keys,
         "tracks": choice.track is not None or any(key.split(".")[0] == "track" for key in keys),
     }
-    left = study.fixed_laws(setup, [key for key, is_fixed in fixed.items() if is_fixed])
+    left = study.with_fixed(setup, [key for key, is_fixed in fixed.items() if is_fixed])
     target = file or (out or RESULTS / "render") / "render.gif"
     spec = policy_spec(who, foreign.reader(setup))
-    film = study.Film(spec, target, seconds, fps, exaggeration)
+    video = study.Video(spec, target, seconds, fps, exaggeration)
     metric = None if speed is None else speed / KMH
     return Plan(
-        lambda run: study.render(film, chosen, left, seed=seed, speed=metric, progress=run.progress),
+        lambda run: study.render(video, chosen, left, seed=seed, speed=metric, progress=run.progress),
         {**dict(chosen), "environment": setup},
         seed,
     )

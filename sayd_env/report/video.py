@@ -61,19 +61,19 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, colours: Pict
     first = next(waiting)
     height, width, _ = first.shape
     ffmpeg = importlib.import_module("imageio_ffmpeg")
-    film = ffmpeg.write_frames(
+    video = ffmpeg.write_frames(
         str(path), (width, height), fps=fps, quality=8, output_params=["-movflags", "+faststart", "-f", "mp4"]
     )
-    film.send(None)
+    video.send(None)
     count = 0
     try:
         for picture in chain([first], waiting):
-            film.send(np.ascontiguousarray(picture))
+            video.send(np.ascontiguousarray(picture))
             count += 1
     except OSError as error:
         raise StudyError(f"the video could not be written ({' '.join(str(error).split())[:200]})") from None
     finally:
-        film.close()
+        video.close()
     # The encoder does not tell how it ended.
     written, _ = ffmpeg.count_frames_and_secs(str(path))
     if written != count:
@@ -87,7 +87,7 @@ WRITERS: MappingProxyType[str, Writer] = MappingProxyType(
 """Writers of pictures by the suffix of the file's name."""
 
 
-def checked_film(path: Path, fps: float, count: int) -> None:
+def checked_video(path: Path, fps: float, count: int) -> None:
     """Refuse a file that could not be written, before any picture has been made.
 
     Parameters
@@ -138,13 +138,13 @@ def checked_film(path: Path, fps: float, count: int) -> None:
             ) from None
 
 
-def write_film(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
+def write_video(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
     """Write pictures into a file that appears when it is complete.
 
     Parameters
     ----------
     path : Path
-        A name that `checked_film` has passed.
+        A name that `checked_video` has passed.
     pictures : iterable of ndarray, each of shape (height, width, 3)
     fps : float
         Pictures per second.

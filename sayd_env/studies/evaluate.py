@@ -260,8 +260,8 @@ def evaluate(
         A run that diverged.
     """
     specs = tuple(policies) or (own_policy(scenario),)
-    chosen, laws = conditions(scenario, wear, friction), environment or load_environment()
-    runs = list(policy_runs(specs, chosen, speeds, seeds, laws, initial_current=initial_current))
+    chosen, setup = conditions(scenario, wear, friction), environment or load_environment()
+    runs = list(policy_runs(specs, chosen, speeds, seeds, setup, initial_current=initial_current))
     return EvaluateResult(scenario, rows(runs, context or RunContext()))
 
 

@@ -1,4 +1,4 @@
-"""A policy at work, in pictures: one run of one vehicle, drawn as a film or as its last picture."""
+"""A policy at work, in pictures: one run of one vehicle, drawn as a video or as its last picture."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sayd_env.envs.rollout import first_state, listens
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Table
 from sayd_env.report.figures import Plot
-from sayd_env.report.video import Picture, checked_film, write_film
+from sayd_env.report.video import Picture, checked_video, write_video
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.policies import PolicySpec, for_policy
 
@@ -44,7 +44,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class Video:
     """What is to be drawn, and where it goes."""
 
     policy: PolicySpec
@@ -67,9 +67,9 @@ class Film:
 
 @dataclass(eq=False)
 class RenderResult:
-    """A film and the run that it shows."""
+    """A video and the run that it shows."""
 
-    film: Film
+    video: Video
     speed: float
     """m/s."""
     seed: int
@@ -94,13 +94,13 @@ class RenderResult:
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``--json``."""
         return {
-            "file": str(self.film.file),
-            "policy": self.film.policy.title,
+            "file": str(self.video.file),
+            "policy": self.video.policy.title,
             "speed_kmh": self.speed * KMH,
             "wear": self.wear,
             "friction": self.friction,
             "seconds": self.seconds,
-            "fps": self.film.fps,
+            "fps": self.video.fps,
             "pictures": self.pictures,
             "J": self.cost,
             "J_acceleration": self.cost_acceleration,
@@ -114,13 +114,13 @@ class RenderResult:
         return {"pictures": (COLUMNS, self.rows)}
 
     def plots(self) -> Mapping[str, Plot]:
-        """None: the film is the plot."""
+        """None: the video is the plot."""
         return {}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print what has been drawn."""
         console.print(
-            f"{self.film.policy.title} at {self.speed * KMH:g} km/h, wear {self.wear:g}, friction "
+            f"{self.video.policy.title} at {self.speed * KMH:g} km/h, wear {self.wear:g}, friction "
             f"{self.friction:.3g}, seed {self.seed}: {self.seconds:g} s, J {self.cost:.4g} (acceleration "
             f"{self.cost_acceleration:.4g}, force {self.cost_force:.4g})",
             highlight=False,
@@ -129,10 +129,10 @@ class RenderResult:
             console.print(f"fault: {fault}", highlight=False, markup=False)
         if self.ending is not None:
             console.print(f"ended early: {self.ending}", style="red", highlight=False, markup=False)
-        size = self.film.file.stat().st_size / 1e6 if self.film.file.exists() else 0.0
+        size = self.video.file.stat().st_size / 1e6 if self.video.file.exists() else 0.0
         noun = "picture" if self.pictures == 1 else "pictures"
         console.print(
-            f"{self.film.file}: {self.pictures} {noun}, {size:.1f} MB",
+            f"{self.video.file}: {self.pictures} {noun}, {size:.1f} MB",
             highlight=False,
             markup=False,
             soft_wrap=True,
@@ -140,7 +140,7 @@ class RenderResult:
 
 
 def render(
-    film: Film,
+    video: Video,
     scenario: Scenario,
     environment: EnvironmentConfig,
     *,
@@ -149,11 +149,11 @@ def render(
     fixed: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> RenderResult:
-    """Run a policy and write its film.
+    """Run a policy and write its video.
 
     Parameters
     ----------
-    film : Film
+    video : Video
     scenario : Scenario
         The vehicle; it gets the yaw dampers that the policy needs.
     environment : EnvironmentConfig
@@ -172,59 +172,61 @@ def render(
     ConfigError
         A file, policy, speed, length or rate that cannot be; pygame is missing.
     """
-    environment = film.policy.environment(environment)
+    environment = video.policy.environment(environment)
     period = environment.control_period
-    _check(film, period)
-    fitted = for_policy(scenario, film.policy)
+    _check(video, period)
+    fitted = for_policy(scenario, video.policy)
     config = environment.model_copy(
         update={
             "damper": fitted.damper.type,
-            "episode_s": max(environment.episode_s, period * math.ceil(film.seconds / period)),
+            "episode_s": max(environment.episode_s, period * math.ceil(video.seconds / period)),
         }
     )
     options = dict(fixed or {}) | ({} if speed is None else {"speed_kmh": speed * KMH})
     episode = draw_episode(config, seed, 0, options)
     VehicleModel(fitted).check_speed(episode.speed)
     batch = EpisodeBatch(config, 1, scenario=fitted, num_threads=1)
-    policy = film.policy.make(batch)
+    policy = video.policy.make(batch)
     recorder = Recorder(batch)
-    renderer = _renderer(recorder, film)
+    renderer = _renderer(recorder, video)
     batch.reset([0], [episode], listen=listens(policy))
     first = recorder.frame()
-    result = RenderResult(film, episode.speed, seed, first.wear, first.friction)
+    result = RenderResult(video, episode.speed, seed, first.wear, first.friction)
     from sayd_env.envs.rendering import colours  # noqa: PLC0415 - the renderer has loaded it
 
-    write_film(film.file, _pictures(result, policy, recorder, renderer, progress), film.fps, colours())
+    write_video(video.file, _pictures(result, policy, recorder, renderer, progress), video.fps, colours())
     return result
 
 
-def fixed_laws(environment: EnvironmentConfig, names: Sequence[str]) -> EnvironmentConfig:
+def with_fixed(environment: EnvironmentConfig, names: Sequence[str]) -> EnvironmentConfig:
     """Environment that draws no ``wear``, ``friction`` or ``tracks`` but leaves them to the scenario."""
-    laws: dict[str, Any] = {name: () if name == "tracks" else None for name in names}
-    drawn = environment.randomisation.model_copy(update=laws)
+    fixed: dict[str, Any] = {name: () if name == "tracks" else None for name in names}
+    drawn = environment.randomisation.model_copy(update=fixed)
     return environment.model_copy(update={"randomisation": drawn})
 
 
-def _check(film: Film, control_period: float) -> None:
-    if not (math.isfinite(film.seconds) and film.seconds >= control_period):
+def _check(video: Video, control_period: float) -> None:
+    if not (math.isfinite(video.seconds) and video.seconds >= control_period):
         raise ConfigError(
-            f"--seconds {film.seconds:g}: expected at least one control period, {control_period:g} s"
+            f"--seconds {video.seconds:g}: expected at least one control period, {control_period:g} s"
         )
-    if not 0.0 < film.fps <= 1.0 / control_period + 1e-9:
+    if not 0.0 < video.fps <= 1.0 / control_period + 1e-9:
         raise ConfigError(
-            f"--fps {film.fps:g}: expected at most one picture in a control period, {1.0 / control_period:g}"
+            f"--fps {video.fps:g}: expected at most one picture in a control period, {1.0 / control_period:g}"
         )
-    if film.exaggeration is not None and not (math.isfinite(film.exaggeration) and film.exaggeration > 0.0):
-        raise ConfigError(f"--exaggeration {film.exaggeration:g}: expected a number above 0")
-    checked_film(film.file, film.fps, film.pictures)
+    if video.exaggeration is not None and not (
+        math.isfinite(video.exaggeration) and video.exaggeration > 0.0
+    ):
+        raise ConfigError(f"--exaggeration {video.exaggeration:g}: expected a number above 0")
+    checked_video(video.file, video.fps, video.pictures)
 
 
-def _renderer(recorder: Recorder, film: Film) -> Renderer:
+def _renderer(recorder: Recorder, video: Video) -> Renderer:
     try:
         from sayd_env.envs.rendering import EXAGGERATION, Renderer  # noqa: PLC0415 - needs an extra
 
-        exaggeration = EXAGGERATION if film.exaggeration is None else film.exaggeration
-        return Renderer(recorder, caption=film.policy.title, exaggeration=exaggeration)
+        exaggeration = EXAGGERATION if video.exaggeration is None else video.exaggeration
+        return Renderer(recorder, caption=video.policy.title, exaggeration=exaggeration)
     except DependencyNotInstalled as error:
         raise ConfigError(str(error)) from None
 
@@ -233,13 +235,13 @@ def _pictures(
     result: RenderResult, policy: Any, recorder: Recorder, renderer: Renderer, progress: Progress
 ) -> Iterator[Picture]:
     """Run the vehicle from picture to picture, and fill in the result on the way."""
-    film, batch = result.film, recorder.batch
+    video, batch = result.video, recorder.batch
     period = batch.config.control_period
     observation, shape = batch.observations(), (1, batch.interface.actions)
     state, start = first_state(policy, batch)
     steps, sums, held = 0, np.zeros(2), 0
-    for n in range(film.pictures):
-        until = film.step(n, period)
+    for n in range(video.pictures):
+        until = video.step(n, period)
         while steps < until and int(batch.vehicles.status[0]) == RUNNING:
             action, state = policy.predict(observation, state, start, deterministic=True)
             start = np.zeros(1, dtype=np.bool_)
@@ -250,11 +252,11 @@ def _pictures(
         picture = renderer.draw()
         assert picture is not None  # the renderer has no window
         result.rows.append(_row(recorder))
-        progress(n + 1, film.pictures, f"{steps * period:.1f} s")
+        progress(n + 1, video.pictures, f"{steps * period:.1f} s")
         yield picture
         if int(batch.vehicles.status[0]) != RUNNING:
             held += 1
-            if held >= HOLD * film.fps:
+            if held >= HOLD * video.fps:
                 break
     frame, result.seconds = recorder.frame(), steps * period
     if steps:

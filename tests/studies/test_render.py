@@ -1,4 +1,4 @@
-"""Films: the right number of pictures at the right times, complete files, clear refusals."""
+"""Videos: the right number of pictures at the right times, complete files, clear refusals."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from sayd_env.cli import main
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
-from sayd_env.report.video import checked_film, write_film
+from sayd_env.report.video import checked_video, write_video
 from sayd_env.runs.policies import policy_spec
-from sayd_env.studies.render import Film, RenderResult, fixed_laws, render
+from sayd_env.studies.render import RenderResult, Video, render, with_fixed
 
 pytest.importorskip("pygame")
 
@@ -46,8 +46,8 @@ def scenario() -> Scenario:
     return load_scenario("nominal")
 
 
-def film(file: Path, policy: str = "constant:0.5", seconds: float = 0.2, fps: float = 25.0) -> Film:
-    return Film(policy_spec(policy), file, seconds, fps)
+def video(file: Path, policy: str = "constant:0.5", seconds: float = 0.2, fps: float = 25.0) -> Video:
+    return Video(policy_spec(policy), file, seconds, fps)
 
 
 def blinking(count: int) -> Iterator[Picture]:
@@ -59,7 +59,7 @@ def test_a_gif_has_its_pictures_at_its_rate(
     tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
 ) -> None:
     file = tmp_path / "new" / "run.gif"
-    result = render(film(file), scenario, environment)
+    result = render(video(file), scenario, environment)
     with Image.open(file) as found:
         assert found.n_frames == 5
         assert found.size == (1280, 720)
@@ -76,7 +76,7 @@ def test_a_gif_has_its_pictures_at_its_rate(
 
 
 def test_a_png_shows_the_end(tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig) -> None:
-    result = render(film(tmp_path / "end.png", seconds=0.15), scenario, environment)
+    result = render(video(tmp_path / "end.png", seconds=0.15), scenario, environment)
     assert result.rows[-1][0] == pytest.approx(0.15)
     assert result.seconds == pytest.approx(0.15)
     with Image.open(tmp_path / "end.png") as found:
@@ -85,7 +85,7 @@ def test_a_png_shows_the_end(tmp_path: Path, scenario: Scenario, environment: En
 
 def test_a_video_plays(tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    render(film(tmp_path / "run.mp4", fps=30.0), scenario, environment)
+    render(video(tmp_path / "run.mp4", fps=30.0), scenario, environment)
     frames, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "run.mp4"))
     assert frames == 6
     assert seconds == pytest.approx(0.2, abs=0.01)
@@ -94,7 +94,7 @@ def test_a_video_plays(tmp_path: Path, scenario: Scenario, environment: Environm
 def test_the_run_is_the_environments(
     quick: str, tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
 ) -> None:
-    result = render(film(tmp_path / "a.png"), scenario, environment, seed=3)
+    result = render(video(tmp_path / "a.png"), scenario, environment, seed=3)
     env = gym.make("SAYD/Nominal-v0", environment=quick)
     env.reset(seed=3)
     rewards = [float(env.step(np.full(2, 0.5, dtype=np.float32))[1]) for _ in range(20)]
@@ -105,7 +105,7 @@ def test_the_run_is_the_environments(
 def test_the_passive_vehicle_has_its_dampers(
     tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
 ) -> None:
-    result = render(film(tmp_path / "a.png", "passive"), scenario, environment, speed=300 / 3.6)
+    result = render(video(tmp_path / "a.png", "passive"), scenario, environment, speed=300 / 3.6)
     assert result.rows[-1][-2:] == (None, None)
     assert result.as_dict()["speed_kmh"] == pytest.approx(300.0)
 
@@ -116,7 +116,7 @@ def test_a_run_that_ends_early_stops_the_film(
     # Any wheel is beyond a Y/Q limit that small: the run ends at once, and its last picture stays for 1 s.
     strict = environment.derailment.model_copy(update={"quotient": 1e-6})
     config = environment.model_copy(update={"derailment": strict})
-    result = render(film(tmp_path / "a.gif", seconds=4.0, fps=5.0), scenario, config)
+    result = render(video(tmp_path / "a.gif", seconds=4.0, fps=5.0), scenario, config)
     assert result.ending is not None
     assert "derailment" in result.ending
     assert result.pictures <= 6
@@ -124,7 +124,7 @@ def test_a_run_that_ends_early_stops_the_film(
 
 def test_what_flags_fix_is_not_drawn() -> None:
     laws = load_environment("randomized")
-    fixed = fixed_laws(laws, ["wear", "tracks"]).randomisation
+    fixed = with_fixed(laws, ["wear", "tracks"]).randomisation
     assert fixed.wear is None
     assert fixed.tracks == ()
     assert fixed.friction == laws.randomisation.friction
@@ -139,7 +139,7 @@ def test_a_failure_leaves_the_former_file(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_film(file, failing(), 25.0, COLOURS)
+        write_video(file, failing(), 25.0, COLOURS)
     assert file.read_bytes() == b"former"
     assert list(tmp_path.iterdir()) == [file]
 
@@ -148,13 +148,13 @@ def test_a_video_that_breaks_off_is_an_error(tmp_path: Path, monkeypatch: pytest
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setattr(ffmpeg, "count_frames_and_secs", lambda path: (2, 0.1))
     with pytest.raises(StudyError, match="2 of 3 pictures"):
-        write_film(tmp_path / "run.mp4", blinking(3), 25.0, COLOURS)
+        write_video(tmp_path / "run.mp4", blinking(3), 25.0, COLOURS)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_film_keeps_its_colours(tmp_path: Path) -> None:
     file = tmp_path / "run.gif"
-    write_film(file, blinking(4), 10.0, COLOURS)
+    write_video(file, blinking(4), 10.0, COLOURS)
     with Image.open(file) as found:
         for n in range(4):
             found.seek(n)
@@ -178,14 +178,14 @@ def test_films_that_cannot_be(tmp_path: Path, name: str, fps: float, count: int,
     (tmp_path / "file").write_text("in the way")
     (tmp_path / "folder.gif").mkdir()
     with pytest.raises(ConfigError) as error:
-        checked_film(tmp_path / name, fps, count)
+        checked_video(tmp_path / name, fps, count)
     assert problem in str(error.value)
 
 
 def test_a_video_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(ConfigError, match=r"pip install 'sayd-env\[video\]'"):
-        checked_film(tmp_path / "run.mp4", 25.0, 10)
+        checked_video(tmp_path / "run.mp4", 25.0, 10)
 
 
 def test_pictures_need_their_extra(
@@ -193,7 +193,7 @@ def test_pictures_need_their_extra(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(ConfigError, match=r"pip install 'sayd-env\[render\]'"):
-        render(film(tmp_path / "run.png"), scenario, environment)
+        render(video(tmp_path / "run.png"), scenario, environment)
 
 
 def test_the_command_writes_pictures_and_json(
@@ -238,6 +238,6 @@ def test_bad_options(
 
 
 def test_a_result_says_what_was_seen(tmp_path: Path) -> None:
-    result = RenderResult(film(tmp_path / "a.gif"), 100.0, 0, 1.0, 0.4)
+    result = RenderResult(video(tmp_path / "a.gif"), 100.0, 0, 1.0, 0.4)
     assert result.as_dict()["speed_kmh"] == pytest.approx(360.0)
     assert dict(result.plots()) == {}

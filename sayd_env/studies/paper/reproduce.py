@@ -174,9 +174,9 @@ def reproduce(
     """
     if not isinstance(scenario.damper, PassiveDamperConfig):
         raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
-    laws = environment or load_environment()
+    setup = environment or load_environment()
     if control_periods:
-        periods.environments_at(control_periods, laws)  # refused before any work
+        periods.environments_at(control_periods, setup)  # refused before any work
     check_laws(creep_laws, "creep laws")
     models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
     wheels = dict(zip(("new", "worn"), (model.scenario for model in models), strict=True))
@@ -188,11 +188,11 @@ def reproduce(
     )
     new_runs = sweep(wheels["new"], NEW_SPEEDS, seeds, new)
     worn_runs = sweep(wheels["worn"], WORN_SPEEDS, seeds, worn)
-    runs = controlled_runs(wheels["worn"], laws, seeds, required_runs(), controlled)
+    runs = controlled_runs(wheels["worn"], setup, seeds, required_runs(), controlled)
     by_period: periods.PeriodClaims = {}
     if control_periods:
         by_period = periods.period_claims(
-            wheels["worn"], seeds, control_periods, environment=laws, context=others
+            wheels["worn"], seeds, control_periods, environment=setup, context=others
         )
     compared = {
         name: compare_laws(vehicle, LAW_SPEEDS, seeds, creep_laws, part)
