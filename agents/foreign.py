@@ -33,7 +33,6 @@ from sayd_env.envs.interface import ACTIONS, Interface
 
 Single = npt.NDArray[np.float32]
 
-ENDING = ".zip"
 _ACTIVATIONS = ({"tanh"}, {"relu"})
 _MARKS = {
     "ppo": ("stable_baselines3.common.policies", {"clip_range", "n_epochs"}),

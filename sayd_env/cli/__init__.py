@@ -76,9 +76,11 @@ def _run(arguments: Sequence[str] | None) -> int:
     from typer.exceptions import TyperException  # noqa: PLC0415
 
     from sayd_env.cli.app import app  # noqa: PLC0415
+    from sayd_env.cli.output import typed  # noqa: PLC0415
     from sayd_env.config.errors import Interrupted, SaydError, StudyError  # noqa: PLC0415
 
     command = typer.main.get_command(app)
+    typed[:] = sys.argv[1:] if arguments is None else arguments
     verdicts = {
         Interrupted: ("interrupted; ", INTERRUPTED),
         StudyError: ("error: ", FAILURE),

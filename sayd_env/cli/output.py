@@ -88,9 +88,13 @@ class Output:
                 yield _Lines(self.command, errors)
 
 
+typed: list[str] = []
+"""Arguments of the command that runs; `main` sets them."""
+
+
 def command_text() -> str:
     """What was typed, as a shell would take it again."""
-    return shlex.join(["sayd", *sys.argv[1:]])
+    return shlex.join(["sayd", *typed])
 
 
 @contextmanager

@@ -70,7 +70,7 @@ def soak(
     is not drawn.
     """
     from sayd_env.config import StudyError  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.config.environment import load_environment  # noqa: PLC0415
+    from sayd_env.envs.keywords import configured  # noqa: PLC0415
     from sayd_env.studies.soak import soak as study  # noqa: PLC0415
 
     def judge(result: SoakResult, _: Output) -> None:
@@ -87,7 +87,7 @@ def soak(
             workers=workers,
             progress=run.progress,
         ),
-        load_environment(environment),
+        dict(zip(("environment", "scenario"), configured(environment, settings=assignments), strict=True)),
         seed,
         after=judge,
     )

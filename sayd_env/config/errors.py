@@ -38,5 +38,9 @@ class StudyError(SaydError):
     """A study that ran but failed; the command line exits with status 1."""
 
 
+class Diverged(StudyError):
+    """A simulation whose numbers did not stay finite or within the model."""
+
+
 class Interrupted(SaydError):
     """Work that was interrupted and has kept what it had; the message says how to go on."""

@@ -67,7 +67,7 @@ _POLICIES = MappingProxyType(
 )
 _OTHERS = tuple(
     Style(colour, marker, line)
-    for colour, marker, line in product((GREEN, PURPLE, SKY, YELLOW), "X<>h8p", ("-", "-."))
+    for colour, marker, line in product((GREEN, PURPLE, SKY, BLUE), "X<>h8p", ("-", "-."))
 )
 _TRAINING = re.compile(r"(?P<algorithm>[a-z]+[0-9]?)-s(?P<seed>\d+)")
 
@@ -102,7 +102,8 @@ def cycled(place: int) -> Style:
 
 
 def _nth(place: int) -> tuple[str, str]:
-    return MARKERS[place % len(MARKERS)], LINES[place % len(LINES)]
+    again, first = divmod(place, len(MARKERS))
+    return MARKERS[first], LINES[(place + again) % len(LINES)]  # forty different pairs
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

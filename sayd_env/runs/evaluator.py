@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -23,6 +22,7 @@ from sayd_env.envs.keywords import configured
 from sayd_env.envs.loop import NOT_FINITE, RUNNING, TERMS
 from sayd_env.envs.rollout import first_state
 from sayd_env.runs.cache import fingerprint
+from sayd_env.runs.executors import THREADS, ExecutorChoice, KeptExecutor, computed
 from sayd_env.runs.policies import PolicySpec
 
 MOST_PREPARED = 16
@@ -57,11 +57,11 @@ class PolicyEvaluator:
         Weights of J: ``mppt1`` or ``mppt2``.
     initial_current : float
         Valve command of the run-in, where the valves have one.
-    executor : Executor, optional
-        Makes the runs in as many pieces as it has workers; without, threads of this process do. The costs
-        do not depend on it.
-    workers : int, optional
-        Number of these workers or threads; all cores by default, or a single piece.
+    executor : ExecutorChoice, optional
+        Makes the runs in as many pieces as it has workers; threads of this process by default. The costs do
+        not depend on it.
+    kept : KeptExecutor, optional
+        The executor of this choice, where it serves several policies.
 
     Raises
     ------
@@ -77,8 +77,8 @@ class PolicyEvaluator:
         episode_s: float,
         reward: str = "mppt2",
         initial_current: float = 0.0,
-        executor: Executor | None = None,
-        workers: int | None = None,
+        executor: ExecutorChoice | None = None,
+        kept: KeptExecutor | None = None,
     ) -> None:
         self._environment: dict[str, Any] = {
             "environment": environment,
@@ -86,13 +86,14 @@ class PolicyEvaluator:
             "reward": reward,
         }
         self._cases, self._current = [dict(case) for case in cases], initial_current
-        self._executor, self._workers = executor, workers
+        self._executor, self._kept = executor or ExecutorChoice(), kept
         self._pieces: dict[str, list[_Piece]] = {}
         self._sayd = configured(**self._environment, damper="sayd")
 
-    def inputs(self) -> tuple[Any, ...]:
-        """What the costs depend on beside the policy; J is taken by the on-line filter."""
-        return self._cases, self._current, *self._sayd, load_online()
+    def inputs(self, policy: PolicySpec) -> tuple[Any, ...]:
+        """What the costs of a policy depend on; J is taken by the on-line filter."""
+        environment = self._configured(policy)
+        return self._cases, self._current, *environment, load_online(), policy.identity()
 
     def costs(self, policy: PolicySpec) -> Costs:
         """J of a policy in each scenario.
@@ -102,27 +103,28 @@ class PolicyEvaluator:
         ConfigError
             A policy that does not fit, or conditions that are not allowed.
         StudyError
-            A run that diverged, or a worker that was lost.
+            A run that diverged, or workers that were lost again and again.
         """
         work = [(piece, policy) for piece in self._split(policy)]
-        try:
-            found = list(map(_costs, work) if self._executor is None else self._executor.map(_costs, work))
-        except BrokenExecutor as error:
-            raise StudyError(
-                f"{policy.title}: a worker has ended ({error}); the same command goes on"
-            ) from None
+        results = dict(computed(_costs, work, self._executor, self._kept))
+        found = [results[i] for i in range(len(work))]
         return Costs(np.concatenate([costs for costs, _ in found]), sum(derailed for _, derailed in found))
+
+    def _configured(self, policy: PolicySpec) -> tuple[EnvironmentConfig, Scenario]:
+        """Environment and scenario as a policy needs them."""
+        config, scenario = self._sayd
+        if policy.needs.get("damper") == "passive":
+            config, scenario = configured(**self._environment, damper="passive")
+        return policy.environment(config), scenario
 
     def _split(self, policy: PolicySpec) -> list[_Piece]:
         """The scenarios in the environment that a policy needs, in pieces."""
         key = str(sorted(policy.needs.items()))
         if key not in self._pieces:
-            config, scenario = self._sayd
-            if policy.needs.get("damper") == "passive":
-                config, scenario = configured(**self._environment, damper="passive")
-            config = policy.environment(config)
-            alone = self._executor is None
-            count, threads = (1, self._workers) if alone else (min(self._workers or 1, len(self._cases)), 1)
+            config, scenario = self._configured(policy)
+            alone = self._executor.kind in {"", THREADS}  # the batch has threads of its own
+            count = 1 if alone else min(self._executor.count, len(self._cases))
+            threads = self._executor.workers if alone else 1
             ends = [len(self._cases) * i // count for i in range(count + 1)]
             self._pieces[key] = [
                 _Piece(config, scenario, self._cases[a:b], self._current, threads) for a, b in pairwise(ends)

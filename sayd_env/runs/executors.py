@@ -9,10 +9,10 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import multiprocessing.connection
+import multiprocessing.util
 import os
 import signal
 import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
@@ -41,6 +41,8 @@ ATTEMPTS = 3
 PROCESSES_FROM = 8
 """Pieces of work for which starting processes, some seconds each, pays."""
 CONNECT_SECONDS = 20
+CLUSTER = 256
+"""Workers that a cluster at an address is taken to have: more than that share pieces of single runs."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,8 @@ class ExecutorChoice:
 
     @property
     def count(self) -> int:
-        """Workers on this machine."""
-        return self.workers or os.cpu_count() or 1
+        """Workers among which work is divided."""
+        return CLUSTER if self.address else self.workers or os.cpu_count() or 1
 
     @contextmanager
     def open(self, pieces: int) -> Iterator[Executor]:
@@ -127,7 +129,7 @@ class KeptExecutor:
         if not at_once:
             executor.shutdown()
         elif isinstance(executor, ProcessPoolExecutor):
-            for process in multiprocessing.active_children():
+            for process in list((executor._processes or {}).values()):  # not all children: some are others'
                 process.terminate()
             executor.shutdown(cancel_futures=True)
         else:
@@ -196,7 +198,7 @@ def _finished(executor: Executor, work: Callable[[T], U], pieces: dict[int, T]) 
         except CancelledError as error:
             raise BrokenExecutor(f"work was cancelled ({error or 'the executor is gone'})") from None
         except Exception as error:
-            raise _cause(error) from None
+            raise (_cause(error) if isinstance(executor, _Ray | _Dask) else error) from None
         yield numbers.pop(future), result
 
 
@@ -244,7 +246,9 @@ def _prepare_process() -> None:
 
 
 def _leave(*_: object) -> None:
-    sys.exit()  # unlike the system's way this gives back Numba's semaphore, of which a warning would remain
+    # The end of a process gives back Numba's semaphore; an exception would only end this piece of work.
+    multiprocessing.util._exit_function()  # type: ignore[attr-defined]
+    os._exit(0)
 
 
 def _end_with(sentinel: int) -> None:

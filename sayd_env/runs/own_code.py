@@ -76,8 +76,8 @@ class OwnPolicy:
         return f"{Path(place).stem if place.endswith('.py') else place}:{name}"
 
     def identity(self) -> str:
-        """Hash of the code."""
-        return self.digest
+        """Hash of the code, and which factory of it."""
+        return f"{self.digest}:{self.where.rpartition(':')[2]}"
 
     def bound(self, interface: Interface) -> CheckedPolicy:
         """Make the policy for an environment.

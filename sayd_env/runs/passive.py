@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.config.errors import Diverged, StudyError
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.batch import BatchSimulator
@@ -196,7 +197,10 @@ def simulated(runs: Sequence[PassiveRun]) -> list[tuple[Array, Array]]:
     model = VehicleModel(runs[0].scenario)
     batch = BatchSimulator([Simulator(model, speed, run.seed) for run in runs], num_threads=1)
     distance = settings.run_in + settings.length + RUN_OUT
-    signals = batch.advance(math.ceil(distance / speed * settings.sample_rate))
+    try:
+        signals = batch.advance(math.ceil(distance / speed * settings.sample_rate))
+    except StudyError as error:
+        raise Diverged(str(error)) from None
     w = len(model.multibody.wheelset_x)
     return [(each[:, :w], each[:, w : 2 * w]) for each in signals]
 

@@ -134,6 +134,11 @@ class PolicySpec:
         return validate(EnvironmentConfig, dict(config) | dict(self.stored.needs), self.stored.where)
 
 
+def constant_spec(current: float) -> PolicySpec:
+    """The policy of one command that never changes."""
+    return PolicySpec("constant", {"current": current}, f"constant:{current:g}")
+
+
 def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
     """Read a policy from a command line.
 

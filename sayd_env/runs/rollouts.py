@@ -16,7 +16,7 @@ from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.rollout import Rollout, assessed_steps, roll_out
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.runs.policies import PASSIVE, PolicySpec, for_policy
+from sayd_env.runs.policies import PASSIVE, PolicySpec, constant_spec, for_policy
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def own_policy(scenario: Scenario) -> PolicySpec:
     """What the dampers of a scenario do without a controller."""
     damper = scenario.damper
     if isinstance(damper, SaydDamperConfig):
-        return PolicySpec("constant", {"current": damper.current}, f"constant:{damper.current:g}")
+        return constant_spec(damper.current)
     return PolicySpec(PASSIVE)
 
 

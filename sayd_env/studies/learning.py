@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +13,9 @@ from sayd_env.config.software import provenance
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, label, panels
 from sayd_env.runs.context import Progress, silent
-from sayd_env.runs.executors import THREADS, ExecutorChoice
+from sayd_env.runs.executors import THREADS, ExecutorChoice, KeptExecutor
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from matplotlib.figure import Figure
     from rich.console import Console
 
@@ -144,27 +141,21 @@ def train(
     except ModuleNotFoundError as error:
         raise ConfigError(f"train {EXTRA} (no module '{error.name}')") from None
     about = provenance(command)
-    with ExitStack() as stack:
-        started = None
-        if executor is not None and executor.kind not in ("", THREADS):
-            started = stack.enter_context(executor.open(executor.count))
-        workers = config.environment.threads if executor is None or started is None else executor.count
-        evaluator = policy_evaluator(config, started, workers)
+    if executor is None or executor.kind in {"", THREADS}:
+        executor = ExecutorChoice(workers=config.environment.threads)
+    with KeptExecutor(executor) as kept:
+        evaluator = policy_evaluator(config, kept)
         return TrainResult(learn(config, folder, evaluator, resume=resume, about=about, progress=progress))
 
 
-def policy_evaluator(
-    config: TrainConfig, executor: Executor | None = None, workers: int | None = None
-) -> Evaluator:
+def policy_evaluator(config: TrainConfig, kept: KeptExecutor | None = None) -> Evaluator:
     """What evaluates policies on the scenarios of a training.
 
     Parameters
     ----------
     config : TrainConfig
-    executor : Executor, optional
+    kept : KeptExecutor, optional
         Makes the runs; without, threads of this process do.
-    workers : int, optional
-        Its workers, or these threads.
 
     Raises
     ------
@@ -181,8 +172,8 @@ def policy_evaluator(
         episode_s=settings.episode_s,
         reward=config.environment.reward,
         initial_current=settings.initial_current,
-        executor=executor,
-        workers=workers,
+        executor=None if kept is None else kept.choice,
+        kept=kept,
     )
 
     def evaluate(policy: StoredPolicy | str) -> Array:

@@ -22,7 +22,7 @@ from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, heat_maps
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
-from sayd_env.runs.policies import PAPER, PASSIVE, PolicySpec, for_policy
+from sayd_env.runs.policies import PAPER, PASSIVE, PolicySpec, constant_spec, for_policy
 from sayd_env.runs.rollouts import conditions, policy_runs
 from sayd_env.stability import Crossing, critical_speed
 
@@ -353,7 +353,7 @@ class _Study:
 
     def _overlap(self) -> float:
         """Current up to which the valve stays closed."""
-        damper = for_policy(self.scenario, _constant(0.0)).damper
+        damper = for_policy(self.scenario, constant_spec(0.0)).damper
         assert isinstance(damper, SaydDamperConfig)  # `for_policy` sees to it
         return overlap(damper.throttle)
 
@@ -369,11 +369,11 @@ class _Study:
 
     def _cost(self, name: str, place: Place, current: float) -> float:
         speed, wear, friction = place
-        return _median(name, self.found[_constant(current).title, wear, friction][speed])
+        return _median(name, self.found[constant_spec(current).title, wear, friction][speed])
 
     def _run_currents(self, tried: Mapping[Place, Iterable[float]]) -> None:
         cases = [
-            (_constant(current), wear, mu, speed)
+            (constant_spec(current), wear, mu, speed)
             for (speed, wear, mu), currents in tried.items()
             for current in sorted(currents)
         ]
@@ -425,10 +425,6 @@ def halfway(current: float, currents: Iterable[float], closed: float) -> list[fl
     place = ends.index(max(current, closed))
     around = ends[max(place - 1, 0) : place + 2]
     return [round(0.5 * (low + high), DIGITS) for low, high in pairwise(around)]
-
-
-def _constant(current: float) -> PolicySpec:
-    return PolicySpec("constant", {"current": current}, f"constant:{current:g}")
 
 
 def _best_dict(entry: BestConstant) -> dict[str, Any]:

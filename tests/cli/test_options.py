@@ -119,7 +119,7 @@ def test_a_message_shows_what_was_typed_without_control_characters():
     ],
 )
 def test_bad_lists(parser: Callable[[str], object], text: str, problem: str):
-    with pytest.raises(ValueError, match=r"expected|twice") as error:
+    with pytest.raises(ValueError, match=r"expected|duplicate") as error:
         parser(text)
     assert str(error.value) == problem
 

@@ -26,7 +26,7 @@ from sayd_env.runs.context import Progress, RunContext, silent
 from sayd_env.runs.executors import ExecutorChoice, computed
 from sayd_env.runs.metrics import Row
 from sayd_env.runs.passive import sweep
-from sayd_env.runs.policies import PolicySpec
+from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.evaluate import evaluate
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of Ray's and Dask's own
@@ -78,6 +78,22 @@ def test_the_bits_do_not_depend_on_the_executor_nor_on_a_worker_that_is_killed(k
 def test_what_the_work_raises_ends_the_study_as_it_is(kind: str):
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
         list(computed(math.sqrt, [4.0, -1.0], choice(kind)))
+
+
+def test_an_executor_is_abandoned_at_once_and_other_processes_live() -> None:
+    """Pieces of a minute; a process that is not the executor's goes on."""
+    bystander = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    bystander.start()
+    kept = executors.KeptExecutor(ExecutorChoice(executors.PROCESSES, workers=2))
+    futures = [kept.get(4).submit(time.sleep, 60) for _ in range(4)]
+    while not any(future.running() for future in futures):
+        time.sleep(0.05)
+    begin = time.monotonic()
+    kept.close(at_once=True)
+    assert time.monotonic() - begin < 30.0  # one piece takes twice as long
+    assert bystander.is_alive()
+    bystander.kill()
+    bystander.join()
 
 
 def test_what_ray_wraps_is_unwrapped():
@@ -205,12 +221,13 @@ def test_runs_that_were_made_are_not_made_again(tmp_path: Path):
     assert (first.reused, second.reused) == (0, 8)
 
 
-def test_a_piece_of_work_is_small():
+@pytest.mark.parametrize(("policy", "most"), [("mppt2", 20_000), ("ppo", 100_000)])
+def test_a_piece_of_work_is_small(policy: str, most: int):
     import pickle  # noqa: PLC0415
 
     from sayd_env.runs.rollouts import policy_runs  # noqa: PLC0415
 
-    runs = list(policy_runs([PolicySpec("mppt2")], [load_scenario()], [80.0], range(8), load_environment()))
+    runs = list(policy_runs([policy_spec(policy)], [load_scenario()], [80.0], range(8), load_environment()))
     row = rows(executors.THREADS)[0]
-    assert len(pickle.dumps(runs)) < 40_000
+    assert len(pickle.dumps(runs)) < most
     assert len(pickle.dumps(row)) < 1_000

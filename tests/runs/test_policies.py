@@ -91,6 +91,11 @@ def test_code_of_one_s_own_acts(mine: Path) -> None:
     np.testing.assert_array_equal(baselines.make(f"{mine}:make", env).predict(observation)[0], action)
 
 
+def test_factories_of_one_file_are_different_policies(mine: Path) -> None:
+    names = ("make", "odd", "few")
+    assert len({repr(policy_spec(f"{mine}:{name}").identity()) for name in names}) == len(names)
+
+
 def test_a_factory_brings_its_environment(mine: Path) -> None:
     spec = policy_spec(f"{mine}:slow")
     config = spec.environment(load_environment())

@@ -12,14 +12,13 @@ from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.policies import PolicySpec
+from sayd_env.runs.policies import PolicySpec, constant_spec
 from sayd_env.studies.comparison.entrants import Entrant, provenance
 from sayd_env.studies.comparison.grid import (
     FILTERS,
     ScenarioGrid,
     Variant,
     checked_scenario,
-    constant,
     run_all,
 )
 from sayd_env.studies.comparison.page import CompareResult
@@ -52,7 +51,7 @@ def compare(
     study = checked_scenario(worn.study, f"wear={worn.wear!r}", "critical_speed", worn.speeds_kmh)
     learned = tuple(provenance(p) for each in entrants if each.learned for p in each.members)
     members = [member for each in entrants for member in each.members]
-    bounding = [constant(current) for current in chosen.constants]
+    bounding = [constant_spec(current) for current in chosen.constants]
     context = context or RunContext()
     runs = run_all(grid, members, context, "conditions")
     new = [policy for policy in bounding if policy.title not in runs]

@@ -172,11 +172,6 @@ def run_all(
     }
 
 
-def constant(current: float) -> PolicySpec:
-    """The policy of one command that never changes."""
-    return PolicySpec("constant", {"current": current}, f"constant:{current:g}")
-
-
 def checked_scenario(study: str, assignment: str, option: str, speeds_kmh: Iterable[float]) -> Scenario:
     """A study with one assignment, which stands behind an option, and whose vehicle allows the speeds."""
     scenario = load_scenario(study, [assignment], option=option)

@@ -18,6 +18,7 @@ from scipy.stats import qmc
 
 from sayd_env.config import StudyError
 from sayd_env.config.calibration import CalibrationConfig, Search
+from sayd_env.config.errors import Diverged
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.vehicle import model_limits
@@ -231,7 +232,7 @@ def _evaluate(
         new_wheels, worn_wheels = (load_scenario(config.base, [*keys, f"wear={wear}"]) for wear in (0.0, 1.0))
         new = sweep(new_wheels, config.new_speeds, tracks, context)
         worn = sweep(worn_wheels, config.worn_speeds, tracks, context)
-    except StudyError:
+    except Diverged:
         return Evaluation(stage, place, DIVERGED, {}, {})
     penalties, measures = penalties_of(new, worn, model_limits(VehicleModel(new_wheels)))
     cost = float(np.sum(np.square(residuals_of(penalties, measures))))

@@ -261,9 +261,9 @@ class _Tuning:
             [case.model_dump() for case in settings.scenarios],
             episode_s=settings.episode_s,
             initial_current=settings.initial_current,
-            workers=context.executor.workers,
+            executor=context.executor,
+            kept=context.kept,
         )
-        self._inputs = fingerprint(*self._evaluator.inputs())
         self._asked, self._total = 0, total
         self._seen: dict[tuple[float, ...], Evaluation] = {}
 
@@ -280,7 +280,7 @@ class _Tuning:
 
     def evaluate(self, spec: PolicySpec, stage: str, gains: Gains) -> Evaluation:
         """Evaluate a policy, unless it is in the cache."""
-        key = fingerprint(self._inputs, spec.identity())
+        key = fingerprint(*self._evaluator.inputs(spec))
         found = self._context.cache.get(key, Costs)
         if found is None:
             found = self._evaluator.costs(spec)

@@ -20,11 +20,11 @@ from sayd_env.config.control import load_controller
 from sayd_env.envs.single import SaydEnv
 from sayd_env.runs.cache import RunCache, fingerprint
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.policies import PolicySpec
+from sayd_env.runs.policies import PolicySpec, constant_spec
 from sayd_env.studies.comparison import compare as module
 from sayd_env.studies.comparison.compare import CompareResult, compare, fewer
 from sayd_env.studies.comparison.entrants import Entrant, read_entrants
-from sayd_env.studies.comparison.grid import OWN, ScenarioGrid, Variant, constant
+from sayd_env.studies.comparison.grid import OWN, ScenarioGrid, Variant
 from sayd_env.studies.comparison.scores import Stability
 
 ENVIRONMENT = "base: randomized\nepisode_s: 4.0\n"
@@ -178,7 +178,7 @@ def test_the_constant_s_run_is_that_of_its_command(config: ComparisonConfig):
     own = load_controller("constant").model_dump()["current"]
     named, same, other = (
         fingerprint(*grid.runs(policy)[0].inputs())
-        for policy in (PolicySpec("constant"), constant(own), constant(1.0))
+        for policy in (PolicySpec("constant"), constant_spec(own), constant_spec(1.0))
     )
     assert named == same != other
 
