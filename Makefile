@@ -8,8 +8,8 @@ BIN := $(VENV)/bin
 # Ready learned policies beside the others in `make run`; they need no torch.
 LEARNED = ,ppo,sac
 
-# The main job of `make run`: the passive vehicle and the paper's four controllers side by side, on worn wheels.
-RUN_JOB = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous$(LEARNED) \
+# The main command of `make run`: the passive vehicle and the paper's four controllers side by side, on worn wheels.
+RUN_COMMAND = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous$(LEARNED) \
           --profile worn --speeds 300,350,400 --seeds 10
 
 # Options for the tests, for example `make test PYTEST_OPTIONS="-k contact"`.
@@ -23,7 +23,7 @@ BENCH_OPTIONS =
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
-	$(RUN_JOB)
+	$(RUN_COMMAND)
 
 test: $(VENV)/.installed $(VENV)/.learning
 	$(BIN)/python tests/warm_up.py

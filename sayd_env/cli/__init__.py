@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # SciPy's, which is not
     # Nothing here opens a window, and Matplotlib cannot be imported with a backend that is not installed.
     os.environ.pop("MPLBACKEND", None)
-    # Who closes the standard streams does not want to read.
+    # A program whose standard streams are closed writes nowhere.
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - as long as the process
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     try:

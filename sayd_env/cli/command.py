@@ -10,12 +10,12 @@ import inspect
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import typer
 from rich.markup import escape
 
-from sayd_env.cli.options import Group, OutputOptions, RunOptions, settled
+from sayd_env.cli.options import Group, Out, OutputOptions, RunOptions, out_text, output, settled
 from sayd_env.cli.output import RESULTS, Output
 
 if TYPE_CHECKING:
@@ -82,7 +82,13 @@ def command(
             _run(called, body(**plain, **{name: kind(**given) for name, kind in groups.items()}), given, runs)
 
         common: list[type[Group]] = [RunOptions] * runs + [OutputOptions]
-        signature = inspect.Signature(list(_offered(own, common, without).values()))
+        offered = _offered(own, common, without)
+        if offered["out"].annotation == Out:
+            text = out_text(called, quick="quick" in offered)
+            offered["out"] = offered["out"].replace(
+                annotation=Annotated[Path | None, output("--out DIR", text)]
+            )
+        signature = inspect.Signature(list(offered.values()))
         invoke.__signature__ = signature  # type: ignore[attr-defined]
         # The help has lines of another width than the docstring.
         paragraphs = [" ".join(part.split()) for part in (inspect.getdoc(body) or "").split("\n\n")]

@@ -102,8 +102,7 @@ QuickSeeds = Annotated[int | None, runs("--seeds N", f"{SEEDS_TEXT} (default abo
 Quick = Annotated[bool, runs("--quick", "A look, not a result: fewer seeds, shorter.")]
 STAY = "(default: all cores); results do not change."
 Threads = Annotated[int | None, runs("--workers N", f"Threads {STAY}", WORKERS)]
-OUT = "Directory of the result's files. Default: results/{0}, with --quick {0}-quick (none with --json)."
-Out = Annotated[Path | None, output("--out DIR", OUT.format("COMMAND"))]
+Out = Annotated[Path | None, output("--out DIR", "Directory of the result's files.")]
 Json = Annotated[bool, output("--json", "Print the result as JSON and nothing else.")]
 Speeds = Annotated[Numbers | None, scenario("--speeds KMH,...", f"In km/h: {SPEEDS_USAGE}.", speeds)]
 MU = "Friction coefficient of wheel and rail"
@@ -139,13 +138,19 @@ class Group:
         return {key: (hint, settled(getattr(cls, key))) for key, hint in hints.items()}
 
 
+def out_text(command: str, *, quick: bool) -> str:
+    """Help of ``--out`` of a command, with its default directory."""
+    look = f", with --quick {command}-quick" if quick else ""
+    return f"Directory of the result's files. Default: results/{command}{look} (none with --json)."
+
+
 class RunOptions(Group):
     """Options of commands that make many runs."""
 
     workers: int | None = runs("--workers N", f"Threads or processes {STAY}", WORKERS)
     executor: str | None = runs(
         "--executor KIND",
-        "Who computes: threads, processes, ray, ray://ADDRESS, dask, dask://ADDRESS; results stay. "
+        "Where runs are computed: threads, processes, ray, ray://ADDRESS, dask, dask://ADDRESS. "
         "Default: processes where there are many runs, else threads.",
         autocompletion=EXECUTORS,
     )

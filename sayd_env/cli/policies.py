@@ -68,7 +68,7 @@ def evaluate(
     )
 
 
-@command(GROUP, "--quick --policies passive,mppt2", name="map", runs=True)
+@command(GROUP, "--quick --policies passive,mppt2", name="map", runs=True, without=("wide",))
 def map_(
     grid: options.GridOptions,
     foreign: options.ForeignOptions,
@@ -236,7 +236,7 @@ def policies() -> Plan:
     return Plan(lambda _: study())
 
 
-@command(GROUP, "mppt2 --quick", runs=True)
+@command(GROUP, "mppt2 --quick", runs=True, without=("wide",))
 def tune(
     controller: Literal["mppt2", "constant"] = argument("CONTROLLER", "mppt2 or constant."),
     *,
@@ -247,7 +247,7 @@ def tune(
     file: Path | None = output(
         "-o --file FILE", "YAML file of the tuned parameters. Default: CONTROLLER-tuned.yaml in --out."
     ),
-    out: Path | None = output("--out DIR", options.OUT.format("tune-CONTROLLER")),
+    out: Path | None = output("--out DIR", options.out_text("tune-CONTROLLER", quick=True)),
     as_json: options.Json = False,
 ) -> Plan:
     """Find the gains of a controller with the smallest mean J over a list of scenarios.

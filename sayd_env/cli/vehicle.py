@@ -20,7 +20,7 @@ GROUP = "Vehicle and paper"
 COMPONENTS = "Components"
 
 
-@command(GROUP, "--profile worn --speeds 320:445:25 --seeds 2", runs=True)
+@command(GROUP, "--profile worn --speeds 320:445:25 --seeds 2", runs=True, without=("wide",))
 def critical_speed(
     scenario: options.VehicleOptions,
     *,

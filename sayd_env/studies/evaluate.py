@@ -40,7 +40,7 @@ AVERAGED = (*COSTS, *RATIOS, *FORCES, "comfort", *VALVES)
 """Columns of a row that a summary averages."""
 
 
-class Condition(NamedTuple):
+class OperatingPoint(NamedTuple):
     """What the runs of one line of the table have in common, beside the policy."""
 
     wear: float
@@ -81,7 +81,7 @@ _POLICY_COLUMNS = (
     Column("derailed", "derailed", limit=0.0),
     Column("runs", "runs"),
 )
-_MEDIANS = tuple(Column(name) for name in ("policy", *Condition._fields, *AVERAGED, "derailed"))
+_MEDIANS = tuple(Column(name) for name in ("policy", *OperatingPoint._fields, *AVERAGED, "derailed"))
 _PANELS = (
     (_COST_COLUMNS[0], "J, on-line filter"),
     (_COST_COLUMNS[4], "acceleration, RMS over limit"),
@@ -108,11 +108,11 @@ class EvaluateResult:
         return tuple(dict.fromkeys(row.policy for row in self.rows))
 
     @cached_property
-    def conditions(self) -> tuple[Condition, ...]:
+    def conditions(self) -> tuple[OperatingPoint, ...]:
         """Conditions in the order of wear, friction and speed."""
         return tuple(sorted({_condition(row) for row in self.rows}))
 
-    def runs(self, policy: str, condition: Condition | None = None) -> list[Row]:
+    def runs(self, policy: str, condition: OperatingPoint | None = None) -> list[Row]:
         """Runs of a policy, of one condition or of all."""
         chosen = [row for row in self.rows if row.policy == policy]
         return chosen if condition is None else [row for row in chosen if _condition(row) == condition]
@@ -282,8 +282,8 @@ def with_reward(scenario: Scenario, reward: str) -> Scenario:
     return scenario.model_copy(update={"cost": cost})
 
 
-def _condition(row: Row) -> Condition:
-    return Condition(row.wear, row.friction, row.speed_kmh)
+def _condition(row: Row) -> OperatingPoint:
+    return OperatingPoint(row.wear, row.friction, row.speed_kmh)
 
 
 def _derailed(runs: Sequence[Row]) -> int:

@@ -41,7 +41,8 @@ OFFERED = {
     "bench": {*VEHICLE, *SHOWN, "speed", "quick", "workers", "executor"},
     "soak": {*SHOWN, "set", "steps", "environment", "environments", "seed", "workers"},
 }
-OFFERED["render"] -= {"wide"}
+for _plain in ("render", "critical-speed", "map", "tune"):
+    OFFERED[_plain] -= {"wide"}
 
 
 def options_of(command: Any) -> list[Any]:

@@ -21,7 +21,7 @@ SHORT = ["assessment.length=600", "wear=1"]
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A policy without memory or sight, of one command for ever: V = (1 - 0.4) / 2 = 0.3."""
+    """A policy without memory or sight, of one constant command: V = (1 - 0.4) / 2 = 0.3."""
     interface = SaydEnv(observation="features", control_period=0.05).interface
     description = describe(
         interface,

@@ -51,7 +51,7 @@ DIVERGED = 1e3
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class Trial:
     """One set of parameters and what came out."""
 
     stage: str
@@ -73,10 +73,10 @@ class CalibrationResult:
     """All evaluations, in the order in which they were made."""
 
     config: CalibrationConfig
-    evaluations: list[Evaluation]
+    evaluations: list[Trial]
 
     @property
-    def best(self) -> Evaluation:
+    def best(self) -> Trial:
         """Best evaluation of the last stage that was reached."""
         return best_of(self.evaluations, self.evaluations[-1].stage)
 
@@ -185,9 +185,9 @@ def calibrate(
     runs = replace(context, progress=silent)
     each = len(config.parameters) + 1
     total = config.screening_samples + sum(1 + s.iterations * each for s in config.searches)
-    evaluations: list[Evaluation] = []
+    evaluations: list[Trial] = []
 
-    def evaluate(stage: str, place: Array, seeds: int) -> Evaluation:
+    def evaluate(stage: str, place: Array, seeds: int) -> Trial:
         key = tuple(round(float(u), 9) for u in np.clip(place, 0.0, 1.0))
         found = _evaluate(config, stage, key, seeds, runs)
         evaluations.append(found)
@@ -207,7 +207,7 @@ def calibrate(
     return result
 
 
-def _search(search: Search, start: Array, evaluate: Callable[[str, Array, int], Evaluation]) -> None:
+def _search(search: Search, start: Array, evaluate: Callable[[str, Array, int], Trial]) -> None:
     def residuals(shifted: Array) -> Array:
         found = evaluate(search.name, shifted - 1.0, search.seeds)
         return np.array([*found.residuals, *(PRIOR * (shifted - 1.5))])
@@ -225,7 +225,7 @@ def _search(search: Search, start: Array, evaluate: Callable[[str, Array, int], 
 
 def _evaluate(
     config: CalibrationConfig, stage: str, place: tuple[float, ...], seeds: int, context: RunContext
-) -> Evaluation:
+) -> Trial:
     keys = [f"{key}={value!r}" for key, value in assignments(config, place).items()]
     tracks = range(config.first_seed, config.first_seed + seeds)
     try:
@@ -233,10 +233,10 @@ def _evaluate(
         new = sweep(new_wheels, config.new_speeds, tracks, context)
         worn = sweep(worn_wheels, config.worn_speeds, tracks, context)
     except Diverged:
-        return Evaluation(stage, place, DIVERGED, {}, {})
+        return Trial(stage, place, DIVERGED, {}, {})
     penalties, measures = penalties_of(new, worn, model_limits(VehicleModel(new_wheels)))
     cost = float(np.sum(np.square(residuals_of(penalties, measures))))
-    return Evaluation(stage, place, cost, penalties, measures)
+    return Trial(stage, place, cost, penalties, measures)
 
 
 def residuals_of(penalties: dict[str, float], measures: dict[str, float]) -> list[float]:

@@ -62,7 +62,7 @@ def config(file: Path) -> ComparisonConfig:
 
 @pytest.fixture(scope="module")
 def policy() -> Callable[..., StoredPolicy]:
-    """Maker of a policy without sight, of one command for ever."""
+    """Maker of a policy without sight, of one constant command."""
     interface = SaydEnv(observation="features", control_period=0.05).interface
 
     def make(command: float, **made: Any) -> StoredPolicy:

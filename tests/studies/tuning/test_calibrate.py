@@ -20,7 +20,7 @@ from sayd_env.runs.context import RunContext
 from sayd_env.runs.passive import Sweep, sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.tuning import calibrate as module
-from sayd_env.studies.tuning.calibrate import Evaluation, assignments, calibrate, penalties_of, residuals_of
+from sayd_env.studies.tuning.calibrate import Trial, assignments, calibrate, penalties_of, residuals_of
 
 STUDY = """
 base: {base}
@@ -170,8 +170,8 @@ def test_an_interrupted_calibration_goes_on_where_it_stopped(config: Calibration
 
 
 def test_no_finite_run_at_all_is_a_failed_study(config: CalibrationConfig, monkeypatch: pytest.MonkeyPatch):
-    def diverged(*_: object) -> Evaluation:
-        return Evaluation("screening", (0.0, 0.0), module.DIVERGED, {}, {})
+    def diverged(*_: object) -> Trial:
+        return Trial("screening", (0.0, 0.0), module.DIVERGED, {}, {})
 
     monkeypatch.setattr(module, "_evaluate", diverged)
     with pytest.raises(StudyError, match="no parameters within the ranges gave a finite run"):
