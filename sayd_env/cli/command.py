@@ -7,7 +7,9 @@ on the command line, opens the output, gives the study its run context, stores a
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
@@ -79,7 +81,9 @@ def command(
 
         def invoke(**given: Any) -> None:
             plain = {name: given[name] for name in own if name not in groups}
-            _run(called, body(**plain, **{name: kind(**given) for name, kind in groups.items()}), given, runs)
+            with _own_output(given["as_json"]):
+                plan = body(**plain, **{name: kind(**given) for name, kind in groups.items()})
+            _run(called, plan, given, runs)
 
         common: list[type[Group]] = [RunOptions] * runs + [OutputOptions]
         offered = _offered(own, common, without)
@@ -101,6 +105,11 @@ def command(
         return body
 
     return register
+
+
+def _own_output(as_json: bool) -> AbstractContextManager[Any]:
+    """Keep standard output for the JSON: what the code of a policy prints goes to standard error."""
+    return redirect_stdout(sys.stderr) if as_json else nullcontext()
 
 
 def result_folder(name: str, given: Mapping[str, Any]) -> Path | None:
@@ -141,7 +150,8 @@ def _run(name: str, plan: Plan, given: Mapping[str, Any], keeps: bool) -> None:
     executor = ExecutorChoice.parse(given["executor"], given["workers"]) if keeps else ExecutorChoice()
     folder = plan.folder or result_folder(name, given)
     output = Output(name, folder, as_json=given["as_json"], wide=given.get("wide", False))
-    result = _compute(plan, output, executor, keeps=keeps)
+    with _own_output(given["as_json"]):
+        result = _compute(plan, output, executor, keeps=keeps)
     config = plan.config(result) if callable(plan.config) else plan.config
     output.finish(result, config, plan.seed, quick=given.get("quick", False))
     if plan.after is not None:
@@ -167,7 +177,7 @@ def _compute(plan: Plan, output: Output, executor: ExecutorChoice, *, keeps: boo
         with output.progress() as progress, KeptExecutor(executor) as kept:
             result = plan.study(RunContext(executor, cache, progress, kept))
     except KeyboardInterrupt:
-        if folder is None:
+        if folder is None or not any(folder.glob("*/*.npz")):
             raise
         raise Interrupted(f"finished runs are in {folder}; the same command goes on") from None
     cache.forget_former()

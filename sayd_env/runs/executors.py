@@ -13,6 +13,7 @@ import multiprocessing.util
 import os
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
@@ -238,6 +239,7 @@ def _start_processes(choice: ExecutorChoice) -> Executor:
 def _prepare_process() -> None:
     """Let one process be one thread that ends with its parent and leaves Ctrl-C to it."""
     threadpool_limits(1)
+    sys.stdout = sys.stderr  # what a policy prints is no result
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     parent = multiprocessing.parent_process()
