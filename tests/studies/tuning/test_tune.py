@@ -93,8 +93,9 @@ class Bowl:
     def __init__(self, environment: str, cases: Sequence[Any], **settings: Any) -> None:
         self.asked = environment, cases, settings
 
-    def inputs(self) -> tuple[Any, ...]:
-        return self.asked
+    def inputs(self, policy: PolicySpec) -> tuple[Any, ...]:
+        environment, cases, settings = self.asked
+        return environment, cases, settings["episode_s"], policy.identity()
 
     def costs(self, policy: PolicySpec) -> Costs:
         if Bowl.stop == Bowl.made:
