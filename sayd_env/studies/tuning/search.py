@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
+import yaml
 from scipy.optimize import differential_evolution, minimize, minimize_scalar
 from scipy.stats import qmc
 
@@ -57,7 +59,17 @@ def draw_costs(axes: Axes, evaluations: Sequence[Tried]) -> None:
 
 def provenance_lines(about: Mapping[str, object]) -> list[str]:
     """Where the numbers of a YAML file come from."""
-    return ["provenance:", *(f"  {name}: {value}" for name, value in about.items())]
+    return ["provenance:", *(f"  {name}: {_as_yaml(str(value))}" for name, value in about.items())]
+
+
+def _as_yaml(text: str) -> str:
+    """The text, in quotes where YAML would read something else: a command may hold any sign."""
+    try:
+        found = yaml.safe_load(f"- {text}")[0]
+    except yaml.YAMLError:
+        found = {}
+    other = isinstance(found, dict | list) or (isinstance(found, str) and found != text)
+    return json.dumps(text) if other else text
 
 
 def minimise(tuning: ControllerTuning, own: Gains, cost: CostAt, seed: int) -> None:
