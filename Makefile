@@ -54,7 +54,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	if [ -z "$${found:-}" ]; then \
 	  echo "make: Python 3.11 or newer is needed; name one with make PYTHON=/path/to/python3.11" >&2; exit 1; \
 	fi; \
-	echo "Installing into $(VENV) with $$found ($$("$$found" --version 2>&1))"; \
+	echo "Installing into $(VENV) with $$found ($$("$$found" --version 2>&1)), a minute or two"; \
 	"$$found" -m venv --clear $(VENV); \
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt setuptools; \
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint]'; \
@@ -63,5 +63,6 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 # The learning part, with torch, and the two clusters are what the tests need besides. pip's options choose torch's build:
 # make test PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
 $(VENV)/.learning: $(VENV)/.installed
+	@echo "Adding what the tests need besides (torch, Ray, Dask), a few minutes"
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[train,onnx,ray,dask]'
 	touch $@

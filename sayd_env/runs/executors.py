@@ -24,14 +24,16 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from multiprocessing.synchronize import Lock
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
 from sayd_env.config.errors import ConfigError, StudyError
+from sayd_env.physics.kernel import announced_compilation
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -233,11 +235,25 @@ def _start_processes(choice: ExecutorChoice) -> Executor:
     context = multiprocessing.get_context(method)
     if method == "forkserver":
         context.set_forkserver_preload(["sayd_env.runs.rollouts"])
-    return ProcessPoolExecutor(choice.count, mp_context=context, initializer=_prepare_process)
+    announcer = context.Lock()
+    return ProcessPoolExecutor(
+        choice.count, mp_context=context, initializer=_prepare_process, initargs=(announcer,)
+    )
 
 
-def _prepare_process() -> None:
-    """Let one process be one thread that ends with its parent and leaves Ctrl-C to it."""
+_worker_context = ExitStack()
+"""What lasts as long as a worker's process."""
+
+
+def _prepare_process(announcer: Lock) -> None:
+    """Let one process be one thread that ends with its parent and leaves Ctrl-C to it.
+
+    All of them compile what is not compiled yet; whoever gets the lock says so.
+    """
+    if announcer.acquire(block=False):
+        _worker_context.enter_context(
+            announced_compilation(lambda text: print(f"sayd: {text}", file=sys.stderr, flush=True))
+        )
     threadpool_limits(1)
     sys.stdout = sys.stderr  # what a policy prints is no result
     signal.signal(signal.SIGINT, signal.SIG_IGN)
