@@ -85,11 +85,10 @@ def one_of(*names: str, kind: str = "") -> Callable[[str], list[str]]:
 def policy_names(incomplete: str) -> list[str]:
     """Completion by the names of all policies, of the last one in a list."""
     from sayd_env.agents import pretrained  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.control import CONTROLLERS  # noqa: PLC0415
 
     before, comma, last = incomplete.rpartition(",")
-    # Each controller has a configuration; 'online' there is that of what all of them measure.
-    known = one_of("passive", *pretrained.names(), kind="control")(last)
-    return [f"{before}{comma}{name}" for name in known if name != "online"]
+    return [f"{before}{comma}{name}" for name in one_of(*CONTROLLERS, *pretrained.names())(last)]
 
 
 CONFIG = "Configuration: a packaged name or a YAML file."

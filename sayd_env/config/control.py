@@ -101,7 +101,7 @@ class PerturbObserveConfig(BogieCostConfig):
 
 
 class SkyhookConfig(Model):
-    """On-off and continuous skyhook, eq. (32) to (38)."""
+    """On-off and continuous skyhook, eq. (32) to (38), with the estimator that they share."""
 
     closed: float = quantity("-", "Valve command for c_max", ge=0.0, le=1.0)
     open: float = quantity("-", "Valve command for c_min", ge=0.0, le=1.0)
@@ -159,6 +159,10 @@ CONTROLLERS: dict[str, type[ControllerConfig]] = {
 """Schema of each controller's parameters."""
 
 
+SKYHOOK = "skyhook"
+"""File of the estimator's parameters, which both skyhooks share; theirs hold the ends of the command."""
+
+
 def controller_of(name_or_path: str) -> str:
     """Name of a controller: that of a file of parameters is the file's without its ending.
 
@@ -200,4 +204,6 @@ def load_controller(name: str, parameters: Mapping[str, Any] | None = None) -> C
         return PassiveControlConfig()
     content, source = read_config("control", name)
     origins = [Origin((key,), f"controller '{controller}'") for key in given]
-    return validate(CONTROLLERS[controller], section(content, source) | given, source, origins)
+    model = CONTROLLERS[controller]
+    shared = section(*read_config("control", SKYHOOK)) if model is SkyhookConfig else {}
+    return validate(model, shared | section(content, source) | given, source, origins)

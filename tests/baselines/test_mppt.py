@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from sayd_env import baselines
+from sayd_env.config.control import load_controller
 from sayd_env.envs.interface import RunIn
 
 LIMIT = 5.44
@@ -200,6 +201,12 @@ def test_the_band_is_that_of_hunting_from_step_0_after_a_run_in(interface):
         passed = sosfilt(sections, rows[426:726, vehicle, 0])[200:]
         expected = math.sqrt(np.mean(passed.astype(float) ** 2))
         assert state.readings.rms[vehicle, :, 0] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["mppt1", "mppt2", "mppt2-tuned", "perturb-and-observe"])
+def test_where_the_command_rests_is_not_its_limit(name):
+    """The paper's commands rest at 5 % and above (figures 12 and 14): far from V_min."""
+    assert load_controller(name).model_dump()["v_min"] <= 0.02
 
 
 def test_without_a_run_in_there_is_nothing_to_hear(interface):

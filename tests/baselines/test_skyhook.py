@@ -9,6 +9,7 @@ import pytest
 
 from sayd_env import baselines
 from sayd_env.baselines.inverse_damper import InverseDamper
+from sayd_env.config.control import load_controller
 from sayd_env.config.damper import load_sayd
 from sayd_env.envs.interface import BOGIES, DAMPERS
 from sayd_env.physics.sayd import steady_force
@@ -50,6 +51,17 @@ def phasor(values, frequency, period=PERIOD):
     n = round(1.0 / period)
     time = period * np.arange(len(values))[-n:]
     return 2.0 / n * np.sum(values[-n:] * np.exp(-2j * math.pi * frequency * time))
+
+
+def test_both_skyhooks_read_one_estimator(tmp_path):
+    """What differs between them is the ends of the command; a file of one's own needs no more than these."""
+    estimators = [load_controller(name).model_dump(exclude={"closed", "open"}) for name in NAMES]
+    assert estimators[0] == estimators[1]
+    own = tmp_path / "skyhook-onoff.yaml"
+    own.write_text("closed: 0.1\nopen: 0.9\n")
+    assert load_controller(str(own)).model_dump() == {"closed": 0.1, "open": 0.9, **estimators[0]}
+    own.write_text("closed: 0.1\nopen: 0.9\ncorner: 0.5\n")
+    assert load_controller(str(own)).model_dump()["corner"] == 0.5
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -21,7 +21,7 @@ STUDIES = Path(__file__).parents[2] / "configs" / "study"
 def test_a_share_becomes_a_value_and_back():
     """A threshold of three quarters of 0.8 m/s2 is 0.6 m/s2."""
     tuning = load_tuning().of("mppt2")
-    place = [0.1, 0.2, 0.05, 0.8, 0.75, 0.3, 0.4]
+    place = [0.1, 0.2, 0.05, 0.8, 0.75, 0.01, 0.4]
     values = tuning.values(place, 4)
     assert values["threshold_min"] == pytest.approx(0.6)
     assert tuning.place(values) == pytest.approx(place)
