@@ -29,8 +29,8 @@ from sayd_env.stability import (
     thinned_grids,
 )
 
-NEW_SPEEDS = tuple(v / KMH for v in (280, 310, 340, 370, 400))
-"""Speed grid of figure 8 of the paper, new wheels, m/s."""
+NEW_SPEEDS = tuple(v / KMH for v in (280, 310, 340, 355, 370, 385, 400))
+"""Speed grid of figure 8 of the paper, new wheels, m/s; closer where its critical speed lies."""
 WORN_SPEEDS = tuple(v / KMH for v in (320, 350, 370, 395, 420, 445))
 """Speed grid of figure 10, worn wheels, m/s."""
 SAYD_SPEEDS = tuple(v / KMH for v in (300, 320, 350, 375, 400))
@@ -106,6 +106,12 @@ class Criterion:
         speeds = [beyond[found.crossing] if found.speed is None else found.speed * KMH for found in single]
         low, high = np.quantile(speeds, (0.1, 0.9), method="nearest")
         return float(low), float(high)
+
+    def over_seeds_text(self) -> str:
+        """The same in words: ``355 to above 400``."""
+        first, last = self.speeds[[0, -1]] * KMH
+        beyond = {-math.inf: f"below {first:.0f}", math.inf: f"above {last:.0f}"}
+        return " to ".join(beyond.get(v, f"{v:.0f}") for v in self.over_seeds_kmh())
 
     def sensitive(self, tolerance: float) -> bool:
         """Whether the critical speed moves by more than a tolerance (m/s) on a thinner grid of speeds."""

@@ -159,10 +159,7 @@ class CriticalSpeedResult:
             return f"above {self.sweep.speeds[-1] * KMH:.0f} km/h (limit not reached)"
         if c.speed is None:
             return f"below {self.sweep.speeds[0] * KMH:.0f} km/h (limit exceeded at the lowest speed)"
-        first, last = self.sweep.speeds[[0, -1]] * KMH
-        beyond = {-np.inf: f"below {first:.0f}", np.inf: f"above {last:.0f}"}
-        low, high = (beyond.get(v, f"{v:.0f}") for v in self.criteria[name].over_seeds_kmh())
-        spread = f" (80 % of the seeds: {low} to {high})"
+        spread = f" (80 % of the seeds: {self.criteria[name].over_seeds_text()})"
         grid = ", sensitive to the speed grid" if self._sensitive(name) else ""
         return f"{c.speed * KMH:.0f} km/h{spread}{grid}"
 

@@ -108,7 +108,7 @@ def test_a_kink_makes_the_crossing_sensitive_to_the_grid(result: Make):
 
 
 def test_the_default_grid_depends_on_the_wear():
-    assert np.array(default_speeds(0.0)) * 3.6 == pytest.approx([280, 310, 340, 370, 400])
+    assert np.array(default_speeds(0.0)) * 3.6 == pytest.approx([280, 310, 340, 355, 370, 385, 400])
     assert np.array(default_speeds(1.0)) * 3.6 == pytest.approx(KMH)
 
 

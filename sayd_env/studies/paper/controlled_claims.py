@@ -12,6 +12,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from sayd_env.config.assessment import AssessmentConfig, load_assessment
 from sayd_env.config.units import KMH, Array
 from sayd_env.runs.controlled import REAR, ControlledRun, ControlledRuns
 from sayd_env.runs.metrics import switchings
@@ -25,6 +26,8 @@ CLOSED, OPEN = 0.0, 1.0
 """The two starts of figures 12 and 14."""
 
 PERCENT = 100.0
+SCATTER = (2.0, 10.0)
+"""Hz, between which row M2 has the dominant frequencies."""
 FAST_SWITCH = 0.1
 """s, row S2."""
 LOW_END, HIGH_END = 0.2, 0.8
@@ -69,10 +72,10 @@ def largest_distance(one: ControlledRun, other: ControlledRun, after: float) -> 
     return float(gap.max()) if gap.size else float("nan")
 
 
-def mean_command(run: ControlledRun, after: float) -> float:
-    """Mean of the rear command from a time (s) on; NaN if the run ends before."""
-    command = run.command[round(after / run.control_period) :, REAR]
-    return float(command.mean(dtype=np.float64)) if command.size else float("nan")
+def commands_from(run: ControlledRun, after: float) -> Array:
+    """Rear commands from a time (s) on; NaN if the run ends before."""
+    command = run.command[round(after / run.control_period) :, REAR].astype(np.float64)
+    return command if command.size else np.array([np.nan])
 
 
 def dwell_times(run: ControlledRun) -> Array:
@@ -105,6 +108,8 @@ class ControlledMeasures:
     limits : Limits
     required : sequence
         `required_runs`, or `skyhook_runs` where the rows in question need no others.
+    assessment : AssessmentConfig, optional
+        That of the runs: where dominant frequencies are searched. The packaged one by default.
 
     Raises
     ------
@@ -113,7 +118,11 @@ class ControlledMeasures:
     """
 
     def __init__(
-        self, runs: ControlledRuns, limits: Limits, required: Sequence[tuple[str, float, float]]
+        self,
+        runs: ControlledRuns,
+        limits: Limits,
+        required: Sequence[tuple[str, float, float]],
+        assessment: AssessmentConfig | None = None,
     ) -> None:
         for policy, speed, current in required:
             runs.at(policy, speed * KMH, current)  # refused here, not in the middle of the table
@@ -121,6 +130,26 @@ class ControlledMeasures:
         closed = dict.fromkeys(policy for policy, _, current in required if current == CLOSED)
         self.sweeps = {policy: runs.sweep(policy, CLOSED) for policy in closed}
         self.criteria = {policy: sweep.criteria(limits) for policy, sweep in self.sweeps.items()}
+        self.assessment = assessment or load_assessment()
+
+    def scatter(self) -> tuple[Array, Array, Array]:
+        """Dominant frequencies of MPPT1 over speeds and points, for each seed (M2).
+
+        Returns
+        -------
+        width : ndarray, shape (seeds,)
+            Highest minus lowest, Hz.
+        within : ndarray, shape (seeds,)
+            Share of the values between 2 and 10 Hz.
+        edge : ndarray, shape (seeds,)
+            Share of the values at an end of the searched range, where there is no peak.
+        """
+        frequency, settings = self.sweeps[MPPT1].frequency, self.assessment
+        low, high = SCATTER
+        margin = 0.5 * settings.frequency_step
+        inner = _between(frequency, low, high)
+        edge = (frequency < settings.frequency_min + margin) | (frequency > settings.frequency_max - margin)
+        return np.ptp(frequency, axis=(0, 2)), inner.mean(axis=(0, 2)), edge.mean(axis=(0, 2))
 
     def acceleration(self, policy: str) -> Array:
         """Largest a_max over its limit, for each seed."""
@@ -142,15 +171,17 @@ class ControlledMeasures:
         return self.each(attrgetter(name), *one) / self.each(attrgetter(name), *other)
 
 
-def controlled_claims(runs: ControlledRuns, limits: Limits) -> list[Claim]:
-    """Judge rows M1 to M9, S1 to S6 and C1 from `required_runs`.
+def controlled_claims(
+    runs: ControlledRuns, limits: Limits, assessment: AssessmentConfig | None = None
+) -> list[Claim]:
+    """Judge rows M1 to M9, S1 to S6 and C1 from `required_runs`; parameters as of `ControlledMeasures`.
 
     Raises
     ------
     ValueError
         A run is missing.
     """
-    m = ControlledMeasures(runs, limits, required_runs())
+    m = ControlledMeasures(runs, limits, required_runs(), assessment)
     largest = np.asarray(np.max([m.ratios(policy).max(axis=0) for policy in PAPER], axis=0))
     bounded = by_seed(
         "C1",
@@ -168,27 +199,17 @@ def skyhook_claims(runs: ControlledRuns, limits: Limits) -> list[Claim]:
 
 def _mppt_rows(m: ControlledMeasures) -> list[Claim]:
     calm1, calm2 = m.acceleration(MPPT1), m.acceleration(MPPT2)
-    scatter = np.ptp(m.sweeps[MPPT1].frequency, axis=(0, 2))
     settled1, settled2 = (
         PERCENT * m.each(settled_command, policy, kmh) for policy, kmh in ((MPPT1, 400), (MPPT2, 300))
     )
     at_5 = PERCENT * m.each(command_after_5_s, MPPT2, 300)
+    restless = PERCENT * m.each(lambda run: float(commands_from(run, 15.0).std()), MPPT2, 300)
     slow, fast = (MPPT2, 300.0), (MPPT1, 400.0)
     quieter, smoother = m.ratio("force_rms", slow, fast), m.ratio("force_power_high", slow, fast)
     force = m.ratio("force_rms", slow, (MPPT1, 300.0))
-
-    def width(seeds: Seeds) -> float:
-        return float(np.median(scatter[seeds]))
-
     return [
         by_seed("M1", "MPPT1, 300 to 400 km/h: a_max < 0.5 of the limit", calm1 < 0.5, spread(calm1)),
-        by_median(
-            "M2",
-            "MPPT1: dominant frequency scatters over more than 2 Hz",
-            m.count,
-            lambda seeds: width(seeds) > 2.0,
-            bootstrapped(width, m.count, "Hz"),
-        ),
+        _scatter_row(m),
         by_seed(
             "M3",
             "MPPT1, 400 km/h, V(0) = 0 %: settles at 3 to 13 %",
@@ -199,9 +220,11 @@ def _mppt_rows(m: ControlledMeasures) -> list[Claim]:
         by_seed("M5", "MPPT2, 300 to 400 km/h: a_max < 0.5 of the limit", calm2 < 0.5, spread(calm2)),
         by_seed(
             "M6",
-            "MPPT2, 300 km/h, V(0) = 0 %: 20 to 30 % after 5 s, settles at 30 to 40 %",
-            _between(at_5, 20.0, 30.0) & _between(settled2, 30.0, 40.0),
-            f"5 s: {spread(at_5, '%', 1)}; settled: {spread(settled2, '%', 1)}",
+            "MPPT2, 300 km/h, V(0) = 0 %: 20 to 30 % after 5 s, settles at 30 to 40 %, "
+            "deviates by less than 10 points from 15 s on",
+            _between(at_5, 20.0, 30.0) & _between(settled2, 30.0, 40.0) & (restless < 10.0),
+            f"5 s: {spread(at_5, '%', 1)}; settled: {spread(settled2, '%', 1)}; "
+            f"standard deviation {spread(restless, 'points', 1)}",
         ),
         _open_start_row(
             m, "M7", MPPT2, 300, "<= 35 %", lambda v: _between(v, 0.0, 35.0), after=15.0, as_in="M6"
@@ -221,6 +244,25 @@ def _mppt_rows(m: ControlledMeasures) -> list[Claim]:
     ]
 
 
+def _scatter_row(m: ControlledMeasures) -> Claim:
+    width, within, edge = m.scatter()
+
+    def middle(values: Array) -> Callable[[Seeds], float]:
+        return lambda seeds: float(np.median(values[seeds]))
+
+    return by_median(
+        "M2",
+        "MPPT1: dominant frequencies scatter over more than 2 Hz, 80 % of them within 2 to 10 Hz, "
+        "none at the edge of the search",
+        m.count,
+        lambda seeds: (
+            middle(width)(seeds) > 2.0 and middle(within)(seeds) >= 0.8 - 1e-9 and middle(edge)(seeds) == 0.0
+        ),
+        f"{bootstrapped(middle(width), m.count, 'Hz')}; within {spread(PERCENT * within, '%', 0)}; "
+        f"at the edge {spread(PERCENT * edge, '%', 0)}",
+    )
+
+
 def _open_start_row(
     m: ControlledMeasures,
     id_: str,
@@ -237,7 +279,7 @@ def _open_start_row(
     The level is judged, as rows M3 and M6 measure it; the moments at which the commands step differ.
     """
     at_5 = PERCENT * m.each(command_after_5_s, policy, kmh, OPEN)
-    opened = m.each(lambda run: mean_command(run, after), policy, kmh, OPEN)
+    opened = m.each(lambda run: float(commands_from(run, after).mean()), policy, kmh, OPEN)
     level = PERCENT * np.abs(opened - m.each(settled_command, policy, kmh))
     pairs = zip(m.runs.at(policy, kmh, OPEN), m.runs.at(policy, kmh, CLOSED), strict=True)
     apart = PERCENT * np.array([largest_distance(one, other, after) for one, other in pairs])

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from sayd_env.config.assessment import AssessmentConfig, load_assessment
 from sayd_env.config.units import KMH, Array
 from sayd_env.runs.passive import Criterion, Sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.paper.claims import Claim, Seeds, bootstrapped, by_median, by_seed, spread
-
-GRID_TOLERANCE = 8.0 / KMH
-"""A critical speed that moves further (m/s) on another speed grid is reported as sensitive."""
 
 
 class PassiveMeasures:
@@ -80,15 +78,22 @@ class PassiveMeasures:
         return np.concatenate([self.worn.frequency, self.worn.frequency_force], axis=-1)[:, seeds]
 
 
-def passive_claims(new: Sweep, worn: Sweep, limits: Limits) -> list[Claim]:
-    """Judge rows P1 to P10, from the passive vehicle on `NEW_SPEEDS` and `WORN_SPEEDS`, on the same seeds."""
+def passive_claims(
+    new: Sweep, worn: Sweep, limits: Limits, assessment: AssessmentConfig | None = None
+) -> list[Claim]:
+    """Judge rows P1 to P10, from the passive vehicle on `NEW_SPEEDS` and `WORN_SPEEDS`, on the same seeds.
+
+    The assessment says what is sensitive to the grid of speeds; the packaged one does by default.
+    """
+    tolerance = (assessment or load_assessment()).grid_tolerance
     m = PassiveMeasures(new, worn, limits)
     apart, stable, low = m.frequency_spread(m.all), m.stable_280(), m.ratios_320()
     above, trailing = m.lowest_ratio_above(), m.trailing_ratio()
 
     def crossing(criterion: Criterion) -> str:
-        moves = ", sensitive to the speed grid" if criterion.sensitive(GRID_TOLERANCE) else ""
-        return bootstrapped(criterion.kmh, m.count, "km/h") + moves
+        moves = ", sensitive to the speed grid" if criterion.sensitive(tolerance) else ""
+        spread = f"; 80 % of the seeds {criterion.over_seeds_text()}"
+        return bootstrapped(criterion.kmh, m.count, "km/h") + spread + moves
 
     return [
         by_seed("P1", "new, 280 km/h: a_max < 0.5 of the limit", stable < 0.5, spread(stable)),

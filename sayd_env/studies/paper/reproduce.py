@@ -202,9 +202,9 @@ def reproduce(
     limits = model_limits(models[0])
     loops = hysteresis(scenario)
     claims = [
-        *passive_claims(new_runs, worn_runs, limits),
+        *passive_claims(new_runs, worn_runs, limits, scenario.assessment),
         damper_claim(loops),
-        *controlled_claims(runs, limits),
+        *controlled_claims(runs, limits, scenario.assessment),
         model_claim(models[0]),
     ]
     names = wheelset_names(models[0])

@@ -70,7 +70,9 @@ def test_a_vehicle_like_the_papers_passes_every_row(paper_runs: MakeRuns, limits
     assert failed(claims) == set()
     assert {claim.fraction for claim in claims.values()} == {1.0}
     assert {c.id for c in claims.values() if c.by == "median"} == {"M2", "S4"}
-    assert claims["M2"].measured == "6.500 Hz (bootstraps 6.500 to 6.500)"
+    assert claims["M2"].measured == (
+        "6.500 Hz (bootstraps 6.500 to 6.500); within 100 % (100 to 100); at the edge 0 % (0 to 0)"
+    )
     assert claims["M3"].measured == "8.0 % (8.0 to 8.0)"
     assert claims["S2"].measured.startswith("10th percentile 0.04 s (0.04 to 0.04), median 0.04 s")
     assert "12.0 swings/s" in claims["S5"].measured
@@ -80,9 +82,13 @@ def test_each_row_fails_by_itself(paper_runs: MakeRuns, courses: SimpleNamespace
     line = courses.line
     third = courses.square(0.08)
     third[100] = 0.5
+    teeth, steps = 15.0 + np.arange(31), np.tile([0.17, 0.53], 16)[:31]
     cases: list[tuple[Callable[..., Any], set[str]]] = [
         (only("mppt1", 375, **acceleration(limits, 0.51)), {"M1"}),
         (only("mppt1", frequency=np.array([4.0, 5.0, 4.2, 5.9])), {"M2"}),
+        (only("mppt1", 400, frequency=np.array([1.5, 5.0, 4.2, 5.9])), {"M2"}),  # no peak: the search's end
+        (only("mppt1", 400, frequency=np.array([12.0, 5.0, 4.2, 5.9])), {"M2"}),
+        (only("mppt1", frequency=np.array([4.0, 5.0, 4.2, 10.1])), {"M2"}),  # a quarter lies above 10 Hz
         # A command that stays at 13.5 % is more than 5 points away from the open start's 7 %, too.
         (only("mppt1", 400, command=line([0], [0.135])), {"M3", "M4"}),
         (only("mppt1", 400, command=line([0], [0.02])), {"M3"}),
@@ -91,6 +97,8 @@ def test_each_row_fails_by_itself(paper_runs: MakeRuns, courses: SimpleNamespace
         (only("mppt2", 300, **acceleration(limits, 0.51)), {"M5"}),
         (only("mppt2", 300, command=line([0, 5, 10], [0.0, 0.19, 0.35])), {"M6"}),
         (only("mppt2", 300, command=line([0, 5, 10, 14], [0.0, 0.31, 0.35, 0.35])), {"M6"}),
+        # A saw-tooth from 17 to 53 % about 35 % deviates by 36 / sqrt(12) = 10.4 points.
+        (only("mppt2", 300, command=line([0, 5, 10, *teeth], [0.0, 0.25, 0.35, *steps])), {"M6"}),
         # Settles at 41 %, six points above the open start's 35 %.
         (only("mppt2", 300, command=line([0, 5, 10], [0.0, 0.25, 0.41])), {"M6", "M7"}),
         (only("mppt2", 300, 1.0, command=line([0, 5, 10], [1.0, 0.36, 0.35])), {"M7"}),

@@ -21,7 +21,8 @@ from sayd_env.studies.critical_speed import find_critical_speed
 from sayd_env.studies.paper.passive_claims import passive_claims
 from sayd_env.studies.paper.reproduce import ROWS, ReproduceResult, damper_claim, model_claim, reproduce
 
-RUNS = 11 + 22
+PASSIVE = 7 + 6
+RUNS = PASSIVE + 22
 """Of one seed: passive ones on two speed grids, and those with controllers."""
 SHORT = ["--config", "estimates", "--set", "assessment.run_in=200", "--set", "assessment.length=600"]
 
@@ -73,7 +74,7 @@ def test_an_interrupted_study_goes_on_without_repeating_runs(
     result: ReproduceResult, short_scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     finished = interrupted(short_scenario, tmp_path, 4)
-    assert 4 <= finished < 11
+    assert 4 <= finished < PASSIVE
 
     made: list[passive.PassiveRun] = []
 
@@ -89,12 +90,12 @@ def test_an_interrupted_study_goes_on_without_repeating_runs(
         return reproduce(scenario, [3], context=RunContext(cache=cache)), cache.reused
 
     second, reused = again(short_scenario)
-    assert (len(made), reused) == (11 - finished, finished)
+    assert (len(made), reused) == (PASSIVE - finished, finished)
     assert second.claims == result.claims
     _, reused = again(short_scenario)
-    assert (len(made), reused) == (11 - finished, RUNS)
+    assert (len(made), reused) == (PASSIVE - finished, RUNS)
     _, reused = again(short_scenario.model_copy(update={"friction": 0.3}))
-    assert (len(made), reused) == (22 - finished, 0)
+    assert (len(made), reused) == (2 * PASSIVE - finished, 0)
 
 
 def test_wear_is_0_and_1_in_turn(result: ReproduceResult, short_scenario: Scenario):
@@ -140,8 +141,8 @@ def test_the_command_writes_claims_and_figures(tmp_path: Path, capsys: pytest.Ca
 def test_runs_with_controllers_go_on_after_an_interruption(
     result: ReproduceResult, short_scenario: Scenario, tmp_path: Path
 ):
-    finished = interrupted(short_scenario, tmp_path, 11 + 3)
-    assert 14 <= finished < RUNS
+    finished = interrupted(short_scenario, tmp_path, PASSIVE + 3)
+    assert PASSIVE + 3 <= finished < RUNS
     cache = RunCache(tmp_path)
     second = reproduce(short_scenario, [3], context=RunContext(cache=cache))
     assert cache.reused == finished
