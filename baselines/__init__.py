@@ -2,7 +2,7 @@
 
 >>> import gymnasium
 >>> from sayd_env import baselines
->>> env = gymnasium.make("SAYD/Nominal-v0")
+>>> env = gymnasium.make("SAYD/Nominal-v1")
 >>> policy = baselines.make("mppt1", env)
 >>> observation, info = env.reset(seed=0)
 >>> action, state = policy.predict(observation)

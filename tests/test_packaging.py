@@ -28,10 +28,10 @@ USE = """
 import importlib.util, pathlib, sys
 import gymnasium
 importlib.util.find_spec("gymnasium")
-env = gymnasium.make("sayd_env:SAYD/Nominal-v0")
+env = gymnasium.make("sayd_env:SAYD/Nominal-v1")
 import sayd_env
 from sayd_env import agents, baselines, configs
-assert gymnasium.make("SAYD/Nominal-v0").unwrapped.interface == env.unwrapped.interface
+assert gymnasium.make("SAYD/Nominal-v1").unwrapped.interface == env.unwrapped.interface
 assert baselines.make("mppt1", env).name == "mppt1"
 found = {module: pathlib.Path(module.__file__).parent for module in (sayd_env, agents, baselines, configs)}
 assert all(module.__name__ == "sayd_env" or module.__name__.startswith("sayd_env.") for module in found)

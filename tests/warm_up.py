@@ -28,7 +28,7 @@ def environments() -> None:
     """The control loop of vehicles on one thread and on two."""
     for threads in THREADS:
         env = gym.make_vec(
-            "SAYD/Nominal-v0", num_envs=1, vectorization_mode="vector_entry_point", num_threads=threads
+            "SAYD/Nominal-v1", num_envs=1, vectorization_mode="vector_entry_point", num_threads=threads
         )
         env.reset(seed=0)
         env.step(env.action_space.sample())

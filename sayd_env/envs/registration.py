@@ -8,12 +8,14 @@ from typing import Any
 import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
+VERSION = 1
+"""Of the ids. It goes up when vehicle, dampers or track behind them change: an id stands for one plant."""
 IDS = {
-    "SAYD/Nominal-v0": "nominal",
-    "SAYD/Randomized-v0": "randomized",
-    "SAYD/Faults-v0": "faults",
+    f"SAYD/Nominal-v{VERSION}": "nominal",
+    f"SAYD/Randomized-v{VERSION}": "randomized",
+    f"SAYD/Faults-v{VERSION}": "faults",
 }
-"""Environments by their ids."""
+"""Environments by their ids; Gymnasium refuses an older version by the name of this one."""
 
 
 def register_environments() -> None:

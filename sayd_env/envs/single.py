@@ -21,10 +21,10 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
 
     Made by ``gymnasium.make`` with one of these ids:
 
-    - ``SAYD/Nominal-v0``: the paper's vehicle at 350 km/h on worn wheels, with sensors without errors.
-    - ``SAYD/Randomized-v0``: speed, wear, friction, track, payload, tolerances and sensor errors drawn for
+    - ``SAYD/Nominal-v1``: the paper's vehicle at 350 km/h on worn wheels, with sensors without errors.
+    - ``SAYD/Randomized-v1``: speed, wear, friction, track, payload, tolerances and sensor errors drawn for
       each episode.
-    - ``SAYD/Faults-v0``: also faults of valves, dampers and sensors.
+    - ``SAYD/Faults-v1``: also faults of valves, dampers and sensors.
 
     **Action.** A ``Box`` of valve commands V, float32: 0 closes a valve (strongest damping), 1 opens it. The
     driver turns it into a current after a delay, and the valve's spool follows with its own dynamics and a

@@ -56,8 +56,8 @@ def test_ids_pass_the_checker(name: str) -> None:
 
 @pytest.mark.parametrize("keywords", VARIANTS, ids=lambda k: ",".join(f"{a}={b}" for a, b in k.items()))
 def test_keywords_pass_the_checker(keywords: dict[str, Any], quick: str) -> None:
-    check(gym.make("SAYD/Nominal-v0", **{"environment": quick, "episode_s": 0.2} | keywords))
+    check(gym.make("SAYD/Nominal-v1", **{"environment": quick, "episode_s": 0.2} | keywords))
 
 
 def test_everything_drawn_passes_the_checker(quick_faults: str) -> None:
-    check(gym.make("SAYD/Faults-v0", environment=quick_faults, info="full", observation="history"))
+    check(gym.make("SAYD/Faults-v1", environment=quick_faults, info="full", observation="history"))

@@ -111,7 +111,9 @@ def single_control_steps() -> dict[str, float]:
     import gymnasium as gym  # noqa: PLC0415
     from gymnasium.utils.performance import benchmark_step  # noqa: PLC0415
 
-    env, window = gym.make("SAYD/Nominal-v0"), 1.0
+    from sayd_env.studies.bench.environment import ID  # noqa: PLC0415
+
+    env, window = gym.make(ID), 1.0
     return {"value": max(benchmark_step(env, window, seed=1) for _ in range(4))}  # type: ignore[arg-type]
 
 
@@ -119,9 +121,9 @@ def overhead() -> dict[str, float]:
     """What Python adds to the compiled call of a control step, us."""
     import gymnasium as gym  # noqa: PLC0415
 
-    from sayd_env.studies.bench.environment import step_times  # noqa: PLC0415
+    from sayd_env.studies.bench.environment import ID, step_times  # noqa: PLC0415
 
-    env = gym.make("SAYD/Nominal-v0")
+    env = gym.make(ID)
     _name_batch(env.unwrapped)
     return {"value": min(step_times(env, 1000)["overhead_us"] for _ in range(3))}
 
@@ -138,9 +140,9 @@ def reset() -> dict[str, float]:
     """Time of a reset of one environment in which everything is drawn, s."""
     import gymnasium as gym  # noqa: PLC0415
 
-    from sayd_env.studies.bench.environment import reset_time  # noqa: PLC0415
+    from sayd_env.studies.bench.environment import ID, reset_time  # noqa: PLC0415
 
-    env = gym.make("SAYD/Randomized-v0")
+    env = gym.make(ID.replace("Nominal", "Randomized"))
     env.reset(seed=0)
     return {"value": float(np.median([reset_time(env, time.process_time) for _ in range(23)][3:]))}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -11,8 +12,9 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from sayd_env.baselines import interface_of
 from sayd_env.config import ConfigError
-from sayd_env.envs.registration import IDS, register_environments
+from sayd_env.envs.registration import IDS, VERSION, register_environments
 from sayd_env.envs.single import SaydEnv
 from sayd_env.envs.vector import SaydVectorEnv
 
@@ -53,8 +55,18 @@ def test_registering_again_changes_nothing() -> None:
 
 
 def test_the_module_can_stand_before_the_id() -> None:
-    code = "import gymnasium; print(gymnasium.make('sayd_env:SAYD/Nominal-v0').unwrapped.interface.valves)"
+    code = "import gymnasium; print(gymnasium.make('sayd_env:SAYD/Nominal-v1').unwrapped.interface.valves)"
     assert run(code) == "bogie"
+
+
+@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2), interface_of])
+@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("module", ["", "sayd_env:"])
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+def test_an_older_version_is_refused_by_the_name_of_the_new_one(make: Any, name: str, module: str) -> None:
+    older = name.replace(f"-v{VERSION}", f"-v{VERSION - 1}")
+    with pytest.raises((gym.error.DeprecatedEnv, ConfigError), match=rf"use `{name}` instead"):
+        make(module + older)
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -63,15 +75,15 @@ def test_ids_make_their_environments(name: str) -> None:
     assert isinstance(single.unwrapped, SaydEnv)
     assert isinstance(vector, SaydVectorEnv)
     assert single.unwrapped.config == vector.config
-    assert (single.unwrapped.config.faults is not None) == (name == "SAYD/Faults-v0")
+    assert (single.unwrapped.config.faults is not None) == (name == "SAYD/Faults-v1")
     assert vector.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     assert single.unwrapped.spec is not None
     assert gym.make(single.unwrapped.spec).unwrapped.config == single.unwrapped.config
 
 
 def test_a_given_limit_of_steps_counts(quick: str) -> None:
-    single = gym.make("SAYD/Nominal-v0", environment=quick, max_episode_steps=3)
-    vector = gym.make_vec("SAYD/Nominal-v0", num_envs=2, environment=quick, max_episode_steps=3)
+    single = gym.make("SAYD/Nominal-v1", environment=quick, max_episode_steps=3)
+    vector = gym.make_vec("SAYD/Nominal-v1", num_envs=2, environment=quick, max_episode_steps=3)
     single.reset(seed=1)
     vector.reset(seed=1)
     ends = [single.step(np.zeros(2, np.float32))[3] for _ in range(3)]
@@ -114,7 +126,7 @@ def test_a_given_limit_of_steps_counts(quick: str) -> None:
 def test_keywords_that_cannot_be_are_refused(keywords: dict[str, Any], words: tuple[str, ...]) -> None:
     for make in (gym.make, gym.make_vec):
         with pytest.raises(ConfigError) as caught:
-            make("SAYD/Nominal-v0", **keywords)
+            make("SAYD/Nominal-v1", **keywords)
         assert all(word in str(caught.value) for word in words), str(caught.value)
 
 

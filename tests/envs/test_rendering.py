@@ -352,7 +352,7 @@ def test_force_colours() -> None:
 
 
 def test_a_window_shows_the_run_and_closes_twice(quick: str) -> None:
-    env = gym.make("SAYD/Nominal-v0", environment=quick, render_mode="human")
+    env = gym.make("SAYD/Nominal-v1", environment=quick, render_mode="human")
     env.reset(seed=0)
     assert env.render() is None
     for _ in range(3):
@@ -375,7 +375,7 @@ def test_a_window_that_is_closed_stays_closed(quick: str) -> None:
 
 def test_a_batch_shows_its_first_vehicle(quick: str) -> None:
     batch = gym.make_vec(
-        "SAYD/Nominal-v0",
+        "SAYD/Nominal-v1",
         num_envs=2,
         vectorization_mode="vector_entry_point",
         environment=quick,
@@ -409,7 +409,7 @@ def test_a_new_episode_begins_with_empty_charts(env: SaydEnv) -> None:
 
 def test_gymnasiums_checker_draws_in_both_modes(quick: str) -> None:
     check_env(
-        gym.make("SAYD/Nominal-v0", environment=quick, episode_s=0.05, render_mode="rgb_array").unwrapped
+        gym.make("SAYD/Nominal-v1", environment=quick, episode_s=0.05, render_mode="rgb_array").unwrapped
     )
 
 

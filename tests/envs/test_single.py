@@ -34,7 +34,7 @@ def assert_same(one: list[Step], other: list[Step]) -> None:
 
 def test_same_seed_same_bits(quick_faults: str) -> None:
     runs = []
-    for env in (SaydEnv(quick_faults), gym.make("SAYD/Faults-v0", environment=quick_faults)):
+    for env in (SaydEnv(quick_faults), gym.make("SAYD/Faults-v1", environment=quick_faults)):
         observation, info = env.reset(seed=7)
         runs.append((observation, info, run(env, 20)))
     np.testing.assert_array_equal(runs[0][0], runs[1][0])

@@ -88,8 +88,8 @@ def test_vehicles_that_end_at_different_times_equal_single_environments(quick: s
 
 
 def test_make_vec_gives_the_batch_and_the_workers_of_gymnasium_the_same(quick: str) -> None:
-    batch = gym.make_vec("SAYD/Nominal-v0", num_envs=2, environment=quick)
-    plain = gym.make_vec("SAYD/Nominal-v0", num_envs=2, environment=quick, vectorization_mode="sync")
+    batch = gym.make_vec("SAYD/Nominal-v1", num_envs=2, environment=quick)
+    plain = gym.make_vec("SAYD/Nominal-v1", num_envs=2, environment=quick, vectorization_mode="sync")
     assert isinstance(batch, SaydVectorEnv)
     assert batch.observation_space == plain.observation_space
     assert batch.action_space == plain.action_space

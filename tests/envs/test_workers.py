@@ -26,7 +26,7 @@ from gymnasium.vector import AsyncVectorEnv
 from sayd_env.envs.single import SaydEnv
 single = SaydEnv(sys.argv[1])
 single.reset(seed=1)  # the serial kernel is loaded and has run before the fork
-maker = partial(gym.make, "SAYD/Nominal-v0", environment=sys.argv[1])
+maker = partial(gym.make, "SAYD/Nominal-v1", environment=sys.argv[1])
 workers = AsyncVectorEnv([maker] * 2, context="fork")
 observation, _ = workers.reset(seed=1)
 np.testing.assert_array_equal(observation[0], single.reset(seed=1)[0])
@@ -39,7 +39,7 @@ print("done")
 
 @pytest.mark.parametrize("context", ["forkserver", "spawn"])
 def test_workers_give_the_same_bits(context: str, quick: str) -> None:
-    maker = partial(gym.make, "sayd_env:SAYD/Nominal-v0", environment=quick)
+    maker = partial(gym.make, "sayd_env:SAYD/Nominal-v1", environment=quick)
     batch = SaydVectorEnv(quick, num_envs=2)
     workers = AsyncVectorEnv([maker] * 2, context=context)
     try:

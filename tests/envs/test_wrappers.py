@@ -33,7 +33,7 @@ def test_ranges_become_minus_one_to_one(kind: str, quick: str) -> None:
 def test_normalised_signals_pass_the_checker(quick: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    env = NormalizeSignals(gym.make("SAYD/Nominal-v0", environment=quick))
+    env = NormalizeSignals(gym.make("SAYD/Nominal-v1", environment=quick))
     with pytest.warns(UserWarning, match="different from the unwrapped version"):
         check_env(env)
 

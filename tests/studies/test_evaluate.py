@@ -115,7 +115,7 @@ def episode(policy: str, seed: int, **keywords: Any) -> float:
     """Sum of the rewards of an episode of the environment, run as its users do."""
     name, _, current = policy.partition(":")
     damper = "passive" if name == "passive" else "sayd"
-    env = gym.make("SAYD/Nominal-v0", damper=damper, speed_kmh=SPEED * 3.6, settings=SETTINGS, **keywords)
+    env = gym.make("SAYD/Nominal-v1", damper=damper, speed_kmh=SPEED * 3.6, settings=SETTINGS, **keywords)
     agent = baselines.make(name, env, **({"current": float(current)} if current else {}))
     observation, _ = env.reset(seed=seed)
     state, total, ended, start = None, 0.0, False, True

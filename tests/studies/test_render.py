@@ -95,7 +95,7 @@ def test_the_run_is_the_environments(
     quick: str, tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
 ) -> None:
     result = render(video(tmp_path / "a.png"), scenario, environment, seed=3)
-    env = gym.make("SAYD/Nominal-v0", environment=quick)
+    env = gym.make("SAYD/Nominal-v1", environment=quick)
     env.reset(seed=3)
     rewards = [float(env.step(np.full(2, 0.5, dtype=np.float32))[1]) for _ in range(20)]
     env.close()

@@ -222,7 +222,7 @@ def bench(
     ----------
     scenario : Scenario
         The configuration of the simulator, measured with passive and with semi-active yaw dampers; those
-        that it does not have are the packaged ones. The environment is always ``SAYD/Nominal-v0``.
+        that it does not have are the packaged ones. The environment is always ``SAYD/Nominal-v1``.
     speed : float
         Speed of the measured vehicles, m/s.
     quick : bool

@@ -15,9 +15,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
 
+from sayd_env.envs.registration import IDS
 from sayd_env.studies.bench.spread import Effort, Quantity, Spread, Timed, in_turn, quantities
 
-ID = "SAYD/Nominal-v0"
+ID = next(name for name in IDS if name.startswith("SAYD/Nominal-"))
+"""Of whatever version: an earlier commit is measured by this file, too."""
 BATCH = 64
 """Vehicles of the batch environment."""
 LONG_EPISODE = 200.0
