@@ -5,11 +5,8 @@ SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
 
-# Ready learned policies beside the others in `make run`; they need no torch.
-LEARNED = ,ppo,sac
-
 # The main command of `make run`: the passive vehicle and the paper's four controllers side by side, on worn wheels.
-RUN_COMMAND = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous$(LEARNED) \
+RUN_COMMAND = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous \
           --profile worn --speeds 300,350,400 --seeds 10
 
 # Options for the tests, for example `make test PYTEST_OPTIONS="-k contact"`.

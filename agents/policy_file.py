@@ -115,6 +115,12 @@ class StoredPolicy:
         found = self.made("config", "seed")
         return found if isinstance(found, int) else None
 
+    @property
+    def environment_version(self) -> Any:
+        """`sayd_env.envs.registration.VERSION` of its training, if it says where it was trained."""
+        trained = self.made("environment_sha256") is not None
+        return self.description.made.get("environment_version", 0 if trained else None)
+
     def made(self, *keys: str) -> Any:
         """What nested keys say about where it comes from; None if they say nothing."""
         content: Any = self.description.made

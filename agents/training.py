@@ -45,6 +45,7 @@ from sayd_env.config.errors import Interrupted
 from sayd_env.config.storage import remove_leftovers, write_file
 from sayd_env.config.units import Array
 from sayd_env.envs.keywords import configured
+from sayd_env.envs.registration import VERSION
 
 CONFIG, RUN, BEST, LAST, CHECKPOINTS = "config.yaml", "run.yaml", "best.npz", "last.npz", "checkpoints"
 LIBRARIES = ("torch", "stable_baselines3", "gymnasium", "numpy")
@@ -122,9 +123,9 @@ def train(
 
 
 def environment_digest(config: TrainConfig) -> str:
-    """Hash of environment and scenario with all numbers that stand behind their names."""
+    """Hash of environment and scenario, with all numbers that stand behind their names, and their version."""
     parts = [part.model_dump(mode="json") for part in configured(**environment_keywords(config))]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps([VERSION, *parts], sort_keys=True).encode()).hexdigest()
 
 
 def _silent(done: float, total: float, what: str) -> None:
@@ -243,6 +244,7 @@ class _Run:
             "steps": now.steps,
             "seconds": round(now.seconds, 1),
             "J": cost,
+            "environment_version": VERSION,
             "environment_sha256": self.digest,
             "config": config.model_dump(mode="json"),
             **self.about,

@@ -19,9 +19,9 @@ register_policy_loader("sayd_env.runs.policies:load_policy")
 def load_policy(policy: str, env: Any = None, **options: Any) -> Any:
     """Make a policy of any kind, ready to act: see `sayd_env.runs.policies.load_policy`.
 
-    >>> policy = load_policy("ppo", "SAYD/Nominal-v0")
+    >>> policy = load_policy("mppt2", "SAYD/Nominal-v1")
     >>> policy.interface.keywords["control_period"]
-    0.02
+    0.01
     """
     from sayd_env.runs.policies import load_policy as load  # noqa: PLC0415 - importing sayd_env stays light
 

@@ -6,8 +6,10 @@ import base64
 import dataclasses
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +19,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import pytest
 
+from sayd_env.agents import pretrained
+from sayd_env.agents.config import load_train
+from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
 from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.envs.registration import VERSION
+from sayd_env.envs.single import SaydEnv
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.controlled import ControlledRun, ControlledRuns
 from sayd_env.runs.passive import Sweep
@@ -93,6 +100,58 @@ def short_scenario() -> Scenario:
 def short_model(short_scenario: Scenario) -> VehicleModel:
     """Vehicle of the short scenario."""
     return VehicleModel(short_scenario)
+
+
+def save_trained(path: Path, algorithm: str = "ppo", seed: int = 0, **made: Any) -> None:
+    """Write a policy as ``sayd train`` leaves it, but with random weights."""
+    config = load_train(algorithm, [f"seed={seed}"])
+    where = config.environment.model_dump(include={"valves", "observation", "history", "control_period"})
+    interface = SaydEnv(**where).interface
+    origin = {
+        "steps": 1_000_000,
+        "seconds": 1500.0,
+        "J": 0.0321,
+        "environment_version": VERSION,
+        "environment_sha256": "0" * 64,
+        "config": config.model_dump(mode="json"),
+        "git_commit": "0123456789abcdef",
+        "git_modified": True,
+    }
+    description = describe(
+        interface,
+        name=f"{algorithm}-s{seed}",
+        view=config.view,
+        inputs=config.inputs,
+        clip=config.clip,
+        output=config.output,
+        network=config.network,
+        squash="clip",
+        made=origin | made,
+    )
+    encoding = StoredPolicy(description, ()).encoding(interface)
+    random = np.random.default_rng(seed)
+    layers = tuple(
+        (np.float32(random.normal(0.0, before**-0.5, (after, before))), np.zeros(after, np.float32))
+        for before, after in pairwise([encoding.size, *config.network.hidden, encoding.actions])
+    )
+    save_policy(path, StoredPolicy(description, layers))
+
+
+@pytest.fixture(scope="session")
+def trained_file() -> Callable[..., None]:
+    """Writer of a policy as a training leaves it."""
+    return save_trained
+
+
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder of two trainings in place of the package's."""
+    folder = tmp_path_factory.mktemp("ready")
+    for seed in range(2):
+        save_trained(folder / f"ppo-s{seed}.npz", seed=seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pretrained, "FOLDER", folder)
+        yield folder
 
 
 def command_of(times: Sequence[float], values: Sequence[float], duration: float = 45.0) -> np.ndarray:

@@ -13,6 +13,7 @@ from sayd_env.agents.pretrained.curves import PICTURE, draw
 from sayd_env.config import DataError
 from sayd_env.config.palette import plain_matplotlib
 from sayd_env.config.storage import write_file
+from sayd_env.envs.registration import VERSION
 
 README = "README.md"
 COLUMNS = ("name", "algorithm", "seed", "commit", "environment", "steps", "training", "J", "SHA-256")
@@ -22,10 +23,7 @@ _HEAD = """# Ready policies
 Trained by `sayd train`, as the files themselves tell: each holds its whole configuration, the versions and
 the command. `sayd evaluate --policies ppo-s3` runs one, without torch; `ppo` alone is the first training,
 whichever is the best. J is the mean over the scenarios of its evaluations while it learned: no result of
-a comparison. They learned, and J was measured, on the former physics (Polach's creep law, a damper without
-bleed, a first-order valve).
-
-![learning curves](learning_curves.png)
+a comparison.
 
 `python -m sayd_env.agents.pretrained.cards` makes this page from the files, and the picture from the tables
 beside them.
@@ -128,9 +126,10 @@ def readme(folder: Path | None = None) -> str:
     """
     rows = [each.cells() for each in origins(folder)]
     if not rows:
-        return f"{_HEAD}\nThere are none yet.\n"
+        return f"{_HEAD}\nThere are none for version {VERSION} of the environments yet.\n"
     lines = [COLUMNS, ("---",) * len(COLUMNS), *rows]
-    return _HEAD + "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    table = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return f"{_HEAD}\n![learning curves]({PICTURE})\n\n{table}"
 
 
 def picture() -> bytes:
@@ -153,4 +152,5 @@ def picture() -> bytes:
 
 if __name__ == "__main__":
     write_file(FOLDER / README, readme().encode())
-    write_file(FOLDER / PICTURE, picture())
+    if groups():
+        write_file(FOLDER / PICTURE, picture())

@@ -92,7 +92,7 @@ def train(
     )
 
 
-@command(GROUP, "ppo-s3 --out my-policy", without=("wide",))
+@command(GROUP, "results/train-ppo-s0 --onnx --out my-policy", without=("wide",))
 def export(
     foreign: options.ForeignOptions,
     source: Path = argument(

@@ -22,7 +22,7 @@ GROUP = "Policies"
 SPEEDS = parsers.speeds("300,350,400")
 
 
-@command(GROUP, "--policies passive,mppt2,ppo --profile worn --seeds 2", runs=True)
+@command(GROUP, "--policies passive,mppt1,mppt2 --profile worn --seeds 2", runs=True)
 def evaluate(
     grid: options.GridOptions,
     foreign: options.ForeignOptions,
@@ -127,7 +127,7 @@ def _held_out() -> list[str]:
     return [HELD_OUT]
 
 
-@command(GROUP, "--quick --policies ppo,own=a.npz+b.npz", runs=True)
+@command(GROUP, "--quick --policies mppt1,own=a.npz+b.npz", runs=True)
 def compare(
     foreign: options.ForeignOptions,
     *,
@@ -171,7 +171,7 @@ def compare(
     )
 
 
-@command(GROUP, "--policy ppo --speed 350 --seconds 5 -o ride.gif", without=("damper", "wide"))
+@command(GROUP, "--policy mppt1 --speed 350 --seconds 5 -o ride.gif", without=("damper", "wide"))
 def render(
     choice: options.VehicleOptions,
     foreign: options.ForeignOptions,

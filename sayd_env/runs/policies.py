@@ -13,7 +13,7 @@ from sayd_env import baselines
 from sayd_env.agents import pretrained
 from sayd_env.agents.onnx_policy import read_onnx
 from sayd_env.agents.policy_file import StoredPolicy, read_policy
-from sayd_env.config import ConfigError, nearest, validate
+from sayd_env.config import ConfigError, nearest, packaged_names, validate
 from sayd_env.config.control import controller_of, load_controller, load_online
 from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.environment import EnvironmentConfig, load_environment
@@ -21,6 +21,7 @@ from sayd_env.config.explain import shown
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import Interface
+from sayd_env.envs.registration import VERSION
 from sayd_env.runs.own_code import OwnPolicy
 
 PASSIVE = "passive"
@@ -172,10 +173,16 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
         return PolicySpec(name, parameters, given) if parameters else PolicySpec(name)
     if name in pretrained.names():
         file = pretrained.path(name)
-        return learned_spec(read_policy(file), file.stem)
+        return learned_spec(read_learned(file), file.stem)
     if _CODE.fullmatch(given):
         own = OwnPolicy.read(given)
         return PolicySpec(own.title, stored=own)
+    algorithm = name.partition("-s")[0]
+    if algorithm in packaged_names("train") and algorithm not in pretrained.groups():
+        raise ConfigError(
+            f"policy {shown(text)}: no learned policy of this name comes with the program; train one with "
+            f"'sayd train {algorithm}' and name its file, results/train-{algorithm}-s0/best.npz"
+        )
     known = (*baselines.NAMES, *pretrained.names())
     raise ConfigError(
         f"policy {shown(text)}: unknown{nearest(name.partition(':')[0], known)}; expected "
@@ -302,12 +309,20 @@ def read_learned(path: Path, foreign: ForeignReader | None = None) -> StoredPoli
     Raises
     ------
     ConfigError
-        No such file, or one that is not trusted.
+        No such file, one that is not trusted, or a policy that was trained on another version of the
+        environments.
     DataError
         A damaged file.
     """
     if path.suffix != FOREIGN:
-        return read_policy(path)
+        stored = read_policy(path)
+        if (version := stored.environment_version) not in (None, VERSION):
+            raise ConfigError(
+                f"{stored.where}: was trained on version {shown(version)} of the environments; "
+                f"version {VERSION} is another plant. Train it again, or load it in spite of that in Python: "
+                "sayd_env.agents.policy_file.load_policy(file, env.unwrapped.interface)"
+            )
+        return stored
     if foreign is None:
         raise ConfigError(
             f"{path}: a file of Stable-Baselines3 can run any code while it is loaded. If you trust where it "

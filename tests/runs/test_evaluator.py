@@ -36,6 +36,7 @@ def quick(tmp_path: Path) -> str:
     return str(path)
 
 
+@pytest.mark.usefixtures("ready")
 @pytest.mark.parametrize("name", ["constant:0.42", "mppt2", "ppo", "passive"])
 def test_j_is_that_of_the_rollouts(name: str, quick: str) -> None:
     """Signals, run-in and clock are those that the policy needs; a derailment is charged."""
@@ -57,6 +58,7 @@ def test_j_is_that_of_the_rollouts(name: str, quick: str) -> None:
     assert found.derailed == sum(run.ending is not None for run in runs)
 
 
+@pytest.mark.usefixtures("ready")
 def test_costs_depend_on_neither_workers_nor_policies_before(quick: str) -> None:
     specs = [policy_spec(name) for name in ("mppt2", "ppo-s1", "constant:0.6")]
     keywords: dict[str, Any] = {"episode_s": 1.0}

@@ -221,6 +221,7 @@ def test_runs_that_were_made_are_not_made_again(tmp_path: Path):
     assert (first.reused, second.reused) == (0, 8)
 
 
+@pytest.mark.usefixtures("ready")
 @pytest.mark.parametrize(("policy", "most"), [("mppt2", 20_000), ("ppo", 100_000)])
 def test_a_piece_of_work_is_small(policy: str, most: int):
     import pickle  # noqa: PLC0415

@@ -18,7 +18,6 @@ import pytest
 
 import sayd_env
 from sayd_env import baselines
-from sayd_env.agents import pretrained
 from sayd_env.cli import main
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.environment import load_environment
@@ -104,8 +103,8 @@ def test_a_factory_brings_its_environment(mine: Path) -> None:
         ConfigError, match=r"needs control_period=0.05, the environment has 0.01; make it with"
     ):
         spec.make(SaydEnv())
-    policy = sayd_env.load_policy(f"{mine}:slow", "SAYD/Nominal-v0")
-    env = gym.make("SAYD/Nominal-v0", **policy.interface.keywords)
+    policy = sayd_env.load_policy(f"{mine}:slow", "SAYD/Nominal-v1")
+    env = gym.make("SAYD/Nominal-v1", **policy.interface.keywords)
     assert policy.predict(env.reset(seed=0)[0])[0].shape == env.action_space.shape == (1,)
 
 
@@ -198,15 +197,16 @@ def test_code_acts_in_other_processes(mine: Path) -> None:
         assert executor.submit(act, spec).result() == act(spec)
 
 
-@pytest.mark.parametrize("name", pretrained.names())
-def test_packaged_policies_travel_light(name: str) -> None:
-    assert len(pickle.dumps(policy_spec(name))) < 100_000
+@pytest.mark.usefixtures("ready")
+def test_learned_policies_travel_light() -> None:
+    assert len(pickle.dumps(policy_spec("ppo"))) < 100_000
 
 
+@pytest.mark.usefixtures("ready")
 def test_a_ready_policy_is_loaded_by_its_name() -> None:
     policy = sayd_env.load_policy("ppo")
     assert policy.name == "ppo-s0"
-    env = gym.make("SAYD/Nominal-v0", **policy.interface.keywords)
+    env = gym.make("SAYD/Nominal-v1", **policy.interface.keywords)
     observation, _ = env.reset(seed=0)
     action, _ = policy.predict(observation)
     same, _ = baselines.make("ppo", env).predict(observation)
@@ -214,8 +214,8 @@ def test_a_ready_policy_is_loaded_by_its_name() -> None:
     with pytest.raises(
         ConfigError, match=r"needs observation='history', the environment has 'signals'; make it with"
     ):
-        baselines.make("ppo", gym.make("SAYD/Nominal-v0"))
-    assert baselines.make("passive", "SAYD/Nominal-v0").interface.keywords["damper"] == "passive"
+        baselines.make("ppo", gym.make("SAYD/Nominal-v1"))
+    assert baselines.make("passive", "SAYD/Nominal-v1").interface.keywords["damper"] == "passive"
 
 
 def test_importing_the_package_loads_no_policies() -> None:
@@ -227,9 +227,8 @@ def test_importing_the_package_loads_no_policies() -> None:
     assert done.stdout.strip() == "False"
 
 
-def test_titles_differ(tmp_path: Path) -> None:
-    source = pretrained.path("ppo-s0").read_bytes()
-    other = pretrained.path("ppo-s1")
+def test_titles_differ(tmp_path: Path, ready: Path) -> None:
+    source, other = (ready / "ppo-s0.npz").read_bytes(), ready / "ppo-s1.npz"
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "mppt2.yaml").write_text("")
@@ -247,7 +246,7 @@ def test_titles_differ(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def exported(tmp_path_factory: pytest.TempPathFactory, ready: Path) -> Path:
     """A ready policy as an ONNX model."""
     pytest.importorskip("onnx", reason="needs the extra 'onnx'")
     pytest.importorskip("onnxruntime", reason="needs the extra 'onnx'")
@@ -261,7 +260,7 @@ def test_an_exported_model_acts_as_its_policy(exported: Path) -> None:
     assert (spec.title, dict(spec.needs)) == ("ppo-s1", dict(policy_spec("ppo-s1").needs))
     with pytest.raises(ConfigError, match="needs observation='history'"):
         spec.make(SaydEnv())
-    model, policy = (sayd_env.load_policy(name, "SAYD/Nominal-v0") for name in (str(exported), "ppo-s1"))
+    model, policy = (sayd_env.load_policy(name, "SAYD/Nominal-v1") for name in (str(exported), "ppo-s1"))
     interface = model.interface
     low, high = (np.array([getattr(signal, end) for signal in interface.signals]) for end in ("low", "high"))
     seen = np.float32(low + np.random.default_rng(0).random((7, *interface.shape)) * (high - low))

@@ -5,81 +5,89 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from rich.console import Console
 
 from sayd_env import baselines
 from sayd_env.agents import pretrained
-from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
-from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
+from sayd_env.agents.policy_file import StoredPolicy, load_policy, read_policy, save_policy
 from sayd_env.agents.pretrained import cards
 from sayd_env.cli import main
 from sayd_env.config import ConfigError, DataError
+from sayd_env.envs.registration import VERSION
 from sayd_env.envs.single import SaydEnv
 from sayd_env.runs.policies import policy_spec
+from sayd_env.studies.comparison.entrants import read_entrants
 from sayd_env.studies.learning import read_source
 from sayd_env.studies.policies import policies
 
-
-def save(path: Path, algorithm: str, seed: int) -> None:
-    """Write a policy as a training leaves it."""
-    made = {
-        "steps": 1_000_000,
-        "seconds": 1500.0,
-        "J": 0.0321,
-        "config": {
-            "seed": seed,
-            "learning": {"algorithm": algorithm},
-            "environment": {"name": "training"},
-        },
-        "git_commit": "0123456789abcdef",
-        "git_modified": True,
-    }
-    description = describe(
-        SaydEnv(observation="features", control_period=0.05).interface,
-        name=f"{algorithm}-s{seed}",
-        inputs={"speed": InputConfig(middle=80.0, half=20.0)},
-        clip=3.0,
-        output=OutputConfig(kind="command"),
-        network=NetworkConfig(hidden=(), activation="tanh"),
-        squash="clip",
-        made=made,
-    )
-    save_policy(path, StoredPolicy(description, ((np.zeros((2, 1), np.float32), np.zeros(2, np.float32)),)))
+Save = Callable[..., None]
 
 
 @pytest.fixture
-def ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of two trainings in place of the package's."""
+def ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trained_file: Save) -> Path:
+    """A folder of two trainings, of this test alone, in place of the package's."""
     monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
-    save(tmp_path / "ppo-s0.npz", "ppo", 0)
-    save(tmp_path / "ppo-s1.npz", "ppo", 1)
+    trained_file(tmp_path / "ppo-s0.npz", "ppo", 0)
+    trained_file(tmp_path / "ppo-s1.npz", "ppo", 1)
     return tmp_path
 
 
-def test_ready_policies_have_names(ready: Path) -> None:
+def test_ready_policies_have_names(ready: Path, trained_file: Save) -> None:
     assert policy_spec("ppo").title == "ppo-s0"
     spec = policy_spec("ppo-s1")
     assert (spec.title, spec.name) == ("ppo-s1", "ppo-s1")
     assert spec.learned is not None
     assert read_source(Path("ppo-s1")).description == spec.learned.description
     # What is kept of a policy's runs shall not serve another one of the same name.
-    save(ready / "ppo-s1.npz", "ppo", 1)
+    trained_file(ready / "ppo-s1.npz", "ppo", 1)
     assert policy_spec("ppo-s1").identity() == spec.identity() != policy_spec("ppo").identity()
     with pytest.raises(ConfigError, match=r"'ppo-s2': unknown, did you mean 'ppo-s[01]'\?.*mppt2.*ppo-s0"):
         policy_spec("ppo-s2")
 
 
-def test_a_policy_may_not_call_itself_like_a_controller(tmp_path: Path) -> None:
-    save(tmp_path / "own.npz", "ppo", 0)
+def test_a_policy_may_not_call_itself_like_a_controller(tmp_path: Path, trained_file: Save) -> None:
+    trained_file(tmp_path / "own.npz", "ppo", 0)
     stored = read_source(tmp_path / "own.npz")
     description = stored.description.model_copy(update={"name": "passive"})
     save_policy(tmp_path / "own.npz", StoredPolicy(description, stored.layers))
     with pytest.raises(ConfigError, match=r"own.npz.*'passive', which is a controller's name"):
         policy_spec(str(tmp_path / "own.npz"))
+
+
+def test_without_its_file_a_name_says_how_to_train_one(ready: Path) -> None:
+    """Until it is there."""
+    for name in ("sac", "sac-s2"):
+        with pytest.raises(ConfigError, match=rf"'{name}': no learned policy.*'sayd train sac'.*best.npz"):
+            policy_spec(name)
+    (ready / "ppo-s0.npz").rename(ready / "sac-s2.npz")
+    assert policy_spec("sac").title == policy_spec("sac-s2").title == "sac-s2"
+
+
+@pytest.mark.parametrize("version", [VERSION - 1, VERSION + 1, None])
+def test_a_policy_of_another_plant_is_refused(
+    version: int | None, ready: Path, tmp_path: Path, trained_file: Save
+) -> None:
+    """Under its path or its name; a file of before there were versions counts as of version 0."""
+    path = ready / "ppo-s0.npz"
+    trained_file(path, environment_version=version)
+    if version is None:
+        stored = read_policy(path)
+        made = {key: value for key, value in stored.description.made.items() if key != "environment_version"}
+        description = stored.description.model_copy(update={"made": made})
+        save_policy(path, StoredPolicy(description, stored.layers))
+    for name in (str(path), "ppo"):
+        with pytest.raises(
+            ConfigError, match=rf"ppo-s0.npz: was trained on version {version or 0} of the env"
+        ):
+            policy_spec(name)
+    with pytest.raises(ConfigError, match="Train it again"):
+        read_entrants(["ppo"])
+    policy = read_policy(path)
+    assert load_policy(path, SaydEnv(**policy.needs).interface).name == "ppo-s0"  # on purpose
 
 
 def test_origins_are_told_by_the_files(ready: Path) -> None:
