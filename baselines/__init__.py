@@ -52,7 +52,8 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Any:
     name : str
         One of `NAMES`, ``constant:V`` with a valve command V, or the path of a YAML file of parameters that
         is named after its controller, such as ``sayd tune`` writes: ``results/tune-mppt2/mppt2-tuned.yaml``.
-        Or whatever else `sayd_env.load_policy` loads: ``ppo``, a ``.npz``, a ``.onnx``, ``file.py:factory``.
+        Or whatever else `sayd_env.load_policy` loads: a ready policy's name, ``.npz``, ``.onnx``,
+        ``file.py:factory``.
     env_or_spec
         What it is to control: an `Interface`, a Gymnasium environment or vector environment (wrapped or not),
         a vector environment of Stable-Baselines3, or an environment's id or `EnvSpec`.

@@ -97,7 +97,7 @@ def export(
     foreign: options.ForeignOptions,
     source: Path = argument(
         "DIR|FILE|NAME",
-        "Directory of a run (its best policy), a policy file, or a ready policy such as ppo-s3.",
+        "Directory of a run (its best policy), a policy file, or the name of a ready policy.",
         autocompletion=options.policy_names,
     ),
     *,

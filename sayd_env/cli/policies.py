@@ -132,7 +132,7 @@ def compare(
     foreign: options.ForeignOptions,
     *,
     policies: Names | None = options.policies(
-        "Who takes part beside passive and mppt2: as for evaluate, ready policies by algorithm (ppo), "
+        "Who takes part beside passive and mppt2: as for evaluate, ready policies by their algorithm, "
         "training seeds as NAME=FILE+FILE..., or a folder of policy files. Default: the paper's and tuned "
         "controllers and all ready policies."
     ),
