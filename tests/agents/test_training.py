@@ -36,6 +36,7 @@ from sayd_env.cli import main  # noqa: E402
 from sayd_env.config import ConfigError, DataError  # noqa: E402
 from sayd_env.config.errors import Interrupted, StudyError  # noqa: E402
 from sayd_env.envs.loop import COST_ACCELERATION, COST_FORCE  # noqa: E402
+from sayd_env.envs.registration import VERSION  # noqa: E402
 from sayd_env.envs.single import SaydEnv  # noqa: E402
 from sayd_env.runs.executors import ExecutorChoice  # noqa: E402
 from sayd_env.studies.learning import policy_evaluator  # noqa: E402
@@ -88,6 +89,7 @@ def test_a_run_holds_what_it_needs_to_be_understood(trained: Trained) -> None:
     assert names >= files | {"best.npz", "last.npz", "checkpoints"}
     assert not [name for name in names if name.endswith(".tmp")]
     assert load_train(str(folder / "config.yaml")) == trained.config
+    assert read_policy(folder / "best.npz").environment_version == VERSION
     (start,) = yaml.safe_load((folder / "run.yaml").read_text())["starts"]
     assert start["libraries"]["torch"] == torch.__version__
     assert len(steps_on_disk(folder)) == trained.config.checkpoint.keep
