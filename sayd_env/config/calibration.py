@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -14,34 +13,29 @@ from sayd_env.config.loader import read_study
 
 
 class Parameter(Model):
-    """One free parameter: its value times a factor goes to each of its keys."""
+    """One free number: its value times a factor is added to each of its keys."""
 
     name: str
     unit: str
     low: Number = Field(description="Lower end of the range, in the unit above", allow_inf_nan=False)
     high: Number = Field(description="Upper end of the range", allow_inf_nan=False)
-    guess: float = Field(description="A first guess, screened with the random points")
     scale: Literal["linear", "log"] = "linear"
-    keys: dict[str, Number] = Field(description="Scenario key -> factor", min_length=1)
+    keys: dict[str, Number] = Field(description="Scenario or controller key -> factor", min_length=1)
     source: str = Field(description="Where the range comes from")
 
     @model_validator(mode="after")
     def _range(self) -> Parameter:
         if not self.low < self.high or (self.scale == "log" and self.low <= 0.0):
             raise ValueError("needs low < high, and low > 0 on a log scale")
-        if not self.low <= self.guess <= self.high:
-            raise ValueError("the guess must lie within the range")
         return self
 
     def value(self, unit: float) -> float:
-        """Value at a place of the unit interval."""
+        """Value at a place of the unit interval, to five digits."""
         if self.scale == "log":
-            return float(self.low * (self.high / self.low) ** unit)
-        return self.low + (self.high - self.low) * unit
-
-    def assignments(self, value: float) -> dict[str, float]:
-        """Numbers of its keys at a value, to five digits."""
-        return {key: float(f"{factor * value:.5g}") for key, factor in self.keys.items()}
+            value = self.low * (self.high / self.low) ** unit
+        else:
+            value = self.low + (self.high - self.low) * unit
+        return float(f"{value:.5g}")
 
     def place(self, value: float) -> float:
         """Place of a value in the unit interval."""
@@ -50,38 +44,77 @@ class Parameter(Model):
         return (value - self.low) / (self.high - self.low)
 
 
+class Screening(Model):
+    """Points of a Latin hypercube, of which the best one is where the search begins."""
+
+    samples: int = quantity("-", "Number of points", ge=1)
+    seeds: int = quantity("-", "Track seeds of each of them", ge=1)
+    length: float = quantity("m", "Assessed distance of each run", gt=0.0)
+
+
 class Search(Model):
-    """A bounded Gauss-Newton search."""
+    """A search from the best point of the one before."""
 
     name: str
     seeds: int = quantity("-", "Track seeds of each evaluation", ge=1)
-    iterations: int = quantity("-", "Number of iterations, each of parameters + 1 evaluations or more", ge=1)
-    step: float = quantity("-", "Difference step, as a share of the ranges", gt=0.0, le=0.5)
+    length: float = quantity("m", "Assessed distance of each run", gt=0.0)
+    evaluations: int = quantity("-", "Number of evaluations", ge=1)
+    radius: float = quantity("-", "First step, as a share of the ranges", gt=0.0, le=0.5)
+
+
+class Stage(Model):
+    """The free numbers of one part of the plant, and how they are looked for."""
+
+    parameters: tuple[Parameter, ...] = Field(min_length=1)
+    screening: Screening
+    searches: tuple[Search, ...] = Field(description="Each from the best point of the one before")
+
+    @field_validator("parameters")
+    @classmethod
+    def _distinct(cls, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+        names = [parameter.name for parameter in parameters]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"parameter '{name}' appears twice")
+        return parameters
+
+    def values(self, place: Sequence[float]) -> dict[str, float]:
+        """Value of each parameter by name at a place of the unit cube."""
+        return {p.name: p.value(float(u)) for p, u in zip(self.parameters, place, strict=True)}
+
+    def assignments(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Keys and their numbers, to five digits; what several parameters give to one key is added up."""
+        found: dict[str, float] = {}
+        for parameter in self.parameters:
+            for key, factor in parameter.keys.items():
+                found[key] = found.get(key, 0.0) + factor * values[parameter.name]
+        return {key: float(f"{number:.5g}") for key, number in found.items()}
+
+    def parameters_of(self, key: str) -> list[Parameter]:
+        """Parameters that set a key."""
+        return [parameter for parameter in self.parameters if key in parameter.keys]
+
+
+class Sensitivity(Model):
+    """The table of what each free number does."""
+
+    seeds: int = quantity("-", "Track seeds of each evaluation", ge=1)
+    length: float = quantity("m", "Assessed distance of each run", gt=0.0)
+    share: float = quantity("-", "Change of each number, as a share of its range", gt=0.0, le=0.5)
 
 
 class CalibrationConfig(Model):
     """A calibration: parameters, seeds and the budget of its stages."""
 
-    base: str = Field(description="Study whose free numbers are calibrated")
-    parameters: tuple[Parameter, ...] = Field(min_length=1)
+    base: str = Field(description="Study whose free numbers are calibrated, with passive yaw dampers")
+    semi_active_damper: str = Field(description="Semi-active damper whose free numbers are calibrated")
     first_seed: int = quantity("-", "First track seed; apart from those of the reproduction", ge=0)
-    screening_samples: int = quantity("-", "Points of the Latin hypercube", ge=1)
-    screening_seeds: int = quantity("-", "Track seeds of each of them", ge=1)
-    searches: tuple[Search, ...] = Field(description="Searches, each from the best point so far")
-    new_speeds: tuple[Number, ...] = Field(min_length=2, description="Speeds on new wheels (m/s)")
-    worn_speeds: tuple[Number, ...] = Field(min_length=2, description="Speeds on worn wheels (m/s)")
-
-    @field_validator("new_speeds", "worn_speeds")
-    @classmethod
-    def _rising(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
-        for before, after in pairwise((0.0, *speeds)):
-            if after <= before:
-                raise ValueError(f"speeds must be positive and rise: {after:g} follows {before:g}")
-        return speeds
-
-    def values(self, place: Sequence[float]) -> dict[str, float]:
-        """Value of each parameter by name at a place of the unit cube."""
-        return {p.name: p.value(float(u)) for p, u in zip(self.parameters, place, strict=True)}
+    passive: Stage = Field(description="Vehicle, wheels, track and passive damper, from rows P1 to P10")
+    semi_active: Stage = Field(
+        description="Damper, valve and controllers, from rows M1 to M9 and S1 to S6; keys begin with "
+        "damper (the semi-active one) or control.NAME"
+    )
+    sensitivity: Sensitivity
 
 
 def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ()) -> CalibrationConfig:

@@ -1,157 +1,188 @@
-"""What the paper leaves open, found within sourced ranges from its statements on the passive vehicle.
+"""What the paper leaves open, found within sourced ranges from its statements.
 
-A Latin hypercube screens the ranges with few track seeds; from its best point bounded least-squares searches
-(trust-region reflective) go on with more seeds. The residuals are the three critical speeds' distances from
-their targets and a penalty for every other row of P1 to P10, zero where the row holds with a margin.
-Crossings are extrapolated beyond the speed grid, so that a search can start anywhere.
+First the passive vehicle from rows P1 to P10, then damper, valve and controllers from rows M1 to M9 and S1 to
+S6. In each stage a Latin hypercube screens the ranges with few tracks and short runs; from its best point
+bounded least-squares searches (trust-region reflective) go on with more. Residuals are those of
+`sayd_env.studies.tuning.targets`; crossings are extrapolated beyond the grid of speeds, so that a search can
+start anywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from sayd_env.config import StudyError
-from sayd_env.config.calibration import CalibrationConfig, Search
-from sayd_env.config.errors import Diverged
-from sayd_env.config.scenario import load_scenario
+from sayd_env.config.calibration import CalibrationConfig, Parameter, Screening, Search, Sensitivity, Stage
+from sayd_env.config.control import load_controller
+from sayd_env.config.environment import load_environment
+from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Table, print_table
+from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, panels
 from sayd_env.runs.context import RunContext, silent
-from sayd_env.runs.passive import Sweep, sweep
-from sayd_env.stability import Limits
-from sayd_env.studies.paper.passive_claims import PassiveMeasures
-from sayd_env.studies.tuning.search import best_of, draw_costs, provenance_lines
+from sayd_env.runs.controlled import ControlledRun, ControlledRuns, assessed_controlled
+from sayd_env.runs.passive import NEW_SPEEDS, WORN_SPEEDS, Assessed, PassiveRun, assessed, gathered
+from sayd_env.runs.policies import PolicySpec
+from sayd_env.runs.rollouts import Run, environment_of
+from sayd_env.studies.paper.controlled_claims import (
+    CLOSED,
+    MPPT1,
+    MPPT2,
+    ControlledMeasures,
+    required_runs,
+)
+from sayd_env.studies.tuning.parts import part_files
+from sayd_env.studies.tuning.search import best_of, draw_costs
+from sayd_env.studies.tuning.targets import (
+    FREQUENCY,
+    MPPT1_400,
+    MPPT2_300,
+    NEW,
+    WORN,
+    WORN_FORCE,
+    Measures,
+    Residuals,
+    controlled_residuals,
+    passive_residuals,
+    valve_positions,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-WORST = 8.0
-"""Largest penalty of one row: beyond it, further away is no worse, and other rows matter more."""
-ROWS = tuple(f"P{i}" for i in range(1, 11))
-TARGETS = {
-    "P2": ("critical_new_kmh", 372.0, 6.0),
-    "P5": ("critical_worn_kmh", 331.0, 5.0),
-    "P8": ("critical_force_kmh", 361.0, 5.0),
-}
-"""Critical speeds (km/h) of three rows: target and scale."""
-PRIOR = 0.05
+PRIOR = 0.02
 """Weight of a parameter's distance from the middle of its range: settles what the rows do not."""
-DIVERGED = 1e3
-"""Cost of parameters with which a run does not stay finite."""
+LOST = 50.0
+"""Residual of numbers with which a run does not stay finite, or derails."""
+LAST_RADIUS = 0.01
+"""Step at which a search ends, as a share of the ranges."""
+CONTROL = "control."
+
+Place = tuple[float, ...]
+"""In the unit cube of a stage's ranges."""
+Outcome = tuple[Residuals, Measures]
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One set of parameters and what came out."""
+    """One set of numbers and what came out."""
 
     stage: str
-    place: tuple[float, ...]
-    """In the unit cube of the parameters' ranges."""
-    cost: float
-    """Sum of the squared residuals."""
-    penalties: dict[str, float]
-    measures: dict[str, float]
+    place: Place
+    residuals: Residuals
+    measures: Measures
 
     @property
-    def residuals(self) -> list[float]:
-        """What the search makes small."""
-        return residuals_of(self.penalties, self.measures) if self.measures else [WORST] * len(ROWS)
+    def cost(self) -> float:
+        """Sum of the squared residuals, large ones counted by their logarithm."""
+        return float(np.sum(np.square(damped(self))))
+
+
+def damped(trial: Trial) -> Array:
+    """Residuals whose large values grow as logarithms, so that no lost row outweighs all others."""
+    return np.asarray(np.arcsinh(list(trial.residuals.values())))
 
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """All evaluations, in the order in which they were made."""
+    """All evaluations, in the order in which they were made, and what each number does."""
 
     config: CalibrationConfig
-    evaluations: list[Trial]
+    trials: dict[str, list[Trial]]
+    """By stage, ``passive`` and ``semi_active``."""
+    sensitivity: list[dict[str, Any]]
+    seed: int
 
-    @property
-    def best(self) -> Trial:
-        """Best evaluation of the last stage that was reached."""
-        return best_of(self.evaluations, self.evaluations[-1].stage)
+    def best(self, stage: str) -> Trial:
+        """Best evaluation of the last search of a stage."""
+        return best_of(self.trials[stage], self.trials[stage][-1].stage)
 
-    @property
-    def values(self) -> dict[str, float]:
-        """Calibrated value of each parameter, in its unit."""
-        return self.config.values(self.best.place)
+    def values(self, stage: str) -> dict[str, float]:
+        """Calibrated value of each parameter of a stage, in its unit."""
+        return self._stages()[stage].values(self.best(stage).place)
 
-    def study(self) -> str:
-        """Text of a study file that holds the calibrated numbers, as `configs/study/nominal.yaml` does."""
-        config = self.config
-        seeds = max((search.seeds for search in config.searches), default=config.screening_seeds)
+    def files(self) -> dict[str, str]:
+        """Parts with the calibrated numbers, as `configs/` holds them, by their paths there."""
         about = {
-            "command": "sayd calibrate",
-            "track_seeds": f"{config.first_seed} to {config.first_seed + seeds - 1}",
-            "evaluations": len(self.evaluations),
-            "cost": f"{self.best.cost:.3g}",
+            "command": f"sayd calibrate --seed {self.seed}",
+            "track_seeds": f"{self.config.first_seed} to {self.config.first_seed + self._seeds() - 1}",
+            "evaluations": sum(len(trials) for trials in self.trials.values()),
         }
-        lines = [HEAD.format(base=config.base), *provenance_lines(about), "set:"]
-        for p in config.parameters:
-            value = self.values[p.name]
-            lines.append(f"  # {p.name}: {value:.5g} {p.unit}, from {p.low:g} to {p.high:g}")
-            lines += [f"  {key}: {number!r}" for key, number in p.assignments(value).items()]
-        return "\n".join(lines) + "\n"
+        found: dict[str, str] = {}
+        for name, stage in self._stages().items():
+            cost = {"cost": f"{self.best(name).cost:.3g}"}
+            found |= part_files(stage, self.values(name), about | cost, semi_active=name == "semi_active")
+        return found
 
     def as_dict(self) -> dict[str, Any]:
-        """Parameters, the assignments that set them, and the rows' penalties at the best point."""
-        best = self.best
+        """Of each stage the parameters, the assignments that set them, and residuals at the best point."""
         return {
-            "parameters": self.values,
-            "set": assignments(self.config, best.place),
-            "cost": best.cost,
-            "penalties": best.penalties,
-            "measures": best.measures,
-            "evaluations": len(self.evaluations),
-            "stage": best.stage,
-        }
+            name: {
+                "parameters": self.values(name),
+                "set": stage.assignments(self.values(name)),
+                "cost": self.best(name).cost,
+                "residuals": self.best(name).residuals,
+                "measures": self.best(name).measures,
+                "evaluations": len(self.trials[name]),
+            }
+            for name, stage in self._stages().items()
+        } | {"sensitivity": self.sensitivity}
 
     def tables(self) -> dict[str, Table]:
-        """Every evaluation."""
-        rows = sorted({row for e in self.evaluations for row in e.penalties})
-        lines = [
-            [e.stage, e.cost, *self.config.values(e.place).values(), *map(e.penalties.get, rows)]
-            for e in self.evaluations
-        ]
-        return {"evaluations": (("stage", "cost", *self.values, *rows), lines)}
+        """Every evaluation of each stage, and the sensitivities."""
+        return {
+            **{f"evaluations_{name}": self._evaluations(name) for name in self.trials},
+            "sensitivity": csv_table(SENSITIVITY, self.sensitivity),
+        }
 
     def plots(self) -> dict[str, Plot]:
         """Cost over the search."""
         return {"cost": self._draw}
 
     def summary(self, console: Console, wide: bool = False) -> None:
-        """Print the calibrated values and what is left of each row's penalty."""
-        rows = [p.model_dump() | {"value": self.values[p.name]} for p in self.config.parameters]
-        title = f"cost {self.best.cost:.3f} ({self.best.stage})"
-        print_table(console, title, PARAMETERS, rows, wide=wide)
-        left = {k: round(v, 2) for k, v in self.best.penalties.items() if v > 0.0}
-        console.print(f"penalties left: {left or 'none'}")
+        """Print calibrated values, what is left of each row's residual, and the sensitivities."""
+        for name, stage in self._stages().items():
+            values, best = self.values(name), self.best(name)
+            rows = [p.model_dump() | {"value": values[p.name]} for p in stage.parameters]
+            title = f"{name.replace('_', '-')}: cost {best.cost:.3f} ({best.stage})"
+            print_table(console, title, PARAMETERS, rows, wide=wide)
+            left = {k: round(v, 2) for k, v in best.residuals.items() if abs(v) > 0.005}
+            console.print(f"residuals left: {left or 'none'}")
+        title = f"what follows where one number moves by {self.config.sensitivity.share:.0%} of its range"
+        print_table(console, title, SENSITIVITY, self.sensitivity, wide=wide)
+
+    def _stages(self) -> dict[str, Stage]:
+        return {name: getattr(self.config, name) for name in self.trials}
+
+    def _seeds(self) -> int:
+        return max(search.seeds for stage in self._stages().values() for search in stage.searches)
+
+    def _evaluations(self, name: str) -> Table:
+        trials, stage = self.trials[name], self._stages()[name]
+        rows = sorted({row for trial in trials for row in trial.residuals})
+        parameters = [p.name for p in stage.parameters]
+        lines = [
+            [t.stage, t.cost, *stage.values(t.place).values(), *map(t.residuals.get, rows)] for t in trials
+        ]
+        return ("stage", "cost", *parameters, *rows), lines
 
     def _draw(self, figure: Figure) -> None:
-        (axes,) = panels(figure, 1, size=(8.0, 4.5))
-        draw_costs(axes, self.evaluations)
-        axes.set(ylabel="cost", title="calibration", yscale="symlog")
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.legend()
+        for axes, (name, trials) in zip(panels(figure, len(self.trials), size=(8.0, 4.5)), self.trials.items()):
+            draw_costs(axes, trials)
+            axes.set(ylabel="cost", title=name.replace("_", "-"), yscale="symlog")
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.legend()
 
 
-HEAD = """\
-# The paper's conditions: the estimates, with calibrated numbers on top.
-#
-# Written by `sayd calibrate`, which found every number under `set` from rows P1 to P10 of
-# the paper's statements on the passive vehicle, within the ranges that
-# configs/study/calibration.yaml gives with their sources.
-base: {base}
-description: the EMU of the paper with passive yaw dampers"""
 PARAMETERS = (
     Column("name", "parameter"),
     Column("value", "value"),
@@ -160,130 +191,303 @@ PARAMETERS = (
     Column("high", "to"),
     Column("source", "source", wide=True),
 )
-"""Of the printed table."""
-
-
-def assignments(config: CalibrationConfig, place: Sequence[float]) -> dict[str, float]:
-    """Scenario keys and their values at a place of the unit cube, to five digits."""
-    places = zip(config.parameters, place, strict=True)
-    return {key: number for p, u in places for key, number in p.assignments(p.value(float(u))).items()}
+"""Of the printed tables of calibrated numbers."""
+QUANTITIES = {
+    NEW: Column(NEW, "new km/h", digits=0),
+    WORN: Column(WORN, "worn km/h", digits=0),
+    WORN_FORCE: Column(WORN_FORCE, "worn, force km/h", digits=0),
+    FREQUENCY: Column(FREQUENCY, "Hz", digits=2),
+    MPPT1_400: Column(MPPT1_400, "MPPT1 %", digits=1),
+    MPPT2_300: Column(MPPT2_300, "MPPT2 %", digits=1),
+}
+"""What the table of sensitivities shows."""
+SENSITIVITY = (
+    Column("name", "parameter"),
+    Column("value", "value"),
+    Column("unit", "unit"),
+    *QUANTITIES.values(),
+)
+"""Of the table of what each number does."""
+RESTING = ((MPPT1, 400 / KMH, CLOSED), (MPPT2, 300 / KMH, CLOSED))
+"""Runs whose valves come to rest in figures 12 and 14."""
 
 
 def calibrate(
-    config: CalibrationConfig, *, seed: int = 0, context: RunContext | None = None
+    config: CalibrationConfig, *, seed: int = 0, start: str = "random", context: RunContext | None = None
 ) -> CalibrationResult:
-    """Search for the parameters that meet most of rows P1 to P10.
+    """Search for the numbers that meet most rows: first the passive vehicle, then dampers and controllers.
 
-    The seed is that of the Latin hypercube, not of the tracks.
+    Parameters
+    ----------
+    config : CalibrationConfig
+    seed : int
+        Of the Latin hypercubes, not of the tracks.
+    start : str
+        ``random``: the searches begin at the best point of a Latin hypercube; ``middle``: in the middle of
+        every range.
+    context : RunContext, optional
 
     Raises
     ------
     StudyError
-        No parameters gave a finite run.
+        No numbers gave a finite run.
     """
     context = context or RunContext()
-    runs = replace(context, progress=silent)
-    each = len(config.parameters) + 1
-    total = config.screening_samples + sum(1 + s.iterations * each for s in config.searches)
-    evaluations: list[Trial] = []
-
-    def evaluate(stage: str, place: Array, seeds: int) -> Trial:
-        key = tuple(round(float(u), 9) for u in np.clip(place, 0.0, 1.0))
-        found = _evaluate(config, stage, key, seeds, runs)
-        evaluations.append(found)
-        best = best_of(evaluations, stage)
-        context.progress(min(len(evaluations), total), total, f"{stage}, best cost {best.cost:.2f}")
-        return found
-
-    guess = [p.place(p.guess) for p in config.parameters]
-    cube = qmc.LatinHypercube(len(guess), seed=seed).random(config.screening_samples - 1)
-    for place in [np.array(guess), *cube]:
-        evaluate("screening", place, config.screening_seeds)
-    if best_of(evaluations).cost >= DIVERGED:
-        raise StudyError("calibration: no parameters within the ranges gave a finite run")
-    result = CalibrationResult(config, evaluations)
-    for search in config.searches:
-        _search(search, np.array(result.best.place), evaluate)
-    return result
-
-
-def _search(search: Search, start: Array, evaluate: Callable[[str, Array, int], Trial]) -> None:
-    def residuals(shifted: Array) -> Array:
-        found = evaluate(search.name, shifted - 1.0, search.seeds)
-        return np.array([*found.residuals, *(PRIOR * (shifted - 1.5))])
-
-    # Places run from 1 to 2 here: the difference step is relative, and 0 would have none.
-    least_squares(
-        residuals,
-        np.clip(start, 0.01, 0.99) + 1.0,
-        bounds=(1.0, 2.0),
-        diff_step=search.step,
-        max_nfev=search.iterations + 1,
-        x_scale=0.2,
+    tell = _Teller(context, config, start)
+    runs = RunContext(context.executor, context.cache, silent, context.kept)
+    passive = _Passive(config, runs)
+    found = {"passive": _searched("passive", config.passive, passive.outcomes, seed, start, tell)}
+    best = best_of(found["passive"], found["passive"][-1].stage)
+    semi_active = _SemiActive(config, config.passive.values(best.place), runs)
+    found["semi_active"] = _searched(
+        "semi_active", config.semi_active, semi_active.outcomes, seed, start, tell
     )
+    result = CalibrationResult(config, found, [], seed)
+    tell("sensitivity", 0.0)
+    return replace(result, sensitivity=_sensitivity(config.sensitivity, passive, semi_active, result))
 
 
-def _evaluate(
-    config: CalibrationConfig, stage: str, place: tuple[float, ...], seeds: int, context: RunContext
+@dataclass
+class _Teller:
+    """Reports progress: evaluations that were made of those that can be."""
+
+    context: RunContext
+    config: CalibrationConfig
+    start: str
+    done: int = 0
+
+    def __call__(self, what: str, cost: float, count: int = 0) -> None:
+        self.done += count
+        total = sum(
+            (stage.screening.samples if self.start == "random" else 1)
+            + sum(search.evaluations for search in stage.searches)
+            for stage in (self.config.passive, self.config.semi_active)
+        )
+        words = f"{what}, best cost {cost:.2f}" if cost else what
+        self.context.progress(min(self.done, total), total, words)
+
+
+Evaluate = Callable[[Sequence[Place], int, float], list[Outcome]]
+"""Places, number of seeds and assessed distance (m) -> what comes out at each."""
+
+
+def _searched(
+    name: str, stage: Stage, evaluate: Evaluate, seed: int, start: str, tell: _Teller
+) -> list[Trial]:
+    """Screen the ranges of a stage, then search from the best point."""
+    trials: list[Trial] = []
+
+    def tried(what: str, places: Iterable[Array], settings: Screening | Search) -> list[Trial]:
+        keys = [tuple(round(float(u), 6) for u in np.clip(place, 0.0, 1.0)) for place in places]
+        outcomes = evaluate(keys, settings.seeds, settings.length)
+        new = [Trial(f"{name}, {what}", key, *outcome) for key, outcome in zip(keys, outcomes, strict=True)]
+        trials.extend(new)
+        tell(new[0].stage, best_of(trials, new[0].stage).cost, len(new))
+        return new
+
+    count = len(stage.parameters)
+    middle = np.full((1, count), 0.5)
+    cube = qmc.LatinHypercube(count, rng=seed).random(stage.screening.samples)
+    for place in cube if start == "random" else middle:
+        tried("screening", [place], stage.screening)
+    best = best_of(trials)
+    if LOST in best.residuals.values():
+        raise StudyError(f"calibration, {name}: no numbers within the ranges gave a finite run")
+    for search in stage.searches:
+        best = _search(search, best, tried)
+    return trials
+
+
+def _search(
+    search: Search, start: Trial, tried: Callable[[str, Iterable[Array], Search], list[Trial]]
 ) -> Trial:
-    keys = [f"{key}={value!r}" for key, value in assignments(config, place).items()]
-    tracks = range(config.first_seed, config.first_seed + seeds)
+    """Search by COBYQA, a trust-region method without derivatives; returns its best trial."""
+    made: list[Trial] = []
+
+    def cost(place: Array) -> float:
+        made.extend(tried(search.name, [place], search))
+        return made[-1].cost + PRIOR * float(np.sum(np.square(np.array(made[-1].place) - 0.5)))
+
+    minimize(
+        cost,
+        np.array(start.place),
+        method="COBYQA",
+        bounds=[(0.0, 1.0)] * len(start.place),
+        options={
+            "maxfev": search.evaluations,
+            "initial_tr_radius": search.radius,
+            "final_tr_radius": min(LAST_RADIUS, search.radius),
+        },
+    )
+    return best_of(made)
+
+
+@dataclass
+class _Passive:
+    """The vehicle with passive yaw dampers at places of its ranges."""
+
+    config: CalibrationConfig
+    context: RunContext
+
+    def outcomes(self, places: Sequence[Place], seeds: int, length: float) -> list[Outcome]:
+        """Residuals of rows P1 to P10 at each place."""
+        stage = self.config.passive
+        values = [stage.values(place) for place in places]
+        return _each(values, lambda part: self._measured(part, seeds, length), _lost(P_ROWS))
+
+    def _measured(
+        self, values: Sequence[Mapping[str, float]], seeds: int, length: float
+    ) -> list[Outcome]:
+        tracks = range(self.config.first_seed, self.config.first_seed + seeds)
+        scenarios, runs = [], []
+        for each in values:
+            for wear, speeds in ((0.0, NEW_SPEEDS), (1.0, WORN_SPEEDS)):
+                scenario = vehicle_of(self.config, each, length, [f"wear={wear}"])
+                scenarios.append((scenario, speeds))
+                runs += [PassiveRun(scenario, speed, track) for track in tracks for speed in speeds]
+        records = iter(self.context.records(assessed, runs, Assessed))
+        sweeps = [
+            gathered([next(records) for _ in range(len(tracks) * len(speeds))], speeds, tracks)
+            for _, speeds in scenarios
+        ]
+        limits = model_limits(VehicleModel(scenarios[0][0]))
+        return [passive_residuals(*pair, limits) for pair in zip(sweeps[::2], sweeps[1::2], strict=True)]
+
+
+@dataclass
+class _SemiActive:
+    """The calibrated vehicle with semi-active dampers and their controllers, on worn wheels."""
+
+    config: CalibrationConfig
+    vehicle: Mapping[str, float]
+    """Values of the parameters of the passive stage."""
+    context: RunContext
+
+    def outcomes(self, places: Sequence[Place], seeds: int, length: float) -> list[Outcome]:
+        """Residuals of rows M1 to M9 and S1 to S6 at each place."""
+        values = [self.config.semi_active.values(place) for place in places]
+        pairs = [(self.vehicle, each) for each in values]
+        return _each(
+            pairs,
+            lambda part: [
+                controlled_residuals(m) for m in self.measured(part, required_runs(), seeds, length)
+            ],
+            _lost(CONTROLLED_ROWS),
+        )
+
+    def measured(
+        self,
+        pairs: Sequence[tuple[Mapping[str, float], Mapping[str, float]]],
+        required: Sequence[tuple[str, float, float]],
+        seeds: int,
+        length: float,
+    ) -> list[ControlledMeasures]:
+        """Measures of each pair of values, those of the passive and those of the semi-active stage."""
+        tracks = range(self.config.first_seed, self.config.first_seed + seeds)
+        runs: list[Run] = []
+        for vehicle, own in pairs:
+            runs += self._runs(vehicle, own, required, tracks, length)
+        records = self.context.records(assessed_controlled, runs, ControlledRun)
+        count = len(required) * len(tracks)
+        limits, assessment = model_limits(VehicleModel(runs[0].scenario)), runs[0].scenario.assessment
+        return [
+            ControlledMeasures(ControlledRuns(records[i : i + count]), limits, required, assessment)
+            for i in range(0, len(records), count)
+        ]
+
+    def _runs(
+        self,
+        vehicle: Mapping[str, float],
+        own: Mapping[str, float],
+        required: Sequence[tuple[str, float, float]],
+        tracks: Sequence[int],
+        length: float,
+    ) -> list[Run]:
+        numbers = self.config.semi_active.assignments(own)
+        damper = [f"{key}={number!r}" for key, number in numbers.items() if not key.startswith(CONTROL)]
+        scenario = vehicle_of(
+            self.config, vehicle, length, ["wear=1.0", f"damper={self.config.semi_active_damper}", *damper]
+        )
+        environment = environment_of(scenario, load_environment())
+        policies = {name: self._policy(name, numbers) for name, _, _ in required}
+        return [
+            Run(policies[name], scenario, environment, speed, track, current)
+            for name, speed, current in required
+            for track in tracks
+        ]
+
+    @staticmethod
+    def _policy(name: str, numbers: Mapping[str, float]) -> PolicySpec:
+        own = {
+            key.rpartition(".")[2]: number
+            for key, number in numbers.items()
+            if key.startswith(f"{CONTROL}{name}.")
+        }
+        return PolicySpec(name, load_controller(name, own).model_dump())
+
+
+P_ROWS = tuple(f"P{i}" for i in range(1, 11))
+CONTROLLED_ROWS = (*(f"M{i}" for i in range(1, 10)), "S1", *(f"S{i}" for i in range(3, 7)))
+
+
+def vehicle_of(
+    config: CalibrationConfig, values: Mapping[str, float], length: float, more: Sequence[str]
+) -> Scenario:
+    """The base scenario with values of the passive stage; a semi-active damper among `more` replaces its own."""
+    keys = [f"{key}={number!r}" for key, number in config.passive.assignments(values).items()]
+    return load_scenario(config.base, [*keys, f"assessment.length={length!r}", *more])
+
+
+def _lost(rows: Sequence[str]) -> Outcome:
+    return dict.fromkeys(rows, LOST), {}
+
+
+def _each(
+    values: Sequence[Any], measured: Callable[[Sequence[Any]], list[Outcome]], lost: Outcome
+) -> list[Outcome]:
+    """What comes out of all values at once; one by one where a run of any of them fails."""
     try:
-        new_wheels, worn_wheels = (load_scenario(config.base, [*keys, f"wear={wear}"]) for wear in (0.0, 1.0))
-        new = sweep(new_wheels, config.new_speeds, tracks, context)
-        worn = sweep(worn_wheels, config.worn_speeds, tracks, context)
-    except Diverged:
-        return Trial(stage, place, DIVERGED, {}, {})
-    penalties, measures = penalties_of(new, worn, model_limits(VehicleModel(new_wheels)))
-    cost = float(np.sum(np.square(residuals_of(penalties, measures))))
-    return Trial(stage, place, cost, penalties, measures)
+        return measured(values)
+    except StudyError:
+        if len(values) == 1:
+            return [lost]
+        return [_each([each], measured, lost)[0] for each in values]
 
 
-def residuals_of(penalties: dict[str, float], measures: dict[str, float]) -> list[float]:
-    """Distances of the critical speeds from their targets, and the other rows' penalties."""
-    signed = [(measures[key] - target) / scale for key, target, scale in TARGETS.values()]
-    others = [value for row, value in penalties.items() if row not in TARGETS]
-    return [*np.clip(signed, -WORST, WORST).tolist(), *others]
+def _sensitivity(
+    settings: Sensitivity, passive: _Passive, semi_active: _SemiActive, result: CalibrationResult
+) -> list[dict[str, Any]]:
+    """The calibrated numbers, then each of them moved by plus and minus a share of its range, and what follows.
 
-
-def penalties_of(new: Sweep, worn: Sweep, limits: Limits) -> tuple[dict[str, float], dict[str, float]]:
-    """Penalty of each row P1 to P10 (0: holds with a margin), and the numbers behind them."""
-    m = PassiveMeasures(new, worn, limits)
-    spread = m.frequency_spread(m.all)
-    above = float(np.max(spread[m.high]))
-    crossing = (m.new_acceleration, m.worn_acceleration, m.worn_force)
-    v2, v5, v8 = (criterion.extrapolated_kmh() for criterion in crossing)
-    x = measures = {
-        "stable_280": float(np.quantile(m.stable_280(), 0.8)),
-        "critical_new_kmh": v2,
-        "frequency_hz": float(np.interp(v2 / KMH, new.speeds, np.median(new.frequency, axis=(1, 2)))),
-        "ratio_320": float(np.quantile(m.ratios_320(), 0.85)),
-        "critical_worn_kmh": v5,
-        "ratio_350": float(np.quantile(m.lowest_ratio_above(), 0.15)),
-        "smallest_rise": m.smallest_rise(m.all),
-        "critical_force_kmh": v8,
-        "trailing_ratio": float(np.quantile(m.trailing_ratio(), 0.2)),
-        "spread_350_hz": above,
-        "spread_320_hz": float(spread[m.low]),
-        "frequency_rise_hz": m.frequency_rise(m.all),
-    }
-    penalties = {
-        "P1": _over(x["stable_280"], 0.42, 0.05),
-        "P2": _over(abs(v2 - 372.0), 4.0, 6.0),
-        "P3": _over(abs(x["frequency_hz"] - 4.0), 0.3, 0.1),
-        "P4": _over(x["ratio_320"], 0.96, 0.04),
-        "P5": _over(abs(v5 - 331.0), 4.0, 5.0),
-        "P6": _over(1.05, x["ratio_350"], 0.04),
-        "P7": _over(0.02, x["smallest_rise"], 0.02),
-        "P8": _over(abs(v8 - 361.0), 6.0, 5.0),
-        "P9": _over(1.15, x["trailing_ratio"], 0.05),
-        "P10": _over(above, 0.22, 0.1)
-        + _over(0.05, x["frequency_rise_hz"], 0.05)
-        + _over(above + 0.1, x["spread_320_hz"], 0.1),
-    }
-    return {k: min(v, WORST) for k, v in penalties.items()}, measures
-
-
-def _over(value: float, bound: float, scale: float) -> float:
-    """How far a value exceeds a bound, in units of the scale."""
-    return max(0.0, (value - bound) / scale)
+    The valves' positions follow the vehicle's numbers as well as their own; the passive vehicle's critical
+    speeds follow its own alone.
+    """
+    config = result.config
+    calibrated = {name: np.array(result.best(name).place) for name in result.trials}
+    lines: list[tuple[Parameter | None, dict[str, Array]]] = [(None, calibrated)]
+    for name, place in calibrated.items():
+        for i, parameter in enumerate(getattr(config, name).parameters):
+            for change in (settings.share, -settings.share):
+                moved = place + change * np.eye(len(place))[i]
+                lines.append((parameter, calibrated | {name: np.clip(moved, 0.0, 1.0)}))
+    of_vehicle = 1 + 2 * len(config.passive.parameters)
+    vehicles = [tuple(places["passive"]) for _, places in lines[:of_vehicle]]
+    outcomes = passive.outcomes(vehicles, settings.seeds, settings.length)
+    pairs = [
+        (config.passive.values(places["passive"]), config.semi_active.values(places["semi_active"]))
+        for _, places in lines
+    ]
+    resting = [run for run in required_runs() if run in RESTING]
+    valves = semi_active.measured(pairs, resting, settings.seeds, settings.length)
+    measures = [m for _, m in outcomes] + [{}] * (len(lines) - of_vehicle)
+    return [
+        {
+            "name": parameter.name if parameter else "as calibrated",
+            "value": (own | vehicle)[parameter.name] if parameter else None,
+            "unit": parameter.unit if parameter else "",
+            **dict.fromkeys(QUANTITIES),
+            **{key: value for key, value in found.items() if key in QUANTITIES},
+            **valve_positions(m),
+        }
+        for (parameter, _), (vehicle, own), found, m in zip(lines, pairs, measures, valves, strict=True)
+    ]

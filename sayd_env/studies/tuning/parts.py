@@ -1,0 +1,110 @@
+"""Calibrated numbers as the files of parts that `configs/` holds: a base, provenance, and what is set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from sayd_env.config.calibration import Stage
+from sayd_env.studies.tuning.search import provenance_lines
+
+
+class _Part(NamedTuple):
+    """A file of calibrated numbers."""
+
+    keys: str
+    """Beginning of the assignments' keys that belong to it; the rest is a key of the file."""
+    path: str
+    """In configs/."""
+    about: str
+    base: str
+    more: str = ""
+    """Further lines."""
+
+
+PASSIVE = (
+    _Part("vehicle.", "vehicle/emu.yaml", "The electric multiple unit of the paper.", "emu-estimate", "name: emu"),
+    _Part("damper.", "damper/passive.yaml", "The passive yaw damper.", "passive-estimate", "name: passive"),
+    _Part("wheel.", "profile/s1002cn.yaml", "Wheel profile S1002CN.", "s1002cn-estimate", "name: s1002cn"),
+    _Part("track.section.", "section/slab.yaml", "Slab track under a wheelset.", "slab-estimate"),
+    _Part(
+        "track.",
+        "track/german_low.yaml",
+        "Straight slab track, German spectrum of low disturbance (ERRI B176).",
+        "german_low-estimate",
+        "section: slab",
+    ),
+    _Part(
+        "",
+        "study/nominal.yaml",
+        "The paper's conditions: the calibrated parts in place of the estimates, and what belongs to no part.",
+        "estimates",
+        "description: the EMU of the paper with passive yaw dampers\n"
+        "vehicle: emu\ndamper: passive\nwheel: s1002cn\ntrack: german_low",
+    ),
+)
+"""Where the numbers of the passive stage belong; the first part whose keys fit takes one."""
+_CONTROLLERS = {
+    "mppt1": "MPPT1, eq. (27) to (31) of Wang et al. (2022): weighs running stability alone.",
+    "mppt2": "MPPT2, eq. (27) to (31) of Wang et al. (2022): weighs running stability and damper force.",
+    "skyhook": "The estimator of bogie velocity and stroke rate that both skyhooks read.",
+    "skyhook-onoff": "On-off skyhook, eq. (38) of Wang et al. (2022).",
+    "skyhook-continuous": "Continuous skyhook, eq. (37) of Wang et al. (2022).",
+}
+SEMI_ACTIVE = (
+    _Part("damper.", "damper/sayd.yaml", "The semi-active yaw damper.", "sayd-estimate", "name: sayd"),
+    *(
+        _Part(f"control.{name}.", f"control/{name}.yaml", about, f"{name}-estimate")
+        for name, about in _CONTROLLERS.items()
+    ),
+)
+"""The same for the semi-active stage."""
+
+
+def part_files(
+    stage: Stage, values: Mapping[str, float], about: Mapping[str, object], *, semi_active: bool
+) -> dict[str, str]:
+    """Text of each part that a stage calibrates, by its path in `configs/`.
+
+    Parameters
+    ----------
+    stage : Stage
+    values : mapping
+        Calibrated value of each parameter by name.
+    about : mapping
+        What stands under `provenance`.
+    semi_active : bool
+        Which of the two stages it is.
+    """
+    rows = "M1 to M9 and S1 to S6" if semi_active else "P1 to P10"
+    lines: dict[_Part, list[str]] = {}
+    parts = SEMI_ACTIVE if semi_active else PASSIVE
+    for key, number in stage.assignments(values).items():
+        part = next(part for part in parts if key.startswith(part.keys))
+        own = lines.setdefault(part, [])
+        for parameter in stage.parameters_of(key):
+            comment = (
+                f"  # {parameter.name}: {values[parameter.name]:.5g} {parameter.unit}, "
+                f"from {parameter.low:g} to {parameter.high:g}"
+            )
+            if comment not in own:
+                own.append(comment)
+        own.append(f"  {key.removeprefix(part.keys)}: {number!r}")
+    return {part.path: _text(part, rows, about, own) for part, own in lines.items()}
+
+
+def _text(part: _Part, rows: str, about: Mapping[str, object], numbers: list[str]) -> str:
+    return "\n".join(
+        [
+            f"# {part.about} Calibrated.",
+            "#",
+            f"# Written by `sayd calibrate`, which found the numbers under `set` from rows {rows} of the paper's",
+            "# statements, within the ranges of configs/study/calibration.yaml, where their sources stand.",
+            f"base: {part.base}",
+            *([part.more] if part.more else []),
+            *provenance_lines(about),
+            "set:",
+            *numbers,
+            "",
+        ]
+    )
