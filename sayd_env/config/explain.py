@@ -26,7 +26,7 @@ class Origin:
     source: str
     """A file, or the option that set it."""
     depth: int = 0
-    """Leading keys that the source leaves out, because it holds just this section: keys are named as in it."""
+    """Leading keys that the source leaves out: it holds just this section, and keys are named as in it."""
 
 
 def nearest(word: str, candidates: Iterable[str]) -> str:

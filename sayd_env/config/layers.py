@@ -1,8 +1,8 @@
 """Files on top of files: one layering for studies, environments and the parts that they name.
 
-A file need only say in what it differs from its ``base``, which is the name of a packaged file of its kind, a
-path relative to the file, or null. Its keys overlay those of the base; last come single numbers under ``set``,
-as key: value with dotted keys. A part of a study may stand there by name, by path or by content.
+A file need only say in what it differs from its ``base``: the name of a packaged file of its kind, a path
+relative to the file, or null. Its keys overlay those of the base; last come single numbers under ``set``, as
+key: value with dotted keys. A part of a study may stand there by name, by path or by content.
 """
 
 from __future__ import annotations
@@ -118,6 +118,7 @@ def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     below = _base(kind, own, source, (*users, _identity(name)))
     numbers = own.pop("set", None)
     own = _placed(kind, own, folder)
+    _check_parts(kind, own, source)
     if any(isinstance(own.get(key), dict) for key in kind.parts):
         below = _with_parts(kind, below)
     set_here = tuple(Origin(path, source) for path in _paths(own))
@@ -239,7 +240,12 @@ def _placed_at(kind: Kind, keys: list[str], value: Any, folder: Path) -> Any:
 
 def _alone(key: str, own: Mapping[str, Any], below: Mapping[str, Any]) -> bool:
     """Whether a section replaces the base's as a whole: one with a name or a law, or of another type."""
-    return key == "provenance" or "name" in own or "law" in own or own.get("type") not in (None, below.get("type"))
+    return (
+        key == "provenance"
+        or "name" in own
+        or "law" in own
+        or own.get("type") not in (None, below.get("type"))
+    )
 
 
 def _merged(below: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
