@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from sayd_env.config import Model, quantity
 from sayd_env.config.base import Number
-from sayd_env.config.loader import read_overridden
+from sayd_env.config.layers import Kind, read_layered
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 """A whole number of 1 or more."""
@@ -219,4 +219,4 @@ def load_train(name: str = "ppo", overrides: Iterable[str] = ()) -> TrainConfig:
     ConfigError
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
-    return read_overridden(TrainConfig, "train", name, overrides)
+    return read_layered(TrainConfig, Kind("train"), name, overrides)

@@ -39,6 +39,8 @@ _KINDS: dict[str, Any] = {
     "skyhook-continuous": ContinuousSkyhook,
     "mppt2-tuned": Mppt,
     "constant-tuned": Constant,
+    "mppt1-estimate": Mppt,
+    "mppt2-estimate": Mppt,
 }
 NAMES = tuple(_KINDS)
 """Controllers that `make` knows."""

@@ -7,7 +7,9 @@ from collections.abc import Iterable
 from pydantic import model_validator
 
 from sayd_env.config.base import Model, quantity
-from sayd_env.config.loader import read_overridden
+from sayd_env.config.layers import Kind, read_layered
+
+ASSESSMENT = Kind("study")
 
 
 class AssessmentConfig(Model):
@@ -83,4 +85,4 @@ def load_assessment(name: str = "en14363", overrides: Iterable[str] = ()) -> Ass
     ConfigError
         The file, a key or a value cannot be used.
     """
-    return read_overridden(AssessmentConfig, "study", name, overrides)
+    return read_layered(AssessmentConfig, ASSESSMENT, name, overrides)

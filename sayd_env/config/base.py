@@ -19,6 +19,18 @@ class Model(BaseModel):
     )
 
 
+class Provenance(Model):
+    """Where calibrated numbers come from: any keys and values."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class Part(Model):
+    """What one file describes."""
+
+    provenance: Provenance = Field(Provenance(), description="Where calibrated numbers come from")
+
+
 def quantity(unit: str, doc: str, *, default: Any = ..., **bounds: Any) -> Any:
     """Field of a physical quantity: number with a unit.
 

@@ -8,10 +8,13 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, quantity
+from sayd_env.config.base import Model, Part, Provenance, quantity
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.explain import Origin, shown
-from sayd_env.config.loader import is_path, nearest, read_config, read_overridden, section, validate
+from sayd_env.config.explain import Origin, nearest, shown
+from sayd_env.config.layers import Kind, layered, read_layered
+from sayd_env.config.loader import is_path, validate
+
+CONTROL = Kind("control")
 
 
 class OnlineConfig(Model):
@@ -41,20 +44,20 @@ def load_online(name: str = "online", overrides: Iterable[str] = ()) -> OnlineCo
     ConfigError
         The file, a key or a value cannot be used.
     """
-    return read_overridden(OnlineConfig, "control", name, overrides)
+    return read_layered(OnlineConfig, CONTROL, name, overrides)
 
 
 class PassiveControlConfig(Model):
     """Passive dampers: nothing to control, no parameters."""
 
 
-class ConstantConfig(Model):
+class ConstantConfig(Part):
     """A constant valve command."""
 
     current: float = quantity("-", "Valve command V of every damper: 0 closed, 1 open", ge=0.0, le=1.0)
 
 
-class BogieCostConfig(Model):
+class BogieCostConfig(Part):
     """What a controller that minimises J, eq. (27), measures on its bogie, and the range of its command."""
 
     k_y: float = quantity("-", "k_y of eq. (27), weight of the acceleration", ge=0.0)
@@ -100,7 +103,7 @@ class PerturbObserveConfig(BogieCostConfig):
     first_move: Literal["close", "open"] = Field(description="Direction of the first change")
 
 
-class SkyhookConfig(Model):
+class SkyhookConfig(Part):
     """On-off and continuous skyhook, eq. (32) to (38), with the estimator that they share."""
 
     closed: float = quantity("-", "Valve command for c_max", ge=0.0, le=1.0)
@@ -120,7 +123,7 @@ class SkyhookConfig(Model):
         return self
 
 
-class TunedProvenance(Model):
+class TunedProvenance(Provenance):
     """Where the gains of a tuned controller come from."""
 
     command: str = Field(min_length=1, description="Command that found them")
@@ -155,12 +158,10 @@ CONTROLLERS: dict[str, type[ControllerConfig]] = {
     "skyhook-continuous": SkyhookConfig,
     "mppt2-tuned": TunedMpptConfig,
     "constant-tuned": TunedConstantConfig,
+    "mppt1-estimate": MpptConfig,
+    "mppt2-estimate": MpptConfig,
 }
 """Schema of each controller's parameters."""
-
-
-SKYHOOK = "skyhook"
-"""File of the estimator's parameters, which both skyhooks share; theirs hold the ends of the command."""
 
 
 def controller_of(name_or_path: str) -> str:
@@ -202,8 +203,6 @@ def load_controller(name: str, parameters: Mapping[str, Any] | None = None) -> C
         if given or controller != name:
             raise ConfigError(f"controller 'passive': has no parameters, found {', '.join(given) or name}")
         return PassiveControlConfig()
-    content, source = read_config("control", name)
-    origins = [Origin((key,), f"controller '{controller}'") for key in given]
-    model = CONTROLLERS[controller]
-    shared = section(*read_config("control", SKYHOOK)) if model is SkyhookConfig else {}
-    return validate(model, shared | section(content, source) | given, source, origins)
+    draft = layered(CONTROL, name)
+    origins = (*draft.origins, *(Origin((key,), f"controller '{controller}'") for key in given))
+    return validate(CONTROLLERS[controller], draft.data | given, draft.source, origins)

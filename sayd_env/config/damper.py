@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, quantity
-from sayd_env.config.errors import ConfigError
-from sayd_env.config.loader import read_config, validate
+from sayd_env.config.base import Model, Part, quantity
+from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.vehicle import MaxwellLaw
 
+DAMPER = Kind("damper", data=("throttle.file",))
+SAYD = replace(DAMPER, only=("type", "sayd"))
 
-class PassiveDamperConfig(MaxwellLaw):
+
+class PassiveDamperConfig(MaxwellLaw, Part):
     """The passive yaw damper: piecewise-linear damper in series with a spring (paper, section 2.1)."""
 
     type: Literal["passive"]
@@ -151,7 +153,7 @@ class ValveDynamics(Model):
     rate: float = quantity("1/s", "Largest rate of the acting current", ge=0.1)
 
 
-class SaydDamperConfig(Model):
+class SaydDamperConfig(Part):
     """The semi-active yaw damper: the six-state hydraulic model of the paper's section 2.2."""
 
     type: Literal["sayd"]
@@ -190,15 +192,4 @@ def load_sayd(name_or_path: str) -> SaydDamperConfig:
     ConfigError
         Unknown name, unreadable file, or a key that cannot be used.
     """
-    data, source = read_config("damper", name_or_path)
-    if not isinstance(data, dict) or data.get("type") != "sayd":
-        raise ConfigError(f"{source}: expected a damper of type 'sayd'")
-    return validate(SaydDamperConfig, with_resolved_table(data, Path(source).parent), source)
-
-
-def with_resolved_table(content: dict[str, object], folder: Path) -> dict[str, object]:
-    """Copy of a damper's raw content whose throttle table is looked for beside the YAML that names it."""
-    throttle = content.get("throttle")
-    if not isinstance(throttle, dict) or not isinstance(throttle.get("file"), str):
-        return content
-    return content | {"throttle": throttle | {"file": str(folder / throttle["file"])}}
+    return read_layered(SaydDamperConfig, SAYD, name_or_path)

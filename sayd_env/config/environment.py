@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from sayd_env.config.base import Model, is_multiple, quantity
 from sayd_env.config.distribution import Distribution
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.explain import Origin, nearest, shown
+from sayd_env.config.explain import nearest
 from sayd_env.config.fault import FaultsConfig
-from sayd_env.config.loader import (
-    apply_overrides,
-    assigned,
-    beside,
-    is_path,
-    read_config,
-    section,
-    validate,
-)
+from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.scenario import CostConfig
-from sayd_env.config.sensors import SAMPLE, SensorsConfig
+from sayd_env.config.sensors import SAMPLE, SENSORS, SensorsConfig
 from sayd_env.config.track import IrregularityConfig, NoIrregularityConfig, read_track
 
+ENVIRONMENT = Kind(
+    "env", parts={"sensors": SENSORS}, names=("study", "randomisation.tracks.*.name"), base="nominal"
+)
 PERIODS = tuple(n for n in range(1, 1001) if 1000 % n == 0)
 """Control periods that divide a second (ms)."""
 
@@ -264,95 +258,4 @@ def load_environment(name: str = "nominal", overrides: Iterable[str] = ()) -> En
     ConfigError
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
-    data, origins = _layered(name, ())
-    for item in overrides:
-        changed = apply_overrides(data, [item])
-        origins = (*origins, assigned(data, item))
-        data, found = _with_sensors(changed, origins[-1].source)
-        origins += found
-    return validate(EnvironmentConfig, data, _source(name), origins)
-
-
-def _source(name: str) -> str:
-    return name if is_path(name) else f"configs/env/{name}.yaml"
-
-
-def _layered(name: str, users: tuple[str, ...]) -> tuple[dict[str, Any], tuple[Origin, ...]]:
-    """Content of an environment layered over its `base`, and which file set what."""
-    content, source = read_config("env", name)
-    own = dict(section(content, source))
-    base, folder = own.pop("base", "nominal"), Path(source).parent
-    if base is not None and not isinstance(base, str):
-        raise ConfigError(
-            f"{source}: base: found {shown(base)}; expected the name of an environment, a path or null"
-        )
-    users = (*users, str(Path(source).resolve()))
-    base = None if base is None else beside(base, folder)
-    if base is not None and str(Path(_source(base)).resolve()) in users:
-        raise ConfigError(f"{source}: base: '{base}' refers back to this file")
-    below: tuple[dict[str, Any], tuple[Origin, ...]] = ({}, ())
-    if base is not None:
-        below = _layered(base, users)
-    own, found = _with_sensors(_placed(own, folder), source)
-    set_here = tuple(Origin(path, source) for path in _paths(own))
-    return _merged(below[0], own), (*below[1], *set_here, *found)
-
-
-def _placed(own: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Content with paths relative to the folder of its file resolved."""
-    result = dict(own)
-    for key in ("study", "sensors"):
-        if isinstance(own.get(key), str):
-            result[key] = beside(own[key], folder)
-    randomisation = own.get("randomisation")
-    tracks = randomisation.get("tracks") if isinstance(randomisation, dict) else None
-    if isinstance(randomisation, dict) and isinstance(tracks, list):
-        result["randomisation"] = randomisation | {
-            "tracks": [_placed_track(track, folder) for track in tracks]
-        }
-    return result
-
-
-def _placed_track(track: Any, folder: Path) -> Any:
-    if not isinstance(track, dict) or not isinstance(track.get("name"), str):
-        return track
-    return track | {"name": beside(track["name"], folder)}
-
-
-def _with_sensors(data: dict[str, Any], source: str) -> tuple[dict[str, Any], tuple[Origin, ...]]:
-    """Replace the name of a set of sensors by its content."""
-    named = data.get("sensors")
-    if isinstance(named, str):
-        content, found = read_config("sensors", named)
-        return data | {"sensors": section(content, found)}, (Origin(("sensors",), found, own=True),)
-    if "sensors" in data and not isinstance(named, dict):
-        raise ConfigError(
-            f"{source}: sensors: found {shown(named)}; expected the name of a set of sensors, a path or keys "
-            "and values"
-        )
-    return data, ()
-
-
-def _replaces(content: Any) -> bool:
-    """Whether content replaces the base's as a whole: a value, a list, a distribution, a named section."""
-    return not isinstance(content, dict) or "law" in content or "name" in content
-
-
-def _merged(below: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    result = dict(below)
-    for key, value in own.items():
-        under = below.get(key)
-        alone = _replaces(value) or not isinstance(under, dict)
-        result[key] = value if alone else _merged(under, value)  # type: ignore[arg-type]
-    return result
-
-
-def _paths(content: dict[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """Paths of what a section sets."""
-    found = []
-    for key, value in content.items():
-        if _replaces(value):
-            found.append((*above, key))
-        else:
-            found += _paths(value, (*above, key))
-    return found
+    return read_layered(EnvironmentConfig, ENVIRONMENT, name, overrides)

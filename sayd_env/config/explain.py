@@ -25,8 +25,8 @@ class Origin:
     path: Path
     source: str
     """A file, or the option that set it."""
-    own: bool = False
-    """Whether the source holds just this section: keys are then named as in that file."""
+    depth: int = 0
+    """Leading keys that the source leaves out: it holds just this section, and keys are named as in it."""
 
 
 def nearest(word: str, candidates: Iterable[str]) -> str:
@@ -248,7 +248,7 @@ def _named(data: Any, path: Path, origin: Origin) -> str:
         else:
             node = node.get(part) if isinstance(node, Mapping) else None
             parts.append(str(part))
-    return ".".join(parts[len(origin.path) :] if origin.own else parts)
+    return ".".join(parts[origin.depth :])
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

@@ -12,6 +12,8 @@ from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.loader import packaged_names
 from sayd_env.config.scenario import Scenario
 
+_SAID = ("description", "provenance")
+
 
 def fingerprint(scenario: Scenario, environment: EnvironmentConfig) -> dict[str, Any]:
     """SHA-256 of everything that two results must share to be comparable.
@@ -29,7 +31,7 @@ def fingerprint(scenario: Scenario, environment: EnvironmentConfig) -> dict[str,
         ``environment``: sensors, clock, what is drawn, charge for a derailment; ``weights``: of J;
         ``controllers``: each file of configs/control; ``sha256``: all of them together.
     """
-    plant = scenario.model_dump(mode="json", exclude={"cost", "description", "provenance"})
+    plant = scenario.model_dump(mode="json", exclude={"cost"})
     parts: dict[str, Any] = {
         "plant": _digest([plant, load_sayd("sayd").model_dump(mode="json")]),
         "environment": _digest(environment.model_dump(mode="json")),
@@ -40,7 +42,14 @@ def fingerprint(scenario: Scenario, environment: EnvironmentConfig) -> dict[str,
 
 
 def _digest(content: Any) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(_bare(content), sort_keys=True).encode()).hexdigest()
+
+
+def _bare(content: Any) -> Any:
+    """Content without what is said about it."""
+    if isinstance(content, dict):
+        return {key: _bare(value) for key, value in content.items() if key not in _SAID}
+    return [_bare(value) for value in content] if isinstance(content, list) else content
 
 
 def _file_digest(name: str) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,7 +16,6 @@ from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin, explain, nearest, shown
 
 __all__ = [
-    "KINDS",
     "apply_overrides",
     "assigned",
     "beside",
@@ -23,8 +23,8 @@ __all__ = [
     "nearest",
     "packaged_names",
     "parse_yaml",
+    "placed",
     "read_config",
-    "read_overridden",
     "read_study",
     "read_text",
     "section",
@@ -33,9 +33,6 @@ __all__ = [
 ]
 
 M = TypeVar("M", bound=BaseModel)
-
-KINDS = ("vehicle", "damper", "profile", "track", "sensors", "control", "env", "train", "study")
-
 
 _MERGE = "tag:yaml.org,2002:merge"
 
@@ -131,7 +128,7 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
     Parameters
     ----------
     kind : str
-        One of `KINDS`.
+        Folder of configs/, such as ``vehicle``.
     name_or_path : str
         A packaged name (``emu``) or a path to a YAML file.
     """
@@ -186,39 +183,36 @@ def validated(model: type[M], data: dict[str, Any], source: str, overrides: Iter
     return validate(model, data, source, origins)
 
 
-def read_overridden(model: type[M], kind: str, name_or_path: str, overrides: Iterable[str]) -> M:
-    """Read a configuration by name or path, apply ``key=value`` assignments, and validate it.
+def read_study(model: type[M], name_or_path: str, overrides: Iterable[str], *references: str) -> M:
+    """Read a study that is no scenario, apply ``key=value`` assignments, and validate it.
+
+    References are the keys under which other files are named, relative to its file: see `placed`.
 
     Raises
     ------
     ConfigError
         The file, a key or a value cannot be used.
     """
-    content, source = read_config(kind, name_or_path)
-    return validated(model, section(content, source), source, overrides)
-
-
-def read_study(model: type[M], name_or_path: str, overrides: Iterable[str], *references: str) -> M:
-    """Read a study like `read_overridden`, with paths in it relative to its file.
-
-    References are the keys under which other files are named, ``a.b`` in a section and ``a.*.b`` in each
-    section of a list.
-    """
     content, source = read_config("study", name_or_path)
     data = section(content, source)
     for reference in references:
-        data = _placed(data, reference.split("."), Path(source).parent)
+        data = placed(data, reference, partial(beside, folder=Path(source).parent))
     return validated(model, data, source, overrides)
 
 
-def _placed(node: Any, keys: list[str], folder: Path) -> Any:
-    if not keys:
-        return beside(node, folder) if isinstance(node, str) else node
-    key, *below = keys
+def placed(node: Any, place: str, move: Callable[[str], str]) -> Any:
+    """Copy of nested data with the text at a place moved.
+
+    The place is ``a.b`` in a section and ``a.*.b`` in each section of a list; where there is no text, nothing
+    changes.
+    """
+    if not place:
+        return move(node) if isinstance(node, str) else node
+    key, _, rest = place.partition(".")
     if key == "*":
-        return [_placed(each, below, folder) for each in node] if isinstance(node, list) else node
+        return [placed(each, rest, move) for each in node] if isinstance(node, list) else node
     if isinstance(node, dict) and key in node:
-        return node | {key: _placed(node[key], below, folder)}
+        return node | {key: placed(node[key], rest, move)}
     return node
 
 

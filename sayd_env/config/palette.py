@@ -12,7 +12,7 @@ import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from types import MappingProxyType
 from typing import Any
@@ -82,6 +82,9 @@ def policy_style(name: str) -> Style:
     """
     if name in _POLICIES:
         return _POLICIES[name]
+    calibrated = name.removesuffix("-estimate")
+    if calibrated in _POLICIES:
+        return replace(_POLICIES[calibrated], line=":")
     kind, colon, value = name.partition(":")
     if colon and kind in _POLICIES:  # a variant: the same colour
         return Style(_POLICIES[kind].colour, *_nth(zlib.crc32(value.encode())))

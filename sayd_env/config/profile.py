@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, Number, quantity
-from sayd_env.config.errors import ConfigError
-from sayd_env.config.explain import shown
-from sayd_env.config.loader import read_config, validate
+from sayd_env.config.base import Model, Number, Part, quantity
+from sayd_env.config.layers import Kind, read_layered
+
+WHEEL, RAIL = (
+    Kind("profile", data=("shape.file", "wear.shape.file"), only=("kind", kind)) for kind in ("wheel", "rail")
+)
 
 JOINT_TOLERANCE_MM = 0.02
 """Zones may miss each other by this much (mm): published formulas are rounded."""
@@ -114,7 +115,7 @@ class MeasuredWear(Model):
     shape: Shape
 
 
-class WheelProfileConfig(Model):
+class WheelProfileConfig(Part):
     """A wheel profile and where it sits on its wheelset."""
 
     kind: Literal["wheel"]
@@ -134,7 +135,7 @@ class WheelProfileConfig(Model):
     )
 
 
-class RailProfileConfig(Model):
+class RailProfileConfig(Part):
     """A rail profile, its cant and the depth at which its gauge is measured."""
 
     kind: Literal["rail"]
@@ -162,8 +163,7 @@ def load_wheel(name_or_path: str) -> WheelProfileConfig:
     ConfigError
         Unknown name, unreadable file, or a key that cannot be used.
     """
-    data, source = _read(name_or_path, "wheel")
-    return validate(WheelProfileConfig, data, source)
+    return read_layered(WheelProfileConfig, WHEEL, name_or_path)
 
 
 def load_rail(name_or_path: str) -> RailProfileConfig:
@@ -174,25 +174,4 @@ def load_rail(name_or_path: str) -> RailProfileConfig:
     ConfigError
         Unknown name, unreadable file, or a key that cannot be used.
     """
-    data, source = _read(name_or_path, "rail")
-    return validate(RailProfileConfig, data, source)
-
-
-def _read(name_or_path: str, kind: str) -> tuple[object, str]:
-    data, source = read_config("profile", name_or_path)
-    found = data.get("kind") if isinstance(data, dict) else None
-    if found is not None and found != kind:
-        raise ConfigError(f"{source}: kind: found {shown(found)}, expected '{kind}' here")
-    return with_resolved_files(data, Path(source).parent), source
-
-
-def with_resolved_files(data: object, folder: Path) -> object:
-    """Copy of a profile's raw content whose relative `file` entries are resolved against its YAML file."""
-    if not isinstance(data, dict):
-        return data
-    return {
-        key: str(folder / value)
-        if key == "file" and isinstance(value, str)
-        else with_resolved_files(value, folder)
-        for key, value in data.items()
-    }
+    return read_layered(RailProfileConfig, RAIL, name_or_path)

@@ -14,8 +14,9 @@ from typing import Literal, get_args
 from pydantic import field_validator, model_validator
 
 from sayd_env.config.base import Model, is_multiple, quantity
-from sayd_env.config.loader import read_overridden
+from sayd_env.config.layers import Kind, read_layered
 
+SENSORS = Kind("sensors")
 SAMPLE = 1.0e-3
 """Time between two samples of a sensor (s)."""
 
@@ -124,4 +125,4 @@ def load_sensors(name: str = "ideal", overrides: Iterable[str] = ()) -> SensorsC
     ConfigError
         The file, a key or a value cannot be used.
     """
-    return read_overridden(SensorsConfig, "sensors", name, overrides)
+    return read_layered(SensorsConfig, SENSORS, name, overrides)

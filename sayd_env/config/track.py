@@ -7,21 +7,22 @@ direction of travel, positive when the left rail is higher (rad); `gauge` the wi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from itertools import pairwise
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, StrictFloat, model_validator
 
-from sayd_env.config.base import Model, quantity
-from sayd_env.config.loader import read_config, section, validated
+from sayd_env.config.base import Model, Part, quantity
+from sayd_env.config.layers import Kind, read_layered
+
+TRACK = Kind("track", parts={"section": Kind("section")}, data=("irregularity.path",))
 
 Channel = Literal["alignment", "vertical", "cross_level", "gauge"]
 CHANNELS: tuple[Channel, ...] = ("alignment", "vertical", "cross_level", "gauge")
 
 
-class SectionConfig(Model):
+class SectionConfig(Part):
     """The piece of track that moves along under each wheelset: a body that shifts, sinks and rolls."""
 
     mass: float = quantity("kg", "mass of the section", gt=0)
@@ -166,7 +167,7 @@ class NoIrregularityConfig(Model):
 IrregularityConfig = SpectrumConfig | SineConfig | DefectConfig | FileConfig | NoIrregularityConfig
 
 
-class TrackConfig(Model):
+class TrackConfig(Part):
     """A track: sections under the wheelsets, gauge, irregularities."""
 
     section: SectionConfig
@@ -190,16 +191,4 @@ def read_track(name_or_path: str, overrides: Iterable[str] = ()) -> TrackConfig:
     ConfigError
         Unknown name, unreadable file, unknown key, or value out of its range.
     """
-    content, source = read_config("track", name_or_path)
-    data = with_resolved_path(section(content, source), Path(source).parent)
-    return validated(TrackConfig, data, source, overrides)
-
-
-def with_resolved_path(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a track's raw content, a measured file that it names being taken relative to a folder."""
-    irregularity = data.get("irregularity")
-    if not isinstance(irregularity, Mapping) or not isinstance(irregularity.get("path"), str):
-        return dict(data)
-    # An empty path stays empty, so that the schema can refuse it.
-    path = irregularity["path"] and str(folder / irregularity["path"])
-    return {**data, "irregularity": {**irregularity, "path": path}}
+    return read_layered(TrackConfig, TRACK, name_or_path, overrides)

@@ -7,8 +7,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.base import Model, Number, Part, quantity
+from sayd_env.config.layers import Kind
 from sayd_env.config.loader import nearest
+
+VEHICLE = Kind("vehicle")
 
 Vector = tuple[Number, Number, Number]
 NotNegative = Annotated[float, Field(ge=0, strict=True)]
@@ -161,7 +164,7 @@ class YawDamper(_Element):
 Element = Annotated[Bush | Torsion | Damper | Stop | YawDamper, Field(discriminator="type")]
 
 
-class VehicleConfig(Model):
+class VehicleConfig(Part):
     """A vehicle as data; `sayd_env.physics.multibody.assemble` turns it into matrices."""
 
     name: str

@@ -106,7 +106,9 @@ class PolicySpec:
     def _identity(self) -> Any:
         if self.stored is not None:
             return {"content": self.stored.identity()}
-        parameters = load_controller(self.name, self.parameters).model_dump(mode="json")
+        parameters = load_controller(self.name, self.parameters).model_dump(
+            mode="json", exclude={"provenance"}
+        )
         return {"controller": controller_of(self.name), "parameters": parameters}
 
     def make(self, env: Any) -> Any:

@@ -58,9 +58,9 @@ def test_both_skyhooks_read_one_estimator(tmp_path):
     estimators = [load_controller(name).model_dump(exclude={"closed", "open"}) for name in NAMES]
     assert estimators[0] == estimators[1]
     own = tmp_path / "skyhook-onoff.yaml"
-    own.write_text("closed: 0.1\nopen: 0.9\n")
+    own.write_text("base: skyhook\nclosed: 0.1\nopen: 0.9\n")
     assert load_controller(str(own)).model_dump() == {"closed": 0.1, "open": 0.9, **estimators[0]}
-    own.write_text("closed: 0.1\nopen: 0.9\ncorner: 0.5\n")
+    own.write_text("base: skyhook\nclosed: 0.1\nopen: 0.9\ncorner: 0.5\n")
     assert load_controller(str(own)).model_dump()["corner"] == 0.5
 
 

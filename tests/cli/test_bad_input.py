@@ -183,7 +183,11 @@ def test_bad_test_rigs_are_refused(arguments: list[str], message: str, refused: 
 
 
 def test_a_bad_vehicle_file_is_named_with_the_part(refused: Refused):
-    text = resources.files("sayd_env.configs").joinpath("vehicle", "emu.yaml").read_text(encoding="utf-8")
+    text = (
+        resources.files("sayd_env.configs")
+        .joinpath("vehicle", "emu-estimate.yaml")
+        .read_text(encoding="utf-8")
+    )
     for old, new, message in (
         ("mass: 49962.0", "mass: -49962.0", "bodies.carbody.mass: found -49962.0; expected a number greater"),
         ("body: axlebox", "body: axelbox", "primary_spring: unknown body 'axelbox', did you mean 'axlebox'?"),

@@ -134,5 +134,5 @@ def test_completion_knows_every_policy_and_goes_on_behind_a_comma():
     from sayd_env.agents import pretrained  # noqa: PLC0415
 
     assert set(policy_names("")) == {*baselines.NAMES, *pretrained.names()}
-    assert policy_names("passive,mppt2-") == ["passive,mppt2-tuned"]
+    assert policy_names("passive,mppt2-t") == ["passive,mppt2-tuned"]
     assert one_of("new", kind="profile")("lm") == ["lma", "lmb10"]

@@ -161,7 +161,7 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
         ("history=0", "history: found 0; expected a number greater than or equal to 1"),
         ("damper=active", "damper: found 'active'; expected 'sayd' or 'passive'"),
         ("sensors=realisic", "unknown sensors 'realisic', did you mean 'realistic'?; available: ideal"),
-        ("sensors=3", "sensors: found 3; expected the name of a set of sensors, a path or keys and values"),
+        ("sensors=", "sensors: found None; expected a name (ideal, realistic), a path or keys and values"),
         ("contrl_period=1", "unknown key 'contrl_period', did you mean 'control_period'?"),
         ("termination_cost=-1", "termination_cost: found -1; expected a number greater than or equal to 0"),
         ("derailment.quotient=.nan", "derailment.quotient: found nan; expected a finite number"),
@@ -243,7 +243,7 @@ def test_the_file_that_sets_a_bad_value_is_blamed(write: Write):
     ("text", "expected"),
     [
         ("", "is empty; expected keys and values"),
-        ("base: 5\n", "base: found 5; expected the name of an environment, a path or null"),
+        ("base: 5\n", "base: found 5; expected a name, a path or null"),
         ("base: mine.yaml\n", "base: 'mine.yaml' refers back to this file"),
         ("base: nominl\n", "unknown env 'nominl', did you mean 'nominal'?"),
         ("base: null\nstudy: nominal\n", "keys are missing: "),

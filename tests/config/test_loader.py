@@ -22,7 +22,8 @@ from sayd_env.config import (
     validate,
 )
 from sayd_env.config.base import Number
-from sayd_env.config.loader import read_overridden, validated
+from sayd_env.config.layers import Kind, read_layered
+from sayd_env.config.loader import validated
 
 
 class Spring(Model):
@@ -245,5 +246,5 @@ def test_the_file_is_blamed_for_its_own_mistakes_despite_assignments(tmp_path: P
     path = tmp_path / "machine.yaml"
     path.write_text(GOOD.replace("1e5", "-1"))
     with pytest.raises(ConfigError) as caught:
-        read_overridden(Machine, "study", str(path), ["count=2", "parts.brake.damping=1"])
+        read_layered(Machine, Kind("study"), str(path), ["count=2", "parts.brake.damping=1"])
     assert str(caught.value).startswith(f"{path}: parts.main.stiffness: found -1; ")

@@ -13,7 +13,7 @@ from sayd_env.config.scenario import load_scenario
 from sayd_env.config.track import FileConfig, SpectrumConfig
 
 Write = Callable[..., Path]
-VEHICLE = read_config("vehicle", "emu")[0]
+VEHICLE = read_config("vehicle", "emu-estimate")[0]
 
 
 def refused(config: object = None, *overrides: str) -> str:
@@ -78,7 +78,7 @@ def test_assignments_come_last_and_in_their_order():
 def test_a_name_that_reads_as_a_number_works_on_the_command_line_and_is_explained_in_a_file(write: Write):
     assert load_scenario(None, ["rail=60e1"]).rail.name == load_scenario(None, ["rail='60e1'"]).rail.name
     found = refused(write("rail: 60e1\n"))
-    assert "rail: found 600.0; expected the name of a profile" in found
+    assert "rail: found 600.0; expected a name (60e1, " in found
     assert "did you mean '60e1', in quotes?" in found
 
 
@@ -117,8 +117,8 @@ def test_paths_in_a_file_start_at_that_file(write: Write, tmp_path: Path, monkey
             "damper: {series_stifness: 1}",
             "unknown key 'damper.series_stifness', did you mean 'series_stiffness'?",
         ),
-        ("vehicle: 5", "vehicle: found 5; expected the name of a vehicle (emu, manchester"),
-        ("vehicle: null", "vehicle: found None; expected the name of a vehicle"),
+        ("vehicle: 5", "vehicle: found 5; expected a name (emu, emu-estimate, manchester"),
+        ("vehicle: null", "vehicle: found None; expected a name (emu, "),
         ("vehicle: {name: mine}", "keys are missing in 'vehicle': bodies, elements, wheel_radius"),
         ("track: {irregularity: {type: file}}", "key 'track.irregularity.path' is missing: CSV file"),
         (
@@ -126,7 +126,7 @@ def test_paths_in_a_file_start_at_that_file(write: Write, tmp_path: Path, monkey
             "numerics.step: found 0.01; expected a number less than or equal to 0.001",
         ),
         ("numerics: {step: 1e-12}", "expected a number greater than or equal to 1e-06"),
-        ("base: 5", "base: found 5; expected the name of a study, a path or null"),
+        ("base: 5", "base: found 5; expected a name, a path or null"),
         ("set: [1]", "set: expected keys and values"),
         ("set: {weer: 1}", "set: unknown key 'weer', did you mean 'wear'?"),
         ("set: {vehicle.bodies.carbdy.mass: 1}", "no entry 'vehicle.bodies.carbdy', did you mean 'carbody'?"),
@@ -161,7 +161,7 @@ def test_the_file_of_a_section_is_blamed_for_what_stands_in_it(write: Write):
     ("item", "expected"),
     [
         ("vehicle=manchestr", "unknown vehicle 'manchestr', did you mean 'manchester'?; available: emu, "),
-        ("track=", "--set: track: found None; expected the name of a track"),
+        ("track=", "--set: track: found None; expected a name (china, "),
         ("rail=s1002", "configs/profile/s1002.yaml: is a wheel profile; as rail are available: 60e1, cn60"),
         ("wheel=cn60", "configs/profile/cn60.yaml: is a rail profile; as wheel are available: "),
         ("vehicle.bodies.carbody.mass=-1", "--set: vehicle.bodies.carbody.mass: found -1; expected a number"),

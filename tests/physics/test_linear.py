@@ -29,7 +29,7 @@ SPEED = 250.0 / 3.6
 
 
 def vehicle(*overrides: str) -> VehicleModel:
-    return VehicleModel(load_scenario("estimates", ["track=smooth", *overrides]))
+    return VehicleModel(load_scenario("estimates", ["track.irregularity={type: none}", *overrides]))
 
 
 @pytest.fixture(scope="module")

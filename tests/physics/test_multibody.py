@@ -36,7 +36,7 @@ def assembled(data: dict[str, Any], *overrides: str) -> Multibody:
 
 @pytest.fixture(scope="module")
 def emu() -> Multibody:
-    return assembled(raw("emu"))
+    return assembled(raw("emu-estimate"))
 
 
 def wheelset(**more: Any) -> dict[str, Any]:
@@ -111,7 +111,7 @@ def test_total_mass_of_the_manchester_vehicle() -> None:
     np.testing.assert_allclose(body.wheel_load, body.total_mass * STANDARD_GRAVITY / 8.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["emu", "manchester"])
+@pytest.mark.parametrize("name", ["emu-estimate", "manchester"])
 def test_matrices_are_symmetric(name: str) -> None:
     """Springs, dampers and dead loads have a potential; gyroscopic forces do no work."""
     body = assembled(raw(name))
@@ -138,7 +138,7 @@ def rigid_motion(body: Multibody, axis: int) -> Array:
     return motion
 
 
-@pytest.mark.parametrize("name", ["emu", "manchester"])
+@pytest.mark.parametrize("name", ["emu-estimate", "manchester"])
 @pytest.mark.parametrize("axis", range(6))
 def test_rigid_motion_strains_no_element(name: str, axis: int) -> None:
     """Free of rails, traction and gravity, a vehicle moves as one without a force, whatever its geometry."""
@@ -265,7 +265,7 @@ def dynamic_stiffness(body: Multibody) -> tuple[complex, float]:
 
 def test_order_and_names_do_not_matter(emu: Multibody) -> None:
     """The same vehicle written down differently has the same eigenvalues and loads."""
-    data = raw("emu")
+    data = raw("emu-estimate")
     data["bodies"] = data["bodies"][::-1]
     data["elements"] = data["elements"][::-1]
     text = json.dumps(data).replace('"side"', '"flank"')
@@ -285,7 +285,7 @@ def test_order_and_names_do_not_matter(emu: Multibody) -> None:
 
 def test_another_number_is_another_vehicle(emu: Multibody) -> None:
     """Only the data differ: a heavier frame raises its share of the load, a softer spring lowers K."""
-    heavier = assembled(raw("emu"), "bodies.frame.mass=3500")
+    heavier = assembled(raw("emu-estimate"), "bodies.frame.mass=3500")
     extra = 2 * 1000.0 * STANDARD_GRAVITY / 8.0
     np.testing.assert_allclose(heavier.wheel_load - emu.wheel_load, extra, rtol=1e-5)
     assert dynamic_stiffness(heavier)[1] > dynamic_stiffness(emu)[1]
@@ -293,7 +293,7 @@ def test_another_number_is_another_vehicle(emu: Multibody) -> None:
 
 def test_weight_that_nothing_carries() -> None:
     with pytest.raises(ConfigError, match=r"static weight is not carried.*carries_weight"):
-        assembled(raw("emu"), "elements.air_spring.carries_weight=false")
+        assembled(raw("emu-estimate"), "elements.air_spring.carries_weight=false")
 
 
 @pytest.mark.parametrize(
@@ -311,7 +311,7 @@ def test_weight_that_nothing_carries() -> None:
 )
 def test_refused_vehicles(override: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        assembled(raw("emu"), override)
+        assembled(raw("emu-estimate"), override)
 
 
 def test_a_wheelset_on_rails_moves_in_all_directions() -> None:
@@ -324,10 +324,10 @@ def test_a_wheelset_on_rails_moves_in_all_directions() -> None:
 def test_vehicles_of_one_design_share_its_layout_and_nothing_else() -> None:
     """Whatever was assembled before: numbers are each vehicle's own."""
     stiffer = ("elements.arm_joint.stiffness=[60e6,7e6,20e6]", "bodies.carbody.mass=45000.0")
-    emu, after = assembled(raw("emu")), assembled(raw("emu"), *stiffer)
+    emu, after = assembled(raw("emu-estimate")), assembled(raw("emu-estimate"), *stiffer)
     assert after.arrangement is emu.arrangement
     layout._layout.cache_clear()
-    fresh = assembled(raw("emu"), *stiffer)
+    fresh = assembled(raw("emu-estimate"), *stiffer)
     for name in ("mass", "stiffness", "damping", "gyroscopic", "wheel_load"):
         np.testing.assert_array_equal(getattr(after, name), getattr(fresh, name))
         assert np.any(getattr(after, name) != getattr(emu, name)) == (name not in ("damping", "gyroscopic"))
@@ -336,6 +336,6 @@ def test_vehicles_of_one_design_share_its_layout_and_nothing_else() -> None:
 
 
 def test_another_place_of_an_element_is_another_design(emu: Multibody) -> None:
-    moved = assembled(raw("emu"), "elements.traction_rod.a.at=[0.0, 0.0, 0.519]")
+    moved = assembled(raw("emu-estimate"), "elements.traction_rod.a.at=[0.0, 0.0, 0.519]")
     assert moved.arrangement is not emu.arrangement
     assert np.any(moved.stiffness != emu.stiffness)

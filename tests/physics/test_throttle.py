@@ -139,7 +139,7 @@ def test_a_measured_table_takes_the_formulas_place(tmp_path: Path) -> None:
 def test_a_table_is_looked_for_beside_the_file_that_names_it(tmp_path: Path) -> None:
     flows = np.array([[0.0, 0.0], [1e-5, 2e-4]])
     write_table(tmp_path / "throttle.csv", np.array([0.0, 1.0]), np.array([0.0, 1e7]), flows)
-    packaged = Path("configs/damper/sayd.yaml")
+    packaged = Path("configs/damper/sayd-estimate.yaml")
     text = (Path(__file__).parents[2] / packaged).read_text()
     head, tail = text.split("throttle:\n  type: orifice\n")
     tail = tail[tail.index("rectifier:") :]

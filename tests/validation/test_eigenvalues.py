@@ -43,7 +43,9 @@ def isotropic(model: VehicleModel) -> VehicleModel:
 def vehicle(request: pytest.FixtureRequest) -> tuple[VehicleModel, float, float]:
     """A vehicle, its linear critical speed, and by how much frequency and growth may differ (of omega)."""
     law = "table" if request.param == "table" else "polach"
-    model = VehicleModel(load_scenario("estimates", ["track=smooth", f"contact.creep_law={law}"]))
+    model = VehicleModel(
+        load_scenario("estimates", ["track.irregularity={type: none}", f"contact.creep_law={law}"])
+    )
     if "C22" in request.param:
         model = isotropic(model)
     tolerance = 0.01 if request.param == "Polach" else 3e-4

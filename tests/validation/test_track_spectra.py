@@ -19,14 +19,14 @@ from sayd_env.physics.track import irregularity_psd, random_irregularity, realis
 
 # Name, channel, band of wavelengths (m), RMS (mm; mrad times 1.5 m for the cross-level).
 RMS_BY_BAND = [
-    ("german_low", "alignment", (2, 120), 1.86),
-    ("german_low", "alignment", (3, 25), 0.71),
-    ("german_low", "alignment", (3, 70), 1.39),
-    ("german_low", "alignment", (25, 70), 1.20),
-    ("german_low", "alignment", (70, 120), 1.23),
-    ("german_low", "vertical", (2, 120), 2.57),
-    ("german_low", "vertical", (3, 25), 0.98),
-    ("german_low", "vertical", (70, 120), 1.70),
+    ("german_low-estimate", "alignment", (2, 120), 1.86),
+    ("german_low-estimate", "alignment", (3, 25), 0.71),
+    ("german_low-estimate", "alignment", (3, 70), 1.39),
+    ("german_low-estimate", "alignment", (25, 70), 1.20),
+    ("german_low-estimate", "alignment", (70, 120), 1.23),
+    ("german_low-estimate", "vertical", (2, 120), 2.57),
+    ("german_low-estimate", "vertical", (3, 25), 0.98),
+    ("german_low-estimate", "vertical", (70, 120), 1.70),
     ("german_high", "alignment", (2, 120), 3.17),
     ("german_high", "alignment", (3, 25), 1.21),
     ("german_high", "vertical", (2, 120), 4.20),
@@ -86,7 +86,7 @@ def test_rms_of_a_realisation_over_its_period(
 
 @pytest.mark.parametrize(
     ("name", "b0_lateral", "b0_vertical"),
-    [("german_low", 1.440846e-7, 2.741619e-7), ("german_high", 4.164787e-7, 7.343623e-7)],
+    [("german_low-estimate", 1.440846e-7, 2.741619e-7), ("german_high", 4.164787e-7, 7.343623e-7)],
 )
 def test_german_density_is_simpacks_form(name: str, b0_lateral: float, b0_vertical: float) -> None:
     f = np.geomspace(1 / 119, 1 / 2.01, 50)
@@ -99,7 +99,7 @@ def test_german_density_is_simpacks_form(name: str, b0_lateral: float, b0_vertic
 
 def test_german_gauge_and_cross_level_at_their_cut_off() -> None:
     """At Omega_s the factor Omega^2/(Omega^2 + Omega_s^2) is one half."""
-    psd = irregularity_psd(spectrum("german_low"), 0.438 / (2 * np.pi))
+    psd = irregularity_psd(spectrum("german_low-estimate"), 0.438 / (2 * np.pi))
     alignment, vertical, cross_level, gauge = psd[0]
     assert gauge / alignment == pytest.approx(0.5 * 5.32e-8 / 2.119e-7)
     assert cross_level / vertical == pytest.approx(0.5 / 0.75**2)
@@ -114,7 +114,7 @@ def test_chinese_percentile_90_is_2303_times_the_mean() -> None:
     np.testing.assert_allclose(ratio, 2.303, rtol=2e-4)
 
 
-@pytest.mark.parametrize("name", ["german_low", "china"])
+@pytest.mark.parametrize("name", ["german_low-estimate", "china"])
 def test_welch_spectrum_of_realisations(name: str) -> None:
     """Welch's estimate, averaged over 300 seeds, by third-octave bands from 3 to 60 m: within 5 %.
 
@@ -136,7 +136,7 @@ def test_welch_spectrum_of_realisations(name: str) -> None:
 
 
 def test_nothing_outside_the_band() -> None:
-    config = spectrum("german_low")
+    config = spectrum("german_low-estimate")
     assert not irregularity_psd(config, [0.0, 1 / 121, 0.51]).any()
     series = random_irregularity(config, 2**14 - 1, 0.25, seed=0)
     power = np.abs(np.fft.rfft(np.vstack([series, 2 * series[-1] - series[-2]]), axis=0)) ** 2

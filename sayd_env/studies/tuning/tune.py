@@ -163,6 +163,8 @@ class TuneResult:
         }
         lines = [HEAD.format(controller=self.controller)]
         for name, info in type(own).model_fields.items():
+            if name == "provenance":
+                continue
             extra = info.json_schema_extra
             unit = extra.get("unit") if isinstance(extra, dict) else None
             value: Any = self.best.gains.get(name, getattr(own, name))

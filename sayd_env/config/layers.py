@@ -1,0 +1,271 @@
+"""Files on top of files: one layering for studies, environments and the parts that they name.
+
+A file need only say in what it differs from its ``base``: the name of a packaged file of its kind, a path
+relative to the file, or null. Its keys overlay those of the base; last come single numbers under ``set``, as
+key: value with dotted keys. A part of a study may stand there by name, by path or by content.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+from pydantic import BaseModel
+
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.explain import Origin, shown
+from sayd_env.config.loader import (
+    apply_overrides,
+    assigned,
+    beside,
+    is_path,
+    packaged_names,
+    parse_yaml,
+    placed,
+    read_config,
+    section,
+    validate,
+)
+
+M = TypeVar("M", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file, and what in it names other files.
+
+    Attributes
+    ----------
+    folder : str
+        Where its packaged files lie in configs/.
+    parts : mapping
+        Keys under which a part may stand by name, by path or by content, and the kind of each.
+    names : tuple of str
+        Dotted places of names or paths that stay such; ``*`` is each entry of a list.
+    data : tuple of str
+        Dotted places of data files.
+    base : str, optional
+        On what a file stands that names no base.
+    only : tuple of str, optional
+        A key and its value, where the folder holds other kinds as well: ``("kind", "wheel")``.
+    """
+
+    folder: str
+    parts: Mapping[str, Kind] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+    data: tuple[str, ...] = ()
+    base: str | None = None
+    only: tuple[str, str] | None = None
+
+
+class Draft(NamedTuple):
+    """Raw content of a file with all that it stands on, and what in it comes from where."""
+
+    data: dict[str, Any]
+    source: str
+    origins: tuple[Origin, ...] = ()
+
+
+def read_layered(
+    model: type[M], kind: Kind, name_or_path: str, overrides: Iterable[str] = (), option: str = "--set"
+) -> M:
+    """Read a file with all that it stands on, apply ``key=value`` assignments one by one, and validate it.
+
+    Parameters
+    ----------
+    model : type
+        The schema.
+    kind : Kind
+        What the file is.
+    name_or_path : str
+        A packaged name or a path to a YAML file.
+    overrides : iterable of str
+        A part may be named and then changed: ``track=china``, ``track.irregularity.scale=0.5``.
+    option : str
+        What a message calls the place of the assignments.
+
+    Raises
+    ------
+    ConfigError
+        A file, a key or a value cannot be used.
+    """
+    draft = layered(kind, name_or_path)
+    for item in overrides:
+        draft = _with_assignment(kind, draft, item, option)
+    return validate(model, draft.data, draft.source, draft.origins)
+
+
+def layered(kind: Kind, name_or_path: str) -> Draft:
+    """Raw content of a file with all that it stands on.
+
+    Raises
+    ------
+    ConfigError
+        A file or a key cannot be used, a file stands on itself or on one of another kind.
+    """
+    return _with_parts(kind, _overlaid(kind, name_or_path, ()))
+
+
+def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
+    """A file over its base; parts that nothing was set in are still names."""
+    content, source = read_config(kind.folder, name)
+    own, folder = dict(section(content, source)), Path(source).parent
+    _refuse_other(kind, own, source)
+    below = _base(kind, own, source, (*users, _identity(name)))
+    numbers = own.pop("set", None)
+    own = _placed(kind, own, folder)
+    _check_parts(kind, own, source)
+    if any(isinstance(own.get(key), dict) for key in kind.parts):
+        below = _with_parts(kind, below)
+    set_here = tuple(Origin(path, source) for path in _paths(own))
+    draft = Draft(_merged(below.data, own), source, below.origins + set_here)
+    if numbers is None:
+        return draft
+    if not isinstance(numbers, dict):
+        raise ConfigError(
+            f"{source}: set: expected keys and values, for example damper.series_stiffness: 4.0e6"
+        )
+    for key, value in numbers.items():
+        text = json.dumps(_placed_at(kind, str(key).split("."), value, folder), default=str)
+        draft = _with_assignment(kind, _with_parts(kind, draft), f"{key}={text}", f"{source}: set:")
+    return draft
+
+
+def _base(kind: Kind, own: dict[str, Any], source: str, users: tuple[str, ...]) -> Draft:
+    """What a file stands on; its key leaves the file's own content."""
+    base = own.pop("base", kind.base)
+    if base is None:
+        return Draft({}, source)
+    if not isinstance(base, str):
+        raise ConfigError(f"{source}: base: found {shown(base)}; expected a name, a path or null")
+    base = beside(base, Path(source).parent)
+    if _identity(base) in users:
+        raise ConfigError(f"{source}: base: '{base}' refers back to this file")
+    below = _overlaid(kind, base, users)
+    kept = below.data.get("type")
+    if "type" in own and kept not in (None, own["type"]):
+        raise ConfigError(f"{source}: type: found {shown(own['type'])}; its base '{base}' is a {kept} one")
+    return below
+
+
+def _identity(name_or_path: str) -> str:
+    return str(Path(name_or_path).resolve()) if is_path(name_or_path) else name_or_path
+
+
+def _refuse_other(kind: Kind, own: dict[str, Any], source: str) -> None:
+    """Refuse a rail where a wheel is expected, and the like."""
+    if kind.only is None:
+        return
+    key, expected = kind.only
+    found = own.get(key, expected)
+    if found != expected:
+        every = Kind(kind.folder)
+        fitting = [n for n in packaged_names(kind.folder) if layered(every, n).data.get(key) == expected]
+        raise ConfigError(
+            f"{source}: is a {found} {kind.folder}; as {expected} are available: {', '.join(fitting)}"
+        )
+
+
+def _with_assignment(kind: Kind, draft: Draft, item: str, option: str) -> Draft:
+    where = option.removesuffix(":")
+    changed = apply_overrides(draft.data, [item], option)
+    key, _, text = (part.strip() for part in item.partition("="))
+    if key in kind.parts and isinstance(changed[key], int | float):
+        changed[key] = text  # a name such as 60e1, which YAML reads as a number
+    _check_parts(kind, changed, where)
+    origins = (*draft.origins, assigned(draft.data, item, where))
+    return _with_parts(kind, Draft(changed, draft.source, origins))
+
+
+def _with_parts(kind: Kind, draft: Draft) -> Draft:
+    """Names and paths of parts replaced by their content."""
+    data, origins = dict(draft.data), draft.origins
+    for key, part in kind.parts.items():
+        value = data.get(key)
+        if isinstance(value, str):
+            found = layered(part, value)
+            root = Origin((key,), found.source, depth=1)
+        elif isinstance(value, dict):
+            found = _with_parts(part, Draft(value, draft.source))
+            root = None
+        else:
+            continue
+        data[key] = found.data
+        inner = (Origin((key, *o.path), o.source, o.depth + 1) for o in found.origins)
+        origins = (*origins, *(() if root is None else (root,)), *inner)
+    return Draft(data, draft.source, origins)
+
+
+def _check_parts(kind: Kind, data: Mapping[str, Any], source: str, above: str = "") -> None:
+    """Refuse a part that is neither named nor content."""
+    for key, part in kind.parts.items():
+        value = data.get(key)
+        if isinstance(value, dict):
+            _check_parts(part, value, source, f"{above}{key}.")
+        elif key in data and not isinstance(value, str):
+            raise ConfigError(f"{source}: {above}{key}: found {shown(value)}; {_expected(key, part, value)}")
+
+
+def _expected(key: str, part: Kind, found: Any) -> str:
+    names = packaged_names(part.folder)
+    number = isinstance(found, int | float)
+    same = [name for name in names if number and parse_yaml(name, key) == found]
+    quoted = f"; did you mean '{same[0]}', in quotes?" if same else ""
+    return f"expected a name ({', '.join(names)}), a path or keys and values{quoted}"
+
+
+def _placed(kind: Kind, own: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Content with the paths in it relative to the folder of its file."""
+    for place in (*kind.parts, *kind.names):
+        own = placed(own, place, partial(beside, folder=folder))
+    for place in kind.data:
+        own = placed(own, place, lambda path: path and str(folder / path))  # the schema refuses an empty one
+    inner = {key: value for key, value in own.items() if key in kind.parts and isinstance(value, dict)}
+    return own | {key: _placed(kind.parts[key], value, folder) for key, value in inner.items()}
+
+
+def _placed_at(kind: Kind, keys: list[str], value: Any, folder: Path) -> Any:
+    """The value of a dotted key, placed."""
+    for key in reversed(keys):
+        value = {key: value}
+    value = _placed(kind, value, folder)
+    for key in keys:
+        value = value[key]
+    return value
+
+
+def _alone(key: str, own: Mapping[str, Any], below: Mapping[str, Any]) -> bool:
+    """Whether a section replaces the base's as a whole: one with a name or a law, or of another type."""
+    return (
+        key == "provenance"
+        or "name" in own
+        or "law" in own
+        or own.get("type") not in (None, below.get("type"))
+    )
+
+
+def _merged(below: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """Overlay nested sections."""
+    result = dict(below)
+    for key, value in own.items():
+        under = below.get(key)
+        nested = isinstance(value, dict) and isinstance(under, dict) and not _alone(key, value, under)
+        result[key] = _merged(under, value) if nested else value  # type: ignore[arg-type]
+    return result
+
+
+def _paths(own: Mapping[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Paths of what a section sets."""
+    found = []
+    for key, value in own.items():
+        path = (*above, key)
+        # What a section that replaces the base's lacks is not taken from there: it is blamed for that.
+        if not isinstance(value, dict) or not value or {"name", "type", "law"} & set(value):
+            found.append(path)
+        if isinstance(value, dict):
+            found += _paths(value, path)
+    return found
