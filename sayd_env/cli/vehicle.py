@@ -94,12 +94,21 @@ def reproduce(
 
 @command(GROUP, "--out results/calibrate", runs=True)
 def calibrate(
-    *, config: options.Config = None, assignments: options.Set = None, seed: options.Seed = 0
+    *,
+    from_middle: bool = option(
+        "--from-middle",
+        "Begin in the middle of every range, not at the best of random points.",
+        default=False,
+    ),
+    config: options.Config = None,
+    assignments: options.Set = None,
+    seed: options.Seed = 0,
 ) -> Plan:
-    """Find what the paper leaves open from its statements on the passive vehicle, within sourced ranges.
+    """Find what the paper leaves open from its statements, within sourced ranges.
 
-    Takes about a quarter of an hour. Finished runs are kept in the output directory, so an interrupted
-    calibration goes on where it stopped; the result is also a study file, nominal.yaml.
+    The passive vehicle first, then damper, valve and controllers. Takes an hour or two; finished runs are kept
+    in the output directory, so an interrupted calibration goes on where it stopped. The result is also a folder
+    of parts, configs, as the packaged ones are.
     """
     from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies.tuning.calibrate import calibrate as study  # noqa: PLC0415
@@ -108,9 +117,16 @@ def calibrate(
 
     def store(result: CalibrationResult, output: Output) -> None:
         if output.directory is not None:
-            output.directory.write({"nominal.yaml": result.study().encode()})
+            output.directory.write(
+                {f"configs/{path}": text.encode() for path, text in result.files().items()}
+            )
 
-    return Plan(lambda run: study(settings, seed=seed, context=run), settings, seed, after=store)
+    return Plan(
+        lambda run: study(settings, seed=seed, from_middle=from_middle, context=run),
+        settings,
+        seed,
+        after=store,
+    )
 
 
 @command(GROUP, "--speeds 200:400:20 --wear 1", without=("damper",))

@@ -176,7 +176,8 @@ class CalibrationResult:
         return ("stage", "cost", *parameters, *rows), lines
 
     def _draw(self, figure: Figure) -> None:
-        for axes, (name, trials) in zip(panels(figure, len(self.trials), size=(8.0, 4.5)), self.trials.items()):
+        each = panels(figure, len(self.trials), size=(8.0, 4.5))
+        for axes, (name, trials) in zip(each, self.trials.items(), strict=True):
             draw_costs(axes, trials)
             axes.set(ylabel="cost", title=name.replace("_", "-"), yscale="symlog")
             axes.yaxis.set_major_formatter("{x:g}")
@@ -213,7 +214,7 @@ RESTING = ((MPPT1, 400 / KMH, CLOSED), (MPPT2, 300 / KMH, CLOSED))
 
 
 def calibrate(
-    config: CalibrationConfig, *, seed: int = 0, start: str = "random", context: RunContext | None = None
+    config: CalibrationConfig, *, seed: int = 0, from_middle: bool = False, context: RunContext | None = None
 ) -> CalibrationResult:
     """Search for the numbers that meet most rows: first the passive vehicle, then dampers and controllers.
 
@@ -222,9 +223,8 @@ def calibrate(
     config : CalibrationConfig
     seed : int
         Of the Latin hypercubes, not of the tracks.
-    start : str
-        ``random``: the searches begin at the best point of a Latin hypercube; ``middle``: in the middle of
-        every range.
+    from_middle : bool
+        Whether the searches begin in the middle of every range, not at the best of the Latin hypercube.
     context : RunContext, optional
 
     Raises
@@ -233,15 +233,13 @@ def calibrate(
         No numbers gave a finite run.
     """
     context = context or RunContext()
-    tell = _Teller(context, config, start)
+    tell = _Teller(context, config, from_middle)
     runs = RunContext(context.executor, context.cache, silent, context.kept)
     passive = _Passive(config, runs)
-    found = {"passive": _searched("passive", config.passive, passive.outcomes, seed, start, tell)}
+    found = {"passive": _searched("passive", config.passive, passive.outcomes, seed, tell)}
     best = best_of(found["passive"], found["passive"][-1].stage)
     semi_active = _SemiActive(config, config.passive.values(best.place), runs)
-    found["semi_active"] = _searched(
-        "semi_active", config.semi_active, semi_active.outcomes, seed, start, tell
-    )
+    found["semi_active"] = _searched("semi_active", config.semi_active, semi_active.outcomes, seed, tell)
     result = CalibrationResult(config, found, [], seed)
     tell("sensitivity", 0.0)
     return replace(result, sensitivity=_sensitivity(config.sensitivity, passive, semi_active, result))
@@ -253,13 +251,13 @@ class _Teller:
 
     context: RunContext
     config: CalibrationConfig
-    start: str
+    from_middle: bool
     done: int = 0
 
     def __call__(self, what: str, cost: float, count: int = 0) -> None:
         self.done += count
         total = sum(
-            (stage.screening.samples if self.start == "random" else 1)
+            (1 if self.from_middle else stage.screening.samples)
             + sum(search.evaluations for search in stage.searches)
             for stage in (self.config.passive, self.config.semi_active)
         )
@@ -271,9 +269,7 @@ Evaluate = Callable[[Sequence[Place], int, float], list[Outcome]]
 """Places, number of seeds and assessed distance (m) -> what comes out at each."""
 
 
-def _searched(
-    name: str, stage: Stage, evaluate: Evaluate, seed: int, start: str, tell: _Teller
-) -> list[Trial]:
+def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Teller) -> list[Trial]:
     """Screen the ranges of a stage, then search from the best point."""
     trials: list[Trial] = []
 
@@ -286,9 +282,11 @@ def _searched(
         return new
 
     count = len(stage.parameters)
-    middle = np.full((1, count), 0.5)
-    cube = qmc.LatinHypercube(count, rng=seed).random(stage.screening.samples)
-    for place in cube if start == "random" else middle:
+    if tell.from_middle:
+        starts = np.full((1, count), 0.5)
+    else:
+        starts = qmc.LatinHypercube(count, rng=seed).random(stage.screening.samples)
+    for place in starts:
         tried("screening", [place], stage.screening)
     best = best_of(trials)
     if LOST in best.residuals.values():
@@ -335,9 +333,7 @@ class _Passive:
         values = [stage.values(place) for place in places]
         return _each(values, lambda part: self._measured(part, seeds, length), _lost(P_ROWS))
 
-    def _measured(
-        self, values: Sequence[Mapping[str, float]], seeds: int, length: float
-    ) -> list[Outcome]:
+    def _measured(self, values: Sequence[Mapping[str, float]], seeds: int, length: float) -> list[Outcome]:
         tracks = range(self.config.first_seed, self.config.first_seed + seeds)
         scenarios, runs = [], []
         for each in values:
@@ -418,10 +414,12 @@ class _SemiActive:
 
     @staticmethod
     def _policy(name: str, numbers: Mapping[str, float]) -> PolicySpec:
+        files = (name, "skyhook") if name.startswith("skyhook") else (name,)
         own = {
-            key.rpartition(".")[2]: number
+            parameter: number
+            for file in files
             for key, number in numbers.items()
-            if key.startswith(f"{CONTROL}{name}.")
+            if (parameter := key.removeprefix(f"{CONTROL}{file}.")) != key
         }
         return PolicySpec(name, load_controller(name, own).model_dump())
 
@@ -433,7 +431,7 @@ CONTROLLED_ROWS = (*(f"M{i}" for i in range(1, 10)), "S1", *(f"S{i}" for i in ra
 def vehicle_of(
     config: CalibrationConfig, values: Mapping[str, float], length: float, more: Sequence[str]
 ) -> Scenario:
-    """The base scenario with values of the passive stage; a semi-active damper among `more` replaces its own."""
+    """The base scenario with values of the passive stage and, over them, further assignments."""
     keys = [f"{key}={number!r}" for key, number in config.passive.assignments(values).items()]
     return load_scenario(config.base, [*keys, f"assessment.length={length!r}", *more])
 
@@ -457,7 +455,7 @@ def _each(
 def _sensitivity(
     settings: Sensitivity, passive: _Passive, semi_active: _SemiActive, result: CalibrationResult
 ) -> list[dict[str, Any]]:
-    """The calibrated numbers, then each of them moved by plus and minus a share of its range, and what follows.
+    """The calibrated numbers, then each of them moved by a share of its range up and down: what follows.
 
     The valves' positions follow the vehicle's numbers as well as their own; the passive vehicle's critical
     speeds follow its own alone.

@@ -23,7 +23,13 @@ class _Part(NamedTuple):
 
 
 PASSIVE = (
-    _Part("vehicle.", "vehicle/emu.yaml", "The electric multiple unit of the paper.", "emu-estimate", "name: emu"),
+    _Part(
+        "vehicle.",
+        "vehicle/emu.yaml",
+        "The electric multiple unit of the paper.",
+        "emu-estimate",
+        "name: emu",
+    ),
     _Part("damper.", "damper/passive.yaml", "The passive yaw damper.", "passive-estimate", "name: passive"),
     _Part("wheel.", "profile/s1002cn.yaml", "Wheel profile S1002CN.", "s1002cn-estimate", "name: s1002cn"),
     _Part("track.section.", "section/slab.yaml", "Slab track under a wheelset.", "slab-estimate"),
@@ -37,7 +43,7 @@ PASSIVE = (
     _Part(
         "",
         "study/nominal.yaml",
-        "The paper's conditions: the calibrated parts in place of the estimates, and what belongs to no part.",
+        "The paper's conditions: the parts, and what belongs to no part.",
         "estimates",
         "description: the EMU of the paper with passive yaw dampers\n"
         "vehicle: emu\ndamper: passive\nwheel: s1002cn\ntrack: german_low",
@@ -48,8 +54,6 @@ _CONTROLLERS = {
     "mppt1": "MPPT1, eq. (27) to (31) of Wang et al. (2022): weighs running stability alone.",
     "mppt2": "MPPT2, eq. (27) to (31) of Wang et al. (2022): weighs running stability and damper force.",
     "skyhook": "The estimator of bogie velocity and stroke rate that both skyhooks read.",
-    "skyhook-onoff": "On-off skyhook, eq. (38) of Wang et al. (2022).",
-    "skyhook-continuous": "Continuous skyhook, eq. (37) of Wang et al. (2022).",
 }
 SEMI_ACTIVE = (
     _Part("damper.", "damper/sayd.yaml", "The semi-active yaw damper.", "sayd-estimate", "name: sayd"),
@@ -98,8 +102,8 @@ def _text(part: _Part, rows: str, about: Mapping[str, object], numbers: list[str
         [
             f"# {part.about} Calibrated.",
             "#",
-            f"# Written by `sayd calibrate`, which found the numbers under `set` from rows {rows} of the paper's",
-            "# statements, within the ranges of configs/study/calibration.yaml, where their sources stand.",
+            f"# Written by `sayd calibrate`, which found the numbers under `set` from rows {rows} of",
+            "# the paper's statements, within the ranges of configs/study/calibration.yaml, where their sources stand.",
             f"base: {part.base}",
             *([part.more] if part.more else []),
             *provenance_lines(about),

@@ -15,7 +15,6 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.runs.passive import Sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.paper.controlled_claims import (
-    CLOSED,
     CONTINUOUS,
     MPPT1,
     MPPT2,
@@ -76,7 +75,10 @@ def passive_residuals(new: Sweep, worn: Sweep, limits: Limits) -> tuple[Residual
 
 
 def controlled_residuals(m: ControlledMeasures) -> tuple[Residuals, Measures]:
-    """Residual of each row M1 to M9 and S1 to S6, and the numbers behind them; C1 follows from M1, M5, S1, S4."""
+    """Residual of each row M1 to M9 and S1 to S6, and the numbers behind them.
+
+    S2 is the on-off law itself, and C1 follows from M1, M5, S1 and S4.
+    """
     settled1, settled2 = m.each(settled_command, MPPT1, 400), m.each(settled_command, MPPT2, 300)
     at_5 = m.each(command_after_5_s, MPPT2, 300)
     restless = m.each(lambda run: float(commands_from(run, 15.0).std()), MPPT2, 300)
@@ -154,5 +156,3 @@ def _open_start(
     at_5 = m.each(command_after_5_s, policy, kmh, OPEN)
     level = m.each(lambda run: float(commands_from(run, after).mean()), policy, kmh, OPEN)
     return above(at_5, low, 0.03) + above(abs(level - settled), 0.035, 0.015)
-
-
