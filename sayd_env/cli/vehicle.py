@@ -106,20 +106,22 @@ def calibrate(
 ) -> Plan:
     """Find what the paper leaves open from its statements, within sourced ranges.
 
-    The passive vehicle first, then damper, valve and controllers. Takes an hour or two; finished runs are kept
-    in the output directory, so an interrupted calibration goes on where it stopped. The result is also a folder
-    of parts, configs, as the packaged ones are.
+    The passive vehicle first, then damper, valve and controllers. Takes an hour or two; finished runs are
+    kept in the output directory, so an interrupted calibration goes on where it stopped. The result is also
+    a folder of parts, configs, as the packaged ones are.
     """
     from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.storage import write_file  # noqa: PLC0415
     from sayd_env.studies.tuning.calibrate import calibrate as study  # noqa: PLC0415
 
     settings = load_calibration("calibration" if config is None else config, tuple(assignments or ()))
 
     def store(result: CalibrationResult, output: Output) -> None:
         if output.directory is not None:
-            output.directory.write(
-                {f"configs/{path}": text.encode() for path, text in result.files().items()}
-            )
+            for name, text in result.files().items():
+                path = output.directory.path / "configs" / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_file(path, text.encode())
 
     return Plan(
         lambda run: study(settings, seed=seed, from_middle=from_middle, context=run),

@@ -472,7 +472,10 @@ def _sensitivity(
     vehicles = [tuple(places["passive"]) for _, places in lines[:of_vehicle]]
     outcomes = passive.outcomes(vehicles, settings.seeds, settings.length)
     pairs = [
-        (config.passive.values(places["passive"]), config.semi_active.values(places["semi_active"]))
+        (
+            config.passive.values(places["passive"].tolist()),
+            config.semi_active.values(places["semi_active"].tolist()),
+        )
         for _, places in lines
     ]
     resting = [run for run in required_runs() if run in RESTING]

@@ -102,8 +102,8 @@ def _text(part: _Part, rows: str, about: Mapping[str, object], numbers: list[str
         [
             f"# {part.about} Calibrated.",
             "#",
-            f"# Written by `sayd calibrate`, which found the numbers under `set` from rows {rows} of",
-            "# the paper's statements, within the ranges of configs/study/calibration.yaml, where their sources stand.",
+            f"# Written by `sayd calibrate`, which found the numbers under `set` from rows {rows}",
+            "# of the paper's statements, within the ranges of configs/study/calibration.yaml.",
             f"base: {part.base}",
             *([part.more] if part.more else []),
             *provenance_lines(about),
