@@ -12,6 +12,9 @@ from sayd_env.config.base import Model, Number, quantity
 from sayd_env.config.loader import read_study
 
 
+LENGTH = "Assessed distance of each run; rows M6 and M7 look at what follows after 15 s at 300 km/h"
+
+
 class Parameter(Model):
     """One free number: its value times a factor is added to each of its keys."""
 
@@ -49,17 +52,18 @@ class Screening(Model):
 
     samples: int = quantity("-", "Number of points", ge=1)
     seeds: int = quantity("-", "Track seeds of each of them", ge=1)
-    length: float = quantity("m", "Assessed distance of each run", gt=0.0)
+    length: float = quantity("m", LENGTH, ge=1500.0)
 
 
 class Search(Model):
-    """A search from the best point of the one before."""
+    """A search by response surfaces around the best point of the one before."""
 
     name: str
     seeds: int = quantity("-", "Track seeds of each evaluation", ge=1)
-    length: float = quantity("m", "Assessed distance of each run", gt=0.0)
-    evaluations: int = quantity("-", "Number of evaluations", ge=1)
-    radius: float = quantity("-", "First step, as a share of the ranges", gt=0.0, le=0.5)
+    length: float = quantity("m", LENGTH, ge=1500.0)
+    samples: int = quantity("-", "Points of a Latin hypercube that the first surfaces pass", ge=2)
+    evaluations: int = quantity("-", "Number of evaluations, these points included", ge=2)
+    radius: float = quantity("-", "Half the width of the box, as a share of the ranges", gt=0.0, le=1.0)
 
 
 class Stage(Model):
@@ -99,7 +103,7 @@ class Sensitivity(Model):
     """The table of what each free number does."""
 
     seeds: int = quantity("-", "Track seeds of each evaluation", ge=1)
-    length: float = quantity("m", "Assessed distance of each run", gt=0.0)
+    length: float = quantity("m", LENGTH, ge=1500.0)
     share: float = quantity("-", "Change of each number, as a share of its range", gt=0.0, le=0.5)
 
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.interpolate import RBFInterpolator
+from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
 from sayd_env.config import StudyError
@@ -63,8 +64,10 @@ PRIOR = 0.02
 """Weight of a parameter's distance from the middle of its range: settles what the rows do not."""
 LOST = 50.0
 """Residual of numbers with which a run does not stay finite, or derails."""
-LAST_RADIUS = 0.01
-"""Step at which a search ends, as a share of the ranges."""
+SMOOTHING = 0.1
+"""Of the response surfaces: what differs between neighbours by less than their distance is taken for chance."""
+ABREAST = 4
+"""Places that are tried side by side."""
 CONTROL = "control."
 
 Place = tuple[float, ...]
@@ -292,32 +295,58 @@ def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Tel
     if LOST in best.residuals.values():
         raise StudyError(f"calibration, {name}: no numbers within the ranges gave a finite run")
     for search in stage.searches:
-        best = _search(search, best, tried)
+        best = _search(search, best, tried, seed)
     return trials
 
 
 def _search(
-    search: Search, start: Trial, tried: Callable[[str, Iterable[Array], Search], list[Trial]]
+    search: Search, start: Trial, tried: Callable[[str, Iterable[Array], Search], list[Trial]], seed: int
 ) -> Trial:
-    """Search by COBYQA, a trust-region method without derivatives; returns its best trial."""
-    made: list[Trial] = []
+    """Search a box around a trial by response surfaces; returns the best trial in it.
 
-    def cost(place: Array) -> float:
-        made.extend(tried(search.name, [place], search))
-        return made[-1].cost + PRIOR * float(np.sum(np.square(np.array(made[-1].place) - 0.5)))
-
-    minimize(
-        cost,
-        np.array(start.place),
-        method="COBYQA",
-        bounds=[(0.0, 1.0)] * len(start.place),
-        options={
-            "maxfev": search.evaluations,
-            "initial_tr_radius": search.radius,
-            "final_tr_radius": min(LAST_RADIUS, search.radius),
-        },
-    )
+    Radial basis functions smooth all residuals over the places tried so far. Where their sum of squares is
+    least, the next places are tried: each by surfaces through another resampling of the trials, so that they
+    spread where the surfaces are uncertain.
+    """
+    random = np.random.default_rng(seed)
+    middle, count = np.clip(start.place, 0.0, 1.0), len(start.place)
+    low, high = np.maximum(middle - search.radius, 0.0), np.minimum(middle + search.radius, 1.0)
+    cube = qmc.LatinHypercube(count, rng=seed).random(search.samples - 1)
+    made = tried(search.name, [middle, *qmc.scale(cube, low, high)], search)
+    while len(made) < search.evaluations:
+        places = [_least(made, low, high, random, resampled=i > 0) for i in range(ABREAST)]
+        made += tried(search.name, places, search)
     return best_of(made)
+
+
+def _least(
+    made: Sequence[Trial], low: Array, high: Array, random: np.random.Generator, *, resampled: bool
+) -> Array:
+    """Where response surfaces through all trials, or through a resampling of them, have the least cost."""
+    chosen = random.integers(0, len(made), len(made)) if resampled else np.arange(len(made))
+    trials = {made[i].place: damped(made[i]) for i in chosen}
+    surface = RBFInterpolator(
+        np.array(list(trials)),
+        np.array(list(trials.values())),
+        kernel="linear",
+        smoothing=SMOOTHING,
+        degree=1,
+    )
+
+    def cost(places: Array) -> Array:
+        distance = np.sum(np.square(places.T - 0.5), axis=1)
+        return np.asarray(np.sum(np.square(surface(places.T)), axis=1) + PRIOR * distance)
+
+    found = differential_evolution(
+        cost,
+        list(zip(low, high, strict=True)),
+        rng=random,
+        vectorized=True,
+        updating="deferred",
+        maxiter=200,
+        polish=False,
+    )
+    return np.asarray(found.x)
 
 
 @dataclass

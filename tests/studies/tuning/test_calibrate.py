@@ -1,7 +1,8 @@
-"""Calibration: what a place in the ranges sets, what a row's penalty is, and runs that are not lost."""
+"""Calibration: what a place in the ranges sets, what a row's residual is, and runs that are not lost."""
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -12,48 +13,81 @@ import pytest
 from sayd_env.cli import main
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.calibration import CalibrationConfig, load_calibration
+from sayd_env.config.control import MpptConfig, load_controller
+from sayd_env.config.damper import load_sayd
 from sayd_env.config.scenario import load_scenario
-from sayd_env.envs.vehicle import model_limits
-from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.passive import Sweep, sweep
+from sayd_env.runs.passive import Sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.tuning import calibrate as module
-from sayd_env.studies.tuning.calibrate import Trial, assignments, calibrate, penalties_of, residuals_of
+from sayd_env.studies.tuning.calibrate import calibrate, damped
+from sayd_env.studies.tuning.parts import part_files
+from sayd_env.studies.tuning.targets import above, below, passive_residuals
 
 STUDY = """
 base: {base}
+semi_active_damper: sayd-estimate
 first_seed: 1000
-screening_samples: 2
-screening_seeds: 1
-searches: []
-new_speeds: [77.7778, 94.4444, 102.7778, 111.1111]
-worn_speeds: [88.8889, 97.2222, 102.7778, 116.6667]
-parameters:
-  - name: series stiffness
-    unit: N/m
-    low: 3.0e+6
-    high: 12.0e+6
-    guess: 5.0e+6
-    scale: log
-    keys: {{damper.series_stiffness: 1.0}}
-    source: made up
-  - name: friction
-    unit: "-"
-    low: 0.3
-    high: 0.5
-    guess: 0.35
-    keys: {{friction: 1.0, contact_damping: 2.0e+5}}
-    source: made up
+passive:
+  screening: {{samples: 2, seeds: 1, length: 1500.0}}
+  searches: []
+  parameters:
+    - name: series stiffness
+      unit: N/m
+      low: 4.0e+6
+      high: 9.0e+6
+      scale: log
+      keys: {{damper.series_stiffness: 1.0}}
+      source: made up
+    - name: friction
+      unit: "-"
+      low: 0.3
+      high: 0.5
+      keys: {{friction: 1.0, contact_damping: 2.0e+5}}
+      source: made up
+semi_active:
+  screening: {{samples: 1, seeds: 1, length: 1500.0}}
+  searches: []
+  parameters:
+    - name: ratio
+      unit: "-"
+      low: 50.0
+      high: 80.0
+      keys: {{damper.throttle.ratio: 1.0}}
+      source: made up
+    - name: corner
+      unit: Hz
+      low: 0.05
+      high: 0.2
+      keys: {{control.skyhook.corner: 1.0}}
+      source: made up
+    - name: lower threshold
+      unit: m/s2
+      low: 0.4
+      high: 0.8
+      keys: {{control.mppt2.threshold_min: 1.0, control.mppt2.threshold_max: 1.0}}
+      source: made up
+    - name: distance of the thresholds
+      unit: m/s2
+      low: 0.1
+      high: 0.3
+      keys: {{control.mppt2.threshold_max: 1.0}}
+      source: made up
+sensitivity: {{seeds: 1, length: 1500.0, share: 0.1}}
 """
+ABOUT = {"command": "sayd calibrate"}
+SWEEPS = 7 + 6
+"""Speeds on new and on worn wheels."""
+CONTROLLED = 4 * 5 + 2
+"""Runs of four controllers at five speeds, and two from an open valve."""
 
 
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
-    """A calibration of two numbers over a short distance."""
+    """A calibration of a few numbers over a short distance."""
     base = tmp_path / "short.yaml"
-    base.write_text("base: estimates\nassessment: {run_in: 200.0, length: 600.0}\n")
+    base.write_text("base: estimates\nassessment: {run_in: 200.0}\n")
     path = tmp_path / "small.yaml"
     path.write_text(STUDY.format(base="./short.yaml"))
     return path
@@ -66,25 +100,80 @@ def config(study: Path) -> CalibrationConfig:
 
 def test_a_place_sets_values_times_factors(config: CalibrationConfig):
     """Half of a log range is the geometric mean, a quarter of a linear one a quarter of the way."""
-    assert assignments(config, (0.5, 0.25)) == pytest.approx(
+    stage = config.passive
+    assert stage.assignments(stage.values((0.5, 0.25))) == pytest.approx(
         {"damper.series_stiffness": 6e6, "friction": 0.35, "contact_damping": 0.35 * 2e5}
     )
-    assert assignments(config, (0.0, 1.0))["damper.series_stiffness"] == 3e6
-    stiffness = config.parameters[0]
-    assert stiffness.place(stiffness.value(0.3)) == pytest.approx(0.3)
+    assert stage.values((0.0, 1.0)) == {"series stiffness": 4e6, "friction": 0.5}
+    assert stage.parameters[0].place(stage.parameters[0].value(0.3)) == pytest.approx(0.3, abs=1e-4)
 
 
-def test_the_packaged_calibration_sets_numbers_that_a_scenario_takes():
+def test_what_two_parameters_give_to_one_key_is_added_up(config: CalibrationConfig):
+    numbers = config.semi_active.assignments(config.semi_active.values((0.0, 0.0, 0.5, 0.5)))
+    assert numbers["control.mppt2.threshold_min"] == pytest.approx(0.6)
+    assert numbers["control.mppt2.threshold_max"] == pytest.approx(0.6 + 0.2)
+
+
+@pytest.mark.parametrize("place", [0.0, 0.5, 1.0])
+def test_the_packaged_calibration_sets_numbers_that_its_parts_take(place: float, tmp_path: Path):
+    """What is written for `configs/` gives the plant that the assignments give."""
     config = load_calibration()
-    for place in (0.0, 0.5, 1.0):
-        values = assignments(config, [place] * len(config.parameters))
-        load_scenario(config.base, [f"{key}={value!r}" for key, value in values.items()])
-    assert config.first_seed > 9  # tracks of the reproduction take no part
+    passive, own = config.passive, config.semi_active
+    values, mine = (
+        passive.values([place] * len(passive.parameters)),
+        own.values([place] * len(own.parameters)),
+    )
+    texts = part_files(passive, values, ABOUT, semi_active=False)
+    texts |= part_files(own, mine, ABOUT, semi_active=True)
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    numbers = passive.assignments(values)
+    wanted = load_scenario(config.base, [f"{key}={number!r}" for key, number in numbers.items()])
+    track = f"track={tmp_path}/track/german_low.yaml"
+    section = f"track.section={tmp_path}/section/slab.yaml"
+    parts = {"vehicle": "vehicle/emu", "damper": "damper/passive", "wheel": "profile/s1002cn"}
+    named = [f"{key}={tmp_path}/{path}.yaml" for key, path in parts.items()]
+    found = load_scenario(config.base, [*named, track, section, f"friction={numbers['friction']!r}"])
+    for part in parts:
+        same = {"name", "provenance", "description"}
+        assert getattr(found, part).model_dump(exclude=same) == getattr(wanted, part).model_dump(exclude=same)
+    assert found.track.section.lateral_stiffness == wanted.track.section.lateral_stiffness
+    assert found.track.irregularity == wanted.track.irregularity
+    assert (
+        load_sayd(f"{tmp_path}/damper/sayd.yaml").throttle.closed_area == mine["area of the closed throttle"]
+    )
+    controller = load_controller(f"{tmp_path}/control/mppt2.yaml")
+    assert isinstance(controller, MpptConfig)
+    assert controller.k_J == mine["k_J of MPPT2"]
+
+
+def test_the_ranges_keep_to_the_published_dampers():
+    """First slope 200 kN s/m or more, second slope 5 to 60 kN s/m at every corner; thresholds in order."""
+    config = load_calibration()
+    parameters = {p.keys.__iter__().__next__(): p for p in config.passive.parameters}
+    knee, force = parameters["damper.curve.1.0"], parameters["damper.curve.1.1"]
+    rise = next(p for p in config.passive.parameters if list(p.keys) == ["damper.curve.2.1"])
+    assert (knee.low, knee.high) == (3e-3, 10e-3)
+    for v, f, more in itertools.product(
+        (knee.low, knee.high), (force.low, force.high), (rise.low, rise.high)
+    ):
+        assert f / v >= 200e3
+        assert 1.5e3 <= f <= 10e3
+        assert 5e3 <= more / (0.25 - v) <= 60.1e3
+    friction = parameters["friction"]
+    assert (friction.low, friction.high) == (0.30, 0.40)
+
+
+def test_no_track_of_the_calibration_is_one_of_the_reproduction():
+    config = load_calibration()
+    most = max(search.seeds for stage in (config.passive, config.semi_active) for search in stage.searches)
+    assert not set(range(config.first_seed, config.first_seed + most)) & {*range(100), *range(9100, 9120)}
 
 
 @pytest.fixture
 def rows(synthetic: Callable[..., Sweep], limits: Limits) -> Callable[..., tuple[dict[str, float], ...]]:
-    """Penalties and measures of made-up sweeps with known crossings (km/h)."""
+    """Residuals and measures of made-up sweeps with known crossings (km/h)."""
 
     def rows(
         new: float = 375.0, worn: float = 331.0, force: float = 361.0, trailing: float = 1.25
@@ -104,7 +193,7 @@ def rows(synthetic: Callable[..., Sweep], limits: Limits) -> Callable[..., tuple
             frequency=lambda v: 4 + 0.01 * v,
             scatter=lambda v: 1.0 if v < 350 else 0.1,
         )
-        return penalties_of(first, second, limits)
+        return passive_residuals(first, second, limits)
 
     return rows
 
@@ -112,35 +201,34 @@ def rows(synthetic: Callable[..., Sweep], limits: Limits) -> Callable[..., tuple
 Rows = Callable[..., tuple[dict[str, float], ...]]
 
 
-def test_a_vehicle_like_the_papers_has_no_penalty(rows: Rows):
-    penalties, measures = rows()
-    assert list(penalties) == [f"P{i}" for i in range(1, 11)]
-    assert set(penalties.values()) == {0.0}
-    assert measures["critical_new_kmh"] == pytest.approx(375.0)
+def test_a_vehicle_like_the_papers_has_small_residuals(rows: Rows):
+    residuals, measures = rows(new=374.0)
+    assert list(residuals) == [f"P{i}" for i in range(1, 11)]
+    ratio_320 = 1 + (320 - 331) / 200
+    assert residuals["P4"] == pytest.approx((ratio_320 - 0.85) / 0.05)
+    others = [value for row, value in residuals.items() if row != "P4"]
+    assert others == pytest.approx([0.0] * 9, abs=1e-9)
     assert measures["critical_worn_kmh"] == pytest.approx(331.0)
-    assert measures["critical_force_kmh"] == pytest.approx(361.0)
+    assert measures["critical_worn_force_kmh"] == pytest.approx(361.0)
     assert measures["trailing_ratio"] == pytest.approx(1.25)
     assert measures["spread_350_hz"] == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("new", [365.0, 390.0, 450.0])
+@pytest.mark.parametrize("new", [300.0, 365.0, 390.0, 450.0])
 def test_the_critical_speed_goes_on_beyond_the_grid(new: float, rows: Rows):
     """A line that would cross at 450 km/h says so, although the grid ends at 400 km/h."""
-    penalties, measures = rows(new=new)
+    residuals, measures = rows(new=new)
     assert measures["critical_new_kmh"] == pytest.approx(new)
-    assert penalties["P2"] == pytest.approx(min((abs(new - 372) - 4) / 6, 8.0))
-
-
-def test_a_crossing_below_the_grid_goes_on_as_well(rows: Rows):
-    penalties, measures = rows(worn=300.0)
-    assert measures["critical_worn_kmh"] == pytest.approx(300.0)
-    assert penalties["P5"] == pytest.approx((31 - 4) / 5)
+    assert residuals["P2"] == pytest.approx((new - 374) / 6)
 
 
 def test_other_rows_measure_their_distance(rows: Rows):
-    assert rows(trailing=1.05)[0]["P9"] == pytest.approx((1.15 - 1.05) / 0.05)
-    ratio_320 = 1 + (320 - 312) / 200
-    assert rows(worn=312.0)[0]["P4"] == pytest.approx((ratio_320 - 0.96) / 0.04)
+    assert rows(trailing=1.05)[0]["P9"] == pytest.approx((1.2 - 1.05) / 0.05)
+
+
+def test_a_row_of_seeds_counts_those_that_fail():
+    assert above(np.array([0.3, 0.6, 0.8]), 0.5, 0.1) == pytest.approx((0 + 1 + 3) / 3)
+    assert below(np.array([0.3, 0.6]), 0.5, 0.1) == pytest.approx((2 + 0) / 2)
 
 
 class Stop(Exception):
@@ -148,7 +236,6 @@ class Stop(Exception):
 
 
 def test_an_interrupted_calibration_goes_on_where_it_stopped(config: CalibrationConfig, tmp_path: Path):
-    """Four speeds on new and four on worn wheels for each evaluation."""
     told: list[float] = []
 
     def stop(done: float, total: float, what: str = "") -> None:
@@ -156,66 +243,75 @@ def test_an_interrupted_calibration_goes_on_where_it_stopped(config: Calibration
         if len(told) == 2:
             raise Stop
 
-    more = config.model_copy(update={"screening_samples": 3})
     with pytest.raises(Stop):
-        calibrate(more, context=RunContext(cache=RunCache(tmp_path), progress=stop))
-    assert len(list(tmp_path.glob("*/*.npz"))) == 2 * 8
+        calibrate(config, context=RunContext(cache=RunCache(tmp_path), progress=stop))
+    assert len(list(tmp_path.glob("*/*.npz"))) == 2 * SWEEPS
     told = [0.0, 0.0]
     cache = RunCache(tmp_path)
-    result = calibrate(more, context=RunContext(cache=cache, progress=stop))
-    assert told[2:] == [1, 2, 3]
-    assert cache.reused == 2 * 8
-    assert result.evaluations == calibrate(more).evaluations
-    assert result.best.cost == min(e.cost for e in result.evaluations)
+    result = calibrate(config, context=RunContext(cache=cache, progress=stop))
+    assert told[2:5] == [1, 2, 3]
+    assert cache.reused == 2 * SWEEPS
+    best = min(trial.cost for trial in result.trials["passive"])
+    assert result.best("passive").cost == best
+    assert [len(trials) for trials in result.trials.values()] == [2, 1]
+    assert len(result.sensitivity) == 1 + 2 * (2 + 4)
 
 
 def test_no_finite_run_at_all_is_a_failed_study(config: CalibrationConfig, monkeypatch: pytest.MonkeyPatch):
-    def diverged(*_: object) -> Trial:
-        return Trial("screening", (0.0, 0.0), module.DIVERGED, {}, {})
+    def lost(*_: object, **__: object) -> None:
+        raise StudyError("diverged")
 
-    monkeypatch.setattr(module, "_evaluate", diverged)
-    with pytest.raises(StudyError, match="no parameters within the ranges gave a finite run"):
+    monkeypatch.setattr(RunContext, "records", lost)
+    with pytest.raises(StudyError, match="passive: no numbers within the ranges gave a finite run"):
         calibrate(config)
 
 
-def test_two_evaluations_are_what_their_assignments_give(
-    study: Path, config: CalibrationConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_one_lost_set_of_numbers_does_not_take_the_others_with_it():
+    def measured(values: list[float]) -> list[module.Outcome]:
+        if any(value > 1.0 for value in values):
+            raise StudyError("diverged")
+        return [({"P1": value}, {}) for value in values]
+
+    lost = ({"P1": module.LOST}, {})
+    found = module._each([0.1, 2.0, 0.3], measured, lost)
+    assert [residuals["P1"] for residuals, _ in found] == [0.1, module.LOST, 0.3]
+
+
+def test_the_command_says_what_it_found(study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """From the middle of every range, which without searches is also where it ends."""
     out = tmp_path / "out"
-    assert main(["calibrate", "--config", str(study), "--json", "--out", str(out)]) == 0
+    assert main(["calibrate", "--config", str(study), "--json", "--from-middle", "--out", str(out)]) == 0
     content = json.loads(capsys.readouterr().out)
-    assert content["evaluations"] == 2
-    assert {path.name for path in out.iterdir()} == {
-        "result.json",
-        "evaluations.csv",
-        "runs",
-        "cost.png",
-        "nominal.yaml",
+    assert content["passive"]["evaluations"] == content["semi_active"]["evaluations"] == 1
+    assert content["passive"]["parameters"] == pytest.approx({"series stiffness": 6e6, "friction": 0.4})
+    names = {"result.json", "evaluations_passive.csv", "evaluations_semi_active.csv", "sensitivity.csv"}
+    assert {path.name for path in out.iterdir()} == {*names, "runs", "cost.png", "configs"}
+    parts = {str(path.relative_to(out / "configs")) for path in (out / "configs").rglob("*.yaml")}
+    own = {"damper/passive.yaml", "damper/sayd.yaml", "control/skyhook.yaml", "control/mppt2.yaml"}
+    assert parts == own | {"study/nominal.yaml"}
+    costs = {
+        name: sum(np.arcsinh(list(content[name]["residuals"].values())) ** 2)
+        for name in ("passive", "semi_active")
     }
-    keys = [f"{key}={value!r}" for key, value in content["set"].items()]
-    wheels = [load_scenario(config.base, [*keys, f"wear={wear}"]) for wear in (0.0, 1.0)]
-    grids = (config.new_speeds, config.worn_speeds)
-    new, worn = (sweep(each, speeds, [1000]) for each, speeds in zip(wheels, grids, strict=True))
-    penalties, measures = penalties_of(new, worn, model_limits(VehicleModel(wheels[0])))
-    assert content["penalties"] == pytest.approx(penalties, rel=1e-12)
-    residuals = residuals_of(penalties, measures)
-    assert content["cost"] == pytest.approx(np.sum(np.square(residuals)), rel=1e-12)
-    rows = (out / "evaluations.csv").read_text().splitlines()
-    assert rows[1].startswith("screening,")
-    assert [float(x) for x in rows[1].split(",")[2:4]] == pytest.approx([5e6, 0.35])  # the guess comes first
-    for parameter in config.parameters:
-        assert parameter.low <= content["parameters"][parameter.name] <= parameter.high
+    assert costs == pytest.approx({name: content[name]["cost"] for name in costs})
+    calibrated, *moved = content["sensitivity"]
+    assert calibrated["name"] == "as calibrated"
+    assert [line["value"] for line in moved[2:4]] == pytest.approx([0.42, 0.38])  # a tenth of 0.3 to 0.5
+    assert {line["critical_new_kmh"] for line in moved[4:]} == {None}  # the damper is another
+
+
+def test_large_residuals_count_by_their_logarithm():
+    trial = module.Trial("any", (0.5,), {"P1": 0.01, "P2": -50.0}, {})
+    assert damped(trial) == pytest.approx([0.01, -np.log(100.0)], abs=1e-3)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("new_speeds=[100.0, 90.0]", "new_speeds: .*speeds must be positive and rise: 90 follows 100"),
-        ("new_speeds=[90.0]", "at least 2 entries"),
-        ("parameters.friction.low=0.6", "parameters.friction: needs low < high"),
-        ("parameters.friction.sorce=x", "unknown key 'parameters.friction.sorce', did you mean 'source'"),
-        ("parameters.friction.guess=0.6", "parameters.friction: the guess must lie within the range"),
-        ("screening_samples=0", "screening_samples: found 0; .*greater than or equal to 1"),
+        ("passive.parameters.friction.low=0.6", "parameters.friction: needs low < high"),
+        ("passive.parameters.friction.sorce=x", "unknown key 'passive.parameters.friction.sorce', did you"),
+        ("passive.screening.samples=0", "screening.samples: found 0; .*greater than or equal to 1"),
+        ("semi_active.screening.length=1000", "length: found 1000"),
     ],
 )
 def test_bad_calibrations_are_refused(change: str, message: str, study: Path):
