@@ -11,7 +11,6 @@ from pydantic import Field, field_validator, model_validator
 from sayd_env.config.base import Model, Number, quantity
 from sayd_env.config.loader import read_study
 
-
 LENGTH = "Assessed distance of each run; rows M6 and M7 look at what follows after 15 s at 300 km/h"
 
 

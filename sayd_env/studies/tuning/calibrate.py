@@ -65,7 +65,7 @@ PRIOR = 0.02
 LOST = 50.0
 """Residual of numbers with which a run does not stay finite, or derails."""
 SMOOTHING = 0.1
-"""Of the response surfaces: what differs between neighbours by less than their distance is taken for chance."""
+"""Of the response surfaces: what differs less than places do is taken for chance."""
 ABREAST = 4
 """Places that are tried side by side."""
 CONTROL = "control."
