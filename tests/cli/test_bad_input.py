@@ -150,8 +150,8 @@ def test_bad_pictures_are_refused(arguments: list[str], message: str, refused: R
     ("arguments", "message"),
     [
         (["--condition-speeds", ""], "--condition-speeds an empty place: expected a finite number"),
-        (["--condition-speeds", "900"], "speed 900 km/h is outside the range of vehicle 'emu'"),
-        (["--speeds", "300,900"], "speed 900 km/h is outside the range of vehicle 'emu'"),
+        (["--condition-speeds", "900"], "speed 900 km/h is outside the range of vehicle 'emu-estimate'"),
+        (["--speeds", "300,900"], "speed 900 km/h is outside the range of vehicle 'emu-estimate'"),
         (
             ["--condition-speeds", "300", "--no-constants"],
             "--condition-speeds: are those of the best constant",

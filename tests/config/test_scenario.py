@@ -50,10 +50,10 @@ def test_a_study_differs_from_its_base_only_where_it_says_so(write: Write):
 
 
 def test_single_numbers_stand_under_set(write: Write):
-    path = write("set: {vehicle.bodies.carbody.mass: 40000.0, 'damper.curve.1.0': 0.5}\n")
+    path = write("set: {vehicle.bodies.carbody.mass: 40000.0, 'damper.curve.1.0': 0.002}\n")
     scenario = load_scenario(str(path))
     assert scenario.vehicle.bodies[0].mass == 40e3
-    assert scenario.damper.curve[1][0] == 0.5
+    assert scenario.damper.curve[1][0] == 0.002
 
 
 def test_a_section_with_a_name_or_another_type_replaces_the_whole(write: Write):

@@ -130,7 +130,7 @@ def test_critical_speed_of_an_oscillator_whose_damping_falls_with_speed() -> Non
 
 
 def test_a_speed_or_amplitude_out_of_range_is_refused(emu: VehicleModel) -> None:
-    with pytest.raises(ConfigError, match="outside the range of vehicle 'emu'"):
+    with pytest.raises(ConfigError, match="outside the range of vehicle 'emu-estimate'"):
         state_matrix(emu, 300.0, AMPLITUDE)
     with pytest.raises(DataError, match="linearisation amplitude: found 50 mm"):
         state_matrix(emu, SPEED, 0.05)

@@ -24,7 +24,7 @@ from sayd_env.physics.track import (
 
 
 def german() -> IrregularityConfig:
-    return read_track("german_low").irregularity
+    return read_track("german_low-estimate").irregularity
 
 
 def sine(wavelength: float, channel: str = "alignment") -> SineConfig:
@@ -138,7 +138,7 @@ def test_same_seed_same_bits_and_another_seed_another_track() -> None:
 def test_scale_and_levels_multiply_the_amplitude() -> None:
     plain = realise(german(), 500.0, 2)
     sets = ["irregularity.scale=0.5", "irregularity.levels={alignment: 0.6, vertical: 0}"]
-    scaled = realise(read_track("german_low", sets).irregularity, 500.0, 2)
+    scaled = realise(read_track("german_low-estimate", sets).irregularity, 500.0, 2)
     np.testing.assert_allclose(
         scaled.coefficients, plain.coefficients * [0.3, 0.0, 0.5, 0.5], rtol=1e-12, atol=1e-18
     )
