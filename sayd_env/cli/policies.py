@@ -204,19 +204,17 @@ def render(
     options leave open. Needs pygame, an .mp4 also imageio-ffmpeg: pip install 'sayd-env[render]' or
     'sayd-env[video]'.
     """
-    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.environment import fixed_by, load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
     from sayd_env.studies import render as study  # noqa: PLC0415
 
     setup = load_environment(environment)
     chosen = choice.load(setup.study)
-    keys = [item.partition("=")[0].strip() for item in choice.assignments or ()]
-    fixed = {
-        "wear": choice.profile is not None or choice.wear is not None or "wear" in keys,
-        "friction": choice.friction is not None or "friction" in keys,
-        "tracks": choice.track is not None or any(key.split(".")[0] == "track" for key in keys),
-    }
-    left = study.with_fixed(setup, [key for key, is_fixed in fixed.items() if is_fixed])
+    # What options set is not drawn; `--profile new` and `worn` are the study's own profile.
+    flags = {"wear": choice.wear, "friction": choice.friction, "track": choice.track, "wheel": choice.profile}
+    keys = [key for key, value in flags.items() if value is not None] + (["wear"] if choice.profile else [])
+    keys += [item.partition("=")[0].strip() for item in choice.assignments or ()]
+    left = setup.model_copy(update={"randomisation": setup.randomisation.without(fixed_by(keys))})
     target = file or (out or RESULTS / "render") / "render.gif"
     spec = policy_spec(who, foreign.reader(setup))
     video = study.Video(spec, target, seconds, fps, exaggeration)

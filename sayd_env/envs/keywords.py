@@ -8,7 +8,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from sayd_env.config import ConfigError, nearest, validate
-from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, load_environment
+from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, fixed_by, load_environment
 from sayd_env.config.explain import shown
 from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
@@ -142,16 +142,11 @@ def _randomisation(
     drawn: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
 ) -> RandomisationConfig:
     """Distributions of an environment without those of what a keyword fixes."""
-    fixed: dict[str, Any] = {}
-    if speed_kmh is not None:
-        fixed["speed_kmh"] = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
-    for item in assignments:
-        key = item.partition("=")[0].strip()
-        if key in ("wear", "friction"):
-            fixed[key] = None
-        elif key == "track" or key.startswith("track.irregularity"):
-            fixed["tracks"] = ()
-    return validate(RandomisationConfig, dict(drawn) | fixed, "keywords") if fixed else drawn
+    left = drawn.without(fixed_by(item.partition("=")[0].strip() for item in assignments))
+    if speed_kmh is None:
+        return left
+    speed = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
+    return validate(RandomisationConfig, dict(left) | {"speed_kmh": speed}, "keywords")
 
 
 def _weights(reward: Any) -> tuple[float, float] | None:

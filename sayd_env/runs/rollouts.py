@@ -127,13 +127,10 @@ def policy_runs(
 
 
 def environment_of(scenario: Scenario, environment: EnvironmentConfig) -> EnvironmentConfig:
-    """Environment whose wear, friction, track and run-in are those of a scenario, none of them drawn."""
-    distributions = environment.randomisation.model_copy(
-        update={"wear": None, "friction": None, "tracks": ()}
-    )
+    """Environment whose wheels, friction, track and run-in are those of a scenario, none of them drawn."""
     return environment.model_copy(
         update={
-            "randomisation": distributions,
+            "randomisation": environment.randomisation.without(),
             "damper": scenario.damper.type,
             "run_in": scenario.assessment.run_in,
         }
