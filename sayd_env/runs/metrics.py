@@ -12,8 +12,10 @@ import numpy.typing as npt
 
 from sayd_env.config import StudyError
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.config.scenario import Scenario
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.units import KMH, Array
+from sayd_env.envs.cost import charged
 from sayd_env.envs.loop import (
     BOGIES,
     LOG_ACCELERATION,
@@ -86,6 +88,15 @@ class Row:
     """Why the run ended early; None if it did not."""
     duration_s: float = math.nan
     """From step 0 to the end of the run."""
+
+    def lost(self, seconds: float) -> float:
+        """Share of so many seconds from step 0 on that an early end has cut off."""
+        return 0.0 if self.ending is None else max(1.0 - self.duration_s / seconds, 0.0)
+
+    def cost(self, environment: EnvironmentConfig, weights: CostConfig) -> float:
+        """J over the episode of the environment that ran, on-line filter, with other weights."""
+        lost = self.lost(environment.episode_s)
+        return float(charged(environment, weights, self.J_acceleration, self.J_force, lost))
 
 
 def rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:

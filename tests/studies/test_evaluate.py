@@ -21,6 +21,7 @@ from sayd_env import baselines
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import load_environment
+from sayd_env.config.reward import with_reward
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import RUN_OUT, Simulator, Telemetry, VehicleModel
@@ -29,7 +30,7 @@ from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.runs.metrics import switchings
 from sayd_env.runs.passive import assessed_run
 from sayd_env.runs.policies import policy_spec
-from sayd_env.studies.evaluate import AVERAGED, EvaluateResult, Row, evaluate, with_reward
+from sayd_env.studies.evaluate import AVERAGED, EvaluateResult, Row, evaluate
 
 Array = npt.NDArray[np.float64]
 SPEED = 360 / 3.6

@@ -124,7 +124,8 @@ HUGE |= {"track_shift_rms_n": 56789.0, "fraction": 1.0, "seconds": 36000.0, "ste
     ],
 )
 def test_a_table_fits_eighty_columns(columns: Sequence[Column]):
-    """With long names, and numbers as large as they come."""
+    """With long names, and numbers as large as they come; J is MPPT2's, which then has no other column."""
+    columns = [column for column in columns if column.name != "J_mppt2"]
     row: dict[str, Any] = {column.name: 400.123 for column in columns}
     row |= {name: value for name, value in (WORDS | FLAGS | HUGE).items() if name in row}
     row |= {name: 12.3456 for name in row if name.startswith(("J", "iqm", "worst", "largest", "improvement"))}

@@ -57,7 +57,7 @@ def compare(
     new = [policy for policy in bounding if policy.title not in runs]
     constants = runs | run_all(grid, new, context, "constant currents")
     cells = _critical_speeds(study, worn, members, context)
-    ways = [Variant(*each) for each in product(FILTERS, chosen.force_weights)]
+    ways = [Variant(*each) for each in product(FILTERS, grid.factors)]
     costs = {
         variant: {
             each.name: np.stack([grid.costs(runs[title], variant) for title in each.titles])
