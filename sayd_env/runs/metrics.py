@@ -118,6 +118,36 @@ def judged(runs: list[Run]) -> list[Row]:
     return [policy_row(run, rollout) for run, rollout in zip(runs, roll_out_runs(runs), strict=True)]
 
 
+@dataclass(frozen=True)
+class CostParts:
+    """Cost of an episode whose weights are still open."""
+
+    acceleration: float
+    """Mean of (psi_y / y_lim)^2, on-line filter."""
+    force: float
+    """Mean of (psi_F / F_max)^2."""
+    lost: float
+    """Share of the episode that a derailment has cut off."""
+
+
+def cost_parts(runs: list[Run]) -> list[CostParts]:
+    """Make runs that are companions over the episode of their environment, and take the parts of their J.
+
+    Raises
+    ------
+    StudyError
+        A run that diverged.
+    """
+    found = []
+    for run, rollout in zip(runs, roll_out_runs(runs, episode=True), strict=True):
+        if rollout.ending is not None:
+            _refuse_divergence(rollout)
+        cost = rollout.episode_cost(run.environment, run.scenario)
+        share = len(rollout.terms) * rollout.control_period / run.environment.episode_s
+        found.append(CostParts(cost.acceleration, cost.force, max(1.0 - share, 0.0)))
+    return found
+
+
 def policy_row(run: Run, rollout: Rollout) -> Row:
     """Judge a run from its rollout over run-in and assessed length, or less where it ended early.
 

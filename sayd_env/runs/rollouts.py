@@ -44,8 +44,14 @@ class Run:
         return id(self.policy), id(self.scenario), id(self.environment), self.initial_current
 
 
-def roll_out_runs(runs: Sequence[Run]) -> list[Rollout]:
+def roll_out_runs(runs: Sequence[Run], *, episode: bool = False) -> list[Rollout]:
     """Run-in and assessed length of runs that are companions, on one thread.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    episode : bool
+        The environment's episode in place of the assessed length.
 
     Raises
     ------
@@ -63,7 +69,7 @@ def roll_out_runs(runs: Sequence[Run]) -> list[Rollout]:
         )
         for run in runs
     ]
-    steps = [assessed_steps(config, first.scenario, run.speed) for run in runs]
+    steps = [batch.steps if episode else assessed_steps(config, first.scenario, run.speed) for run in runs]
     return roll_out(batch, first.policy.make(batch), episodes, steps)
 
 

@@ -103,7 +103,6 @@ def _critical_speeds(
         policies,
         settings.seeds,
         grid=MapGrid(wear=(study.wear,), friction=(study.friction,), speeds=speeds),
-        best_constant=False,
         environment=load_environment(),
         context=context,
     )
