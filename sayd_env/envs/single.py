@@ -116,7 +116,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     history : int, optional
         Vectors in a ``history``.
     reward : str, pair or mapping, optional
-        ``"mppt1"``, ``"mppt2"`` (the study's weights, as by default), ``(k_y, k_F)`` or
+        ``"mppt1"``, ``"mppt2"`` (as the study by default), ``"low-force"``, ``(k_y, k_F)`` or
         ``{"k_y": ..., "k_F": ...}``.
     control_period : float, optional
         s; a whole number of milliseconds that divides a second.

@@ -34,9 +34,13 @@ DIGITS = 6
 CLOSED, OPEN = 0.0, 1.0
 BRIGHTEST = 3.0
 """Ratio of J at which the colours of the picture end."""
-WORDS = dict(
-    zip(MapCondition._fields, ("km/h", "wheels", "gauge (m)", "friction", "track level"), strict=True)
-)
+WORDS = {
+    "speed_kmh": "km/h",
+    "wheel": "wheels",
+    "gauge": "gauge (m)",
+    "friction": "friction",
+    "level": "track level",
+}
 """How a table calls the quantities of a condition."""
 Rule = Callable[[MapCondition], float]
 """Command in each condition."""
@@ -236,7 +240,7 @@ class ConstantMap:
     def _where(self) -> list[dict[str, Any]]:
         """Loss of the single command by the value of each quantity that varies."""
         rows = []
-        for name in MapCondition._fields:
+        for name in WORDS:
             values = list(dict.fromkeys(getattr(each, name) for each in self.conditions))
             for value in values if len(values) > 1 else ():
                 chosen = [each for each in self.conditions if getattr(each, name) == value]

@@ -21,7 +21,7 @@ from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, heat_maps
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
-from sayd_env.runs.policies import PAPER, PASSIVE, PolicySpec
+from sayd_env.runs.policies import PAPER, PASSIVE, PolicySpec, for_policy
 from sayd_env.runs.rollouts import conditions, policy_runs
 from sayd_env.stability import Crossing, critical_speed
 from sayd_env.studies.adaptation import ConstantMap, constant_map
@@ -225,10 +225,12 @@ def stability_map(
     if len(chosen.speeds) < 2:
         raise ConfigError("--speeds: a critical speed needs at least two speeds")
     model = VehicleModel(scenario)
-    for speed in chosen.speeds:
-        model.check_speed(speed)  # refused before any work
-    cells = _Study(scenario, tuple(seeds), setup, context).critical(policies, chosen)
+    for speed in chosen.speeds:  # refused before any work, as policies are
+        model.check_speed(speed)
+    for policy in policies:
+        for_policy(scenario, policy)
     best = None if constants is None else constant_map(scenario, constants, setup, context)
+    cells = _Study(scenario, tuple(seeds), setup, context).critical(policies, chosen)
     return MapResult(scenario, chosen, tuple(seeds), cells, best)
 
 
