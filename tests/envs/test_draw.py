@@ -302,7 +302,7 @@ def test_a_track_file_is_read_again_for_each_episode(tmp_path: Path):
         ({"track_scale": 6}, "track_scale: found 6; expected a number from 0 to 5"),
         ({"profile": "wron"}, "profile: found 'wron', did you mean 'worn'?; expected new, worn, "),
         ({"profile": 1}, "profile: found 1; expected new, worn, "),
-        ({"profile": "cn60"}, "kind: found 'rail', expected 'wheel' here"),
+        ({"profile": "cn60"}, "cn60.yaml: is a rail profile; as wheel are available: "),
         ({"profile": "nowhere.yaml"}, "nowhere.yaml: no such file"),
         ({"profile": "new", "wear": 0.5}, "wear and profile 'new' set the same quantity: give one of them"),
         ({"profile": "lma", "wear": 0.5}, "wear: found 0.5; wheel profile 'lma' does not say how it wears"),
