@@ -16,7 +16,13 @@ from sayd_env.config.distribution import (
     FixedDistribution,
     NormalDistribution,
 )
-from sayd_env.config.environment import LIMITS, EnvironmentConfig, load_environment
+from sayd_env.config.environment import (
+    LIMITS,
+    EnvironmentConfig,
+    ProfileClass,
+    TrackClass,
+    load_environment,
+)
 from sayd_env.config.fault import SensorErrorClass, ValveStuckClass
 from sayd_env.config.sensors import KINDS, UNITS, SensorsConfig, load_sensors
 from sayd_env.envs.interface import ACTIONS, BOGIES, DAMPERS, Signal
@@ -103,17 +109,22 @@ def draw_table(environments: Mapping[str, EnvironmentConfig]) -> str:
                 *("the study's" if each is None else in_words(each) for each in columns),
             )
         )
-    classes = [config.randomisation.tracks for config in environments.values()]
-    for track in dict.fromkeys(entry.name for entries in classes for entry in entries):
-        found = [next((entry for entry in entries if entry.name == track), None) for entries in classes]
-        cells = [
-            "-"
-            if entry is None
-            else f"weight {entry.weight:g}" + (f", {in_words(entry.scale)}" if entry.scale else "")
-            for entry in found
-        ]
-        rows.append((f"track {track}, scale", "-", *cells))
+    laws = [config.randomisation for config in environments.values()]
+    profiles = [{_profile(each): f"weight {each.weight:g}" for each in law.profiles} for law in laws]
+    tracks = [{f"track {each.name}, scale": _track(each) for each in law.tracks} for law in laws]
+    for columns in (profiles, tracks):
+        for name in dict.fromkeys(name for cells in columns for name in cells):
+            rows.append((name, "-", *(cells.get(name, "-") for cells in columns)))
     return _table(("quantity", "unit", *environments), rows)
+
+
+def _profile(drawn: ProfileClass) -> str:
+    shift = "" if drawn.shift is None else f", shift {1e3 * drawn.shift:g} mm"
+    return f"profile {drawn.name or 'of the study'}{shift}"
+
+
+def _track(drawn: TrackClass) -> str:
+    return f"weight {drawn.weight:g}" + (f", {in_words(drawn.scale)}" if drawn.scale else "")
 
 
 def tolerance_table(config: EnvironmentConfig) -> str:

@@ -238,14 +238,14 @@ class GridOptions(ScenarioOptions):
     environment: Environment = "nominal"
     reward: str | None = scenario(
         "--reward NAME",
-        "Weights of the cost J: mppt1 (acceleration alone) or mppt2 (the study's); others by --set "
-        "cost.force_weight=0.3.",
-        autocompletion=one_of("mppt1", "mppt2"),
+        "Weights of the cost J: mppt1 (acceleration alone), mppt2 (the default) or low-force; others by "
+        "--set cost.force_weight=0.3.",
+        autocompletion=one_of("mppt1", "mppt2", "low-force"),
     )
 
     def load(self) -> Scenario:
         """Scenario of the first wear and friction."""
-        from sayd_env.studies.evaluate import with_reward  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.config.reward import with_reward  # noqa: PLC0415 - keeps --help fast
 
         found = self.read(self.wear[0] if self.wear else None, self.friction[0] if self.friction else None)
         return found if self.reward is None else with_reward(found, self.reward)

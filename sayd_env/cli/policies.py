@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from sayd_env.cli import options, parsers
 from sayd_env.cli.command import Plan, command, result_folder
-from sayd_env.cli.options import argument, option, output, policy, runs, scenario
+from sayd_env.cli.options import argument, one_of, option, output, policy, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
-from sayd_env.cli.parsers import SPEED, Names, Numbers, positive
+from sayd_env.cli.parsers import SPEED, Names, positive
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.units import KMH
 
@@ -74,49 +74,50 @@ def map_(
     foreign: options.ForeignOptions,
     *,
     policies: Names | None = options.policies(f"Names ({options.WHICH})."),
-    condition_speeds: Numbers | None = scenario(
-        "--condition-speeds KMH,...",
-        "Speeds at which the best constant current is looked for (default 300, 400 km/h).",
-        parsers.speeds,
+    conditions: str | None = scenario(
+        "--conditions NAME|FILE",
+        "Conditions for which the best constant command is looked for (default map).",
+        autocompletion=one_of("map"),
     ),
     constants: bool = option(
-        "--constants/--no-constants", "Look for the best constant currents, too.", default=True
+        "--constants/--no-constants", "Look for the best constant commands, too.", default=True
     ),
     quick: options.Quick = False,
     seed: options.Seed = 0,
     seeds: options.QuickSeeds = None,
 ) -> Plan:
-    """Map the critical speed over wear and friction by policy, and the best constant current with its J.
+    """Map the critical speed over wear and friction, and the best constant command over more conditions.
 
     Defaults: the passive vehicle and the paper's four controllers, wear 0 to 1 in steps of 0.25, friction 0.2
     to 0.5, speeds 280:440:40 and the middle of the interval in which a limit is crossed, 2 track
     realisations. With --quick it is a coarse map from one, within a minute or two.
 
-    The best constant current is that of the lowest J on line (as in evaluate) and off line, among a closed
-    valve and currents beyond the throttle's overlap, the closer the less the valve is open, and halfway
-    around the best one. Finished runs are kept in the output directory: an interrupted map goes on where it
-    stopped.
+    The best constant commands are those of the lowest J on line (as in evaluate) for speeds, wheels, gauges,
+    friction and track levels of configs/study/map.yaml, by several weights k_F of the force; beside them
+    stands what one command for all conditions costs, one for each speed, a closed and an open valve, in the
+    geometric mean of J over the best of each condition. Finished runs are kept in the output directory: an
+    interrupted map goes on where it stopped.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.map import load_map  # noqa: PLC0415
     from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies import map as study  # noqa: PLC0415
 
-    if condition_speeds and not constants:
-        raise ConfigError(
-            "--condition-speeds: are those of the best constant currents; leave out --no-constants"
-        )
+    if conditions and not constants:
+        raise ConfigError("--conditions: are those of the best constant commands; leave out --no-constants")
     chosen, setup = grid.load(), load_environment(grid.environment)
     given = {"wear": grid.wear, "friction": grid.friction, "speeds": grid.speeds}
-    given["condition_speeds"] = condition_speeds
     changes: dict[str, Any] = {key: tuple(values) for key, values in given.items() if values}
     where = replace(study.QUICK if quick else study.MapGrid(), **changes)
+    found = load_map(conditions or "map") if constants else None
+    found = found.shortened() if found is not None and quick else found
     specs = policy_specs(policies or study.POLICIES, foreign.reader(setup))
     numbers = range(seed, seed + (seeds or (1 if quick else 2)))
     return Plan(
         lambda run: study.stability_map(
-            chosen, specs, numbers, grid=where, best_constant=constants, environment=setup, context=run
+            chosen, specs, numbers, grid=where, constants=found, environment=setup, context=run
         ),
-        {**dict(chosen), "environment": setup},
+        {**dict(chosen), "environment": setup, "conditions": found},
         seed,
     )
 
@@ -204,19 +205,17 @@ def render(
     options leave open. Needs pygame, an .mp4 also imageio-ffmpeg: pip install 'sayd-env[render]' or
     'sayd-env[video]'.
     """
-    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.environment import fixed_by, load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
     from sayd_env.studies import render as study  # noqa: PLC0415
 
     setup = load_environment(environment)
     chosen = choice.load(setup.study)
-    keys = [item.partition("=")[0].strip() for item in choice.assignments or ()]
-    fixed = {
-        "wear": choice.profile is not None or choice.wear is not None or "wear" in keys,
-        "friction": choice.friction is not None or "friction" in keys,
-        "tracks": choice.track is not None or any(key.split(".")[0] == "track" for key in keys),
-    }
-    left = study.with_fixed(setup, [key for key, is_fixed in fixed.items() if is_fixed])
+    # What options set is not drawn; `--profile new` and `worn` are the study's own profile.
+    flags = {"wear": choice.wear, "friction": choice.friction, "track": choice.track, "wheel": choice.profile}
+    keys = [key for key, value in flags.items() if value is not None] + (["wear"] if choice.profile else [])
+    keys += [item.partition("=")[0].strip() for item in choice.assignments or ()]
+    left = setup.model_copy(update={"randomisation": setup.randomisation.without(fixed_by(keys))})
     target = file or (out or RESULTS / "render") / "render.gif"
     spec = policy_spec(who, foreign.reader(setup))
     video = study.Video(spec, target, seconds, fps, exaggeration)

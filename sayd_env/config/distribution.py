@@ -6,6 +6,7 @@ one which is exchanged for another leaves all other draws as they are.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -132,7 +133,7 @@ Distribution = Annotated[
 ]
 
 
-def chosen(weights: tuple[float, ...], u: npt.ArrayLike) -> npt.NDArray[np.intp]:
+def chosen(weights: Sequence[float], u: npt.ArrayLike) -> npt.NDArray[np.intp]:
     """Indices for uniform numbers u in [0, 1), each as frequent as its weight says, of u's shape."""
     steps = np.cumsum(weights)
     places = np.searchsorted(steps, np.asarray(u) * steps[-1], side="right")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -14,12 +14,16 @@ from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
 from sayd_env.config.fault import FaultsConfig
 from sayd_env.config.layers import Kind, read_layered
+from sayd_env.config.profile import load_wheel
 from sayd_env.config.scenario import CostConfig
 from sayd_env.config.sensors import SAMPLE, SENSORS, SensorsConfig
 from sayd_env.config.track import IrregularityConfig, NoIrregularityConfig, read_track
 
 ENVIRONMENT = Kind(
-    "env", parts={"sensors": SENSORS}, names=("study", "randomisation.tracks.*.name"), base="nominal"
+    "env",
+    parts={"sensors": SENSORS},
+    names=("study", "randomisation.tracks.*.name", "randomisation.profiles.*.name"),
+    base="nominal",
 )
 PERIODS = tuple(n for n in range(1, 1001) if 1000 % n == 0)
 """Control periods that divide a second (ms)."""
@@ -60,6 +64,7 @@ LIMITS: Mapping[str, Limits] = MappingProxyType(
     {
         "speed_kmh": Limits(30.0, 500.0, "km/h"),
         "wear": Limits(0.0, 1.0, "-"),
+        "gauge": Limits(0.9, 1.7, "m"),
         "friction": Limits(0.05, 1.0, "-"),
         "payload": Limits(-0.5, 0.5, "-"),
         "initial_current": Limits(0.0, 1.0, "-"),
@@ -110,6 +115,33 @@ class TrackClass(Model):
         return self
 
 
+class ProfileClass(Model):
+    """A wheel profile that an episode may have."""
+
+    name: str | None = Field(
+        None,
+        min_length=1,
+        description="Name of a wheel profile, or a path to its YAML file; null: the study's",
+    )
+    weight: float = quantity("-", "Relative frequency", default=1.0, ge=0.0, le=1e9)
+    shift: float | None = quantity(
+        "m",
+        "Outward shift of the curve in place of the profile's own; null: its own",
+        default=None,
+        ge=-0.01,
+        le=0.01,
+    )
+
+    @model_validator(mode="after")
+    def _known(self) -> ProfileClass:
+        if self.name is not None:
+            try:
+                load_wheel(self.name)
+            except ConfigError as error:
+                raise ValueError(f"name: {error}") from None
+        return self
+
+
 def scalable(irregularity: IrregularityConfig, name: str) -> None:
     """Check that irregularities have an amplitude.
 
@@ -150,12 +182,33 @@ class ToleranceConfig(Model):
         return within(distribution, "factor")
 
 
+OF_THE_SCENARIO = ("wear", "profiles", "gauge", "friction", "tracks")
+"""What an episode has from its scenario unless it draws it."""
+
+
+def fixed_by(keys: Iterable[str]) -> set[str]:
+    """Those of `OF_THE_SCENARIO` that assignments to keys of a scenario set."""
+    found = set()
+    for key in keys:
+        first = key.partition(".")[0]
+        if key in ("wear", "friction"):
+            found.add(key)
+        if first == "wheel":
+            found.add("profiles")
+        if key in ("track", "track.gauge"):
+            found.add("gauge")
+        if key == "track" or key.startswith("track.irregularity"):
+            found.add("tracks")
+    return found
+
+
 class RandomisationConfig(Model):
     """The distributions of what an episode draws."""
 
     speed_kmh: Distribution = Field(description="Speed (km/h)")
     wear: Distribution | None = Field(description="Wear of the treads, 0 new, 1 worn (-); null: the study's")
     friction: Distribution | None = Field(description="Coefficient of friction (-); null: the study's")
+    gauge: Distribution | None = Field(None, description="Track gauge (m); null: the study's")
     payload: Distribution = Field(
         description="Change of the carbody's mass and inertia, as a share of it (-)"
     )
@@ -163,21 +216,25 @@ class RandomisationConfig(Model):
     sensor_bias: Distribution = Field(description="Error of each sensor, as a share of its bias_spread (-)")
     sensor_noise: Distribution = Field(description="Factor on the noise of each sensor (-)")
     tracks: tuple[TrackClass, ...] = Field((), description="Classes of track; none: the study's track")
+    profiles: tuple[ProfileClass, ...] = Field(
+        (), description="Wheel profiles; none: the study's. One that does not wear is new whatever `wear` is"
+    )
     tolerances: dict[str, ToleranceConfig] = Field({}, description="Groups of numbers that vary together")
 
     @field_validator(
-        "speed_kmh", "wear", "friction", "payload", "initial_current", "sensor_bias", "sensor_noise"
+        *("speed_kmh", "wear", "friction", "gauge", "payload", "initial_current"),
+        *("sensor_bias", "sensor_noise"),
     )
     @classmethod
     def _allowed(cls, distribution: Distribution | None, info: ValidationInfo) -> Distribution | None:
         return None if distribution is None else within(distribution, str(info.field_name))
 
-    @field_validator("tracks")
+    @field_validator("tracks", "profiles")
     @classmethod
-    def _some_weight(cls, tracks: tuple[TrackClass, ...]) -> tuple[TrackClass, ...]:
-        if tracks and sum(track.weight for track in tracks) == 0.0:
+    def _some_weight(cls, classes: tuple[Any, ...]) -> tuple[Any, ...]:
+        if classes and sum(each.weight for each in classes) == 0.0:
             raise ValueError("at least one weight must be positive")
-        return tracks
+        return classes
 
     @field_validator("tolerances")
     @classmethod
@@ -189,6 +246,12 @@ class RandomisationConfig(Model):
                     raise ValueError(f"key '{key}' is in two groups, '{owner[key]}' and '{name}'")
                 owner[key] = name
         return groups
+
+    def without(self, names: Iterable[str] = OF_THE_SCENARIO) -> RandomisationConfig:
+        """The same, but some of `OF_THE_SCENARIO` are not drawn."""
+        return self.model_copy(
+            update={name: () if name in ("profiles", "tracks") else None for name in names}
+        )
 
 
 class DerailmentConfig(Model):

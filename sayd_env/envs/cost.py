@@ -63,6 +63,18 @@ def weighted(cost: CostConfig, acceleration: float, force: float) -> float:
     return float(np.dot((cost.acceleration_weight, cost.force_weight), (acceleration, force)))
 
 
+def charged(
+    config: EnvironmentConfig,
+    cost: CostConfig,
+    acceleration: Array | float,
+    force: Array | float,
+    lost: Array | float,
+) -> Array:
+    """J of episodes from both mean squares and the shares of time that early ends have cut off."""
+    parts = cost.acceleration_weight * acceleration + cost.force_weight * force
+    return np.asarray(parts + charge_a_second(config, cost) * lost)
+
+
 def termination_charge(config: EnvironmentConfig, cost: CostConfig, elapsed: float) -> float:
     """Charge for the rest of an episode that ended early after `elapsed` seconds: J_term for each second."""
     return charge_a_second(config, cost) * max(config.episode_s - elapsed, 0.0)

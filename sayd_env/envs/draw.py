@@ -21,7 +21,7 @@ import numpy as np
 
 from sayd_env.config import ConfigError, validate
 from sayd_env.config.distribution import chosen
-from sayd_env.config.environment import EnvironmentConfig, TrackClass, scalable
+from sayd_env.config.environment import EnvironmentConfig, ProfileClass, TrackClass, scalable
 from sayd_env.config.fault import (
     MOST_FAULTS,
     DamperFaultClass,
@@ -32,12 +32,13 @@ from sayd_env.config.fault import (
     parse_faults,
 )
 from sayd_env.config.loader import is_path
+from sayd_env.config.profile import WheelProfileConfig, load_wheel
 from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS, SIGNALS, SensorConfig, SensorsConfig
 from sayd_env.config.track import IrregularityConfig, read_track
 from sayd_env.config.units import Array
-from sayd_env.envs.options import NUMBERS, EpisodeOptions, checked_options, whole_number
+from sayd_env.envs.options import NUMBERS, PROFILES, EpisodeOptions, checked_options, whole_number
 
 Component = Literal["scenario", "sensors", "faults", "noise", "spare"]
 STREAMS: Mapping[Component, int] = {"scenario": 1, "sensors": 2, "faults": 3, "noise": 4, "spare": 5}
@@ -54,8 +55,16 @@ class Episode:
     """Number k of the episode."""
     speed: float
     """m/s."""
+    profile: str | None
+    """Wheel profile; None: the scenario's."""
+    wheel: WheelProfileConfig | None = field(repr=False)
+    """This profile, as its file has it; None: the scenario's."""
+    wheel_shift: float | None
+    """Outward shift of the profile (m), in place of its own; None: its own."""
     wear: float | None
-    """0 new to 1 worn; None: the scenario's."""
+    """0 new to 1 worn, and 0 for a profile that does not wear; None: the scenario's."""
+    gauge: float | None
+    """Track gauge (m); None: the scenario's."""
     friction: float | None
     """Coefficient of friction; None: the scenario's."""
     payload: float
@@ -102,9 +111,11 @@ def draw_episode(
     episode : int
         Number of the episode, 0 or more.
     options : mapping, optional
-        Quantities to fix; the other draws stay as they are. ``speed_kmh`` (km/h), ``wear`` (0 to 1) or
-        ``profile`` ("new", "worn"), ``friction``, ``payload``, ``initial_current``, ``track`` (name, or path
-        to a YAML file: its irregularities) and ``track_scale``, ``faults`` (a list as for `parse_faults`).
+        Quantities to fix; the other draws stay as they are. ``speed_kmh`` (km/h), ``profile`` ("new", "worn":
+        the scenario's own at wear 0 or 1; otherwise the name of a wheel profile or the path of a YAML file,
+        unworn unless ``wear`` says more), ``wear`` (0 to 1; above 0 a profile is drawn that wears), ``gauge``
+        (m), ``friction``, ``payload``, ``initial_current``, ``track`` (name, or path to a YAML file: its
+        irregularities) and ``track_scale``, ``faults`` (a list as for `parse_faults`).
 
     Raises
     ------
@@ -124,11 +135,25 @@ def draw_episode(
     bias, noise = _sensor_errors(config, sequence)
     faults = () if config.faults is None else _drawn_faults(config.faults, config.sensors, sequence)
     track = _drawn_track(drawn_from.tracks, fixed, uniform)
+    # A wear that is not drawn, the option's or the study's, is to act.
+    worn = fixed.numbers.get("wear", 1.0 if drawn_from.wear is None else 0.0) > 0.0
+    profile = _drawn_profile(drawn_from.profiles, fixed, uniform, worn=worn)
+    if not profile.wears:
+        if fixed.numbers.get("wear", 0.0) > 0.0:
+            raise ConfigError(
+                f"options: wear: found {fixed.numbers['wear']:g}; wheel profile '{profile.name}' does not "
+                "say how it wears: expected 0"
+            )
+        drawn["wear"] = 0.0
     return Episode(
         seed=seed,
         number=episode,
         speed=drawn["speed_kmh"] / 3.6,
+        profile=profile.name,
+        wheel=profile.wheel,
+        wheel_shift=profile.shift,
         wear=drawn.get("wear"),
+        gauge=drawn.get("gauge"),
         friction=drawn.get("friction"),
         payload=drawn["payload"],
         initial_current=drawn["initial_current"],
@@ -176,8 +201,14 @@ def episode_scenario(base: Scenario, episode: Episode) -> Scenario:
         _check_scalable(irregularity, episode.track)
         content = dict(irregularity) | {"scale": episode.track_scale}
         irregularity = validate(type(irregularity), content, "track_scale")
-    if irregularity != base.track.irregularity:
-        changes["track"] = base.track.model_copy(update={"irregularity": irregularity})
+    gauge = base.track.gauge if episode.gauge is None else episode.gauge
+    if (irregularity, gauge) != (base.track.irregularity, base.track.gauge):
+        changes["track"] = base.track.model_copy(update={"irregularity": irregularity, "gauge": gauge})
+    wheel = base.wheel if episode.wheel is None else episode.wheel
+    if episode.wheel_shift is not None:
+        wheel = wheel.model_copy(update={"shift": episode.wheel_shift})
+    if wheel != base.wheel:
+        changes["wheel"] = wheel
     if changes:
         base = validate(Scenario, dict(base) | changes, "episode")
     return scaled(base, _factors(base, episode))
@@ -241,6 +272,48 @@ def _drawn_track(classes: tuple[TrackClass, ...], fixed: EpisodeOptions, uniform
     if irregularity is not None and scale is not None:
         _check_scalable(irregularity, name)
     return _Track(name, irregularity, scale)
+
+
+@dataclass(frozen=True)
+class _Profile:
+    name: str | None = None
+    wheel: WheelProfileConfig | None = None
+    shift: float | None = None
+
+    @property
+    def wears(self) -> bool:
+        """Whether its treads can be worn, so far as that is known without the scenario."""
+        return self.wheel is None or self.wheel.wear is not None
+
+
+def _drawn_profile(
+    classes: tuple[ProfileClass, ...], fixed: EpisodeOptions, uniform: _Uniform, *, worn: bool
+) -> _Profile:
+    """Wheel profile, one that wears if it is to be worn; one that an option names has its own shift."""
+    if fixed.profile is not None:
+        own = fixed.profile in PROFILES
+        return _Profile() if own else _Profile(fixed.profile, _wheel(fixed.profile))
+    if not classes:
+        return _Profile()
+    found = [
+        _Profile(each.name, None if each.name is None else _wheel(each.name), each.shift) for each in classes
+    ]
+    weights, u = [each.weight for each in classes], uniform("profiles")
+    drawn = found[int(chosen(weights, u))]
+    if worn and not drawn.wears:
+        able = [weight * profile.wears for weight, profile in zip(weights, found, strict=True)]
+        drawn = found[int(chosen(able, u))] if any(able) else drawn
+    return drawn
+
+
+def _wheel(name: str) -> WheelProfileConfig:
+    # A packaged profile stays as it is, a user's file may be edited between episodes.
+    return load_wheel(name) if is_path(name) else _packaged_wheel(name)
+
+
+@lru_cache(maxsize=64)
+def _packaged_wheel(name: str) -> WheelProfileConfig:
+    return load_wheel(name)
 
 
 def _check_scalable(irregularity: IrregularityConfig, name: str | None) -> None:

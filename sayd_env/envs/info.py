@@ -58,10 +58,14 @@ def episode_info(batch: EpisodeBatch, i: int) -> dict[str, Any]:
     """Conditions of a vehicle's episode."""
     episode, scenario = batch.episodes[i], batch.scenario
     assert episode is not None  # the reset has set it
+    wheel = scenario.wheel if episode.wheel is None else episode.wheel
     return {
         "seed": episode.seed,
         "episode": episode.number,
         "speed_kmh": episode.speed * 3.6,
+        "profile": wheel.name if episode.profile is None else episode.profile,
+        "wheel_shift": wheel.shift if episode.wheel_shift is None else episode.wheel_shift,
+        "gauge": scenario.track.gauge if episode.gauge is None else episode.gauge,
         "wear": scenario.wear if episode.wear is None else episode.wear,
         "friction": scenario.friction if episode.friction is None else episode.friction,
         "track": "of the study" if episode.track is None else episode.track,

@@ -8,17 +8,16 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from sayd_env.config import ConfigError, nearest, validate
-from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, load_environment
+from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, fixed_by, load_environment
 from sayd_env.config.explain import shown
-from sayd_env.config.scenario import CostConfig, Scenario
+from sayd_env.config.reward import RewardConfig, named_rewards
+from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
 from sayd_env.envs.episode_batch import environment_scenario
 from sayd_env.envs.options import checked_number, number
 
 INFOS = ("basic", "full")
 """Levels of `info`."""
-REWARDS: Mapping[str, tuple[float, float] | None] = {"mppt1": (1.0, 0.0), "mppt2": None}
-"""Weights (k_y, k_F) by name; None: those of the study."""
 RENDER_MODES = ("rgb_array", "human")
 
 
@@ -49,8 +48,8 @@ def configured(
     damper, valves, observation, history, control_period, episode_s
         In place of the environment's own; see `EnvironmentConfig`.
     reward : str, pair or mapping, optional
-        ``"mppt1"``, ``"mppt2"``, ``(k_y, k_F)`` or ``{"k_y": ..., "k_F": ...}``; by default the study's
-        weights, which are those of ``"mppt2"``.
+        ``"mppt1"``, ``"mppt2"``, ``"low-force"``, ``(k_y, k_F)`` or ``{"k_y": ..., "k_F": ...}``; by default
+        the study's weights, which are those of ``"mppt2"``.
     sensors : str or SensorsConfig, optional
         Name of a set of sensors, or a path to a YAML file.
     speed_kmh : float, optional
@@ -83,9 +82,7 @@ def configured(
             f"'{config.damper}'; give damper='{scenario.damper.type}' too"
         )
     if weights is not None:
-        content = {"acceleration_weight": weights[0], "force_weight": weights[1]}
-        cost = validate(CostConfig, dict(scenario.cost) | content, "keywords")
-        scenario = scenario.model_copy(update={"cost": cost})
+        scenario = scenario.model_copy(update={"cost": weights.of(scenario.cost)})
     return config, scenario
 
 
@@ -142,33 +139,29 @@ def _randomisation(
     drawn: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
 ) -> RandomisationConfig:
     """Distributions of an environment without those of what a keyword fixes."""
-    fixed: dict[str, Any] = {}
-    if speed_kmh is not None:
-        fixed["speed_kmh"] = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
-    for item in assignments:
-        key = item.partition("=")[0].strip()
-        if key in ("wear", "friction"):
-            fixed[key] = None
-        elif key == "track" or key.startswith("track.irregularity"):
-            fixed["tracks"] = ()
-    return validate(RandomisationConfig, dict(drawn) | fixed, "keywords") if fixed else drawn
+    left = drawn.without(fixed_by(item.partition("=")[0].strip() for item in assignments))
+    if speed_kmh is None:
+        return left
+    speed = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
+    return validate(RandomisationConfig, dict(left) | {"speed_kmh": speed}, "keywords")
 
 
-def _weights(reward: Any) -> tuple[float, float] | None:
-    """k_y and k_F; None for those of the study."""
+def _weights(reward: Any) -> RewardConfig | None:
+    """Weights of the cost; None for those of the study."""
     if reward is None:
         return None
-    if isinstance(reward, str) and reward in REWARDS:
-        return REWARDS[reward]
+    known = named_rewards()
+    if isinstance(reward, str) and reward in known:
+        return known[reward]
     pair = reward.tolist() if isinstance(reward, np.ndarray) else reward
     if isinstance(reward, Mapping) and set(reward) == {"k_y", "k_F"}:
         pair = (reward["k_y"], reward["k_F"])
     if isinstance(pair, Sequence) and not isinstance(pair, str) and len(pair) == 2:
         k_y, k_f = number(pair[0]), number(pair[1])
         if k_y is not None and k_f is not None and min(k_y, k_f) >= 0.0 and max(k_y, k_f) > 0.0:
-            return k_y, k_f
-    close = nearest(reward, REWARDS) if isinstance(reward, str) else ""
+            return RewardConfig(k_y=k_y, k_F=k_f)
+    close = nearest(reward, known) if isinstance(reward, str) else ""
     raise ConfigError(
-        f"reward: found {shown(reward)}{close}; expected 'mppt1', 'mppt2', (k_y, k_F) or "
+        f"reward: found {shown(reward)}{close}; expected {', '.join(map(repr, known))}, (k_y, k_F) or "
         "{'k_y': ..., 'k_F': ...}, weights of 0 or more of which one is positive"
     )

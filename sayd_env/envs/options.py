@@ -14,11 +14,12 @@ from sayd_env.config import ConfigError, nearest
 from sayd_env.config.environment import LIMITS
 from sayd_env.config.explain import shown
 from sayd_env.config.fault import Fault, parse_faults
+from sayd_env.config.loader import is_path, packaged_names
 from sayd_env.config.units import Array
 
 PROFILES = {"new": 0.0, "worn": 1.0}
-"""Names of the two ends of wear."""
-NUMBERS = ("speed_kmh", "wear", "friction", "payload", "initial_current")
+"""Names of the two ends of wear, of the study's own wheel profile."""
+NUMBERS = ("speed_kmh", "wear", "friction", "gauge", "payload", "initial_current")
 """Quantities of an episode that have a distribution of their own, and an option of the same name."""
 LARGEST = 2**63 - 1
 """No whole number of a user's is larger."""
@@ -31,6 +32,8 @@ class EpisodeOptions:
 
     numbers: dict[str, float]
     """Some of `NUMBERS`, within `LIMITS`."""
+    profile: str | None
+    """One of `PROFILES`, or name of a wheel profile, or a path."""
     track: str | None
     """Name of a track, or a path."""
     track_scale: float | None
@@ -61,12 +64,14 @@ def checked_options(options: Mapping[str, Any] | None) -> EpisodeOptions:
             close = nearest(key, OPTIONS) if isinstance(key, str) else ""
             raise ConfigError(f"options: unknown key {shown(key)}{close}; allowed: {known}")
     numbers = {name: checked_number(name, given[name], "options: ") for name in NUMBERS if name in given}
-    if "profile" in given:
-        if "wear" in numbers:
-            raise ConfigError("options: wear and profile set the same quantity: give one of them")
-        numbers["wear"] = _profile(given["profile"])
+    profile = _profile(given["profile"]) if "profile" in given else None
+    if profile in PROFILES and "wear" in numbers:
+        raise ConfigError(f"options: wear and profile '{profile}' set the same quantity: give one of them")
+    if profile is not None:
+        numbers.setdefault("wear", PROFILES.get(profile, 0.0))
     return EpisodeOptions(
         numbers=numbers,
+        profile=profile,
         track=_track(given["track"]) if "track" in given else None,
         track_scale=checked_number("track_scale", given["track_scale"], "options: ")
         if "track_scale" in given
@@ -141,11 +146,14 @@ def checked_number(name: str, value: Any, place: str = "") -> float:
     raise ConfigError(f"{place}{name}: found {shown(value)}; expected a number from {allowed}")
 
 
-def _profile(value: Any) -> float:
-    if not isinstance(value, str) or value not in PROFILES:
-        close = nearest(value, PROFILES) if isinstance(value, str) else ""
-        raise ConfigError(f"options: profile: found {shown(value)}{close}; expected {' or '.join(PROFILES)}")
-    return PROFILES[value]
+def _profile(value: Any) -> str:
+    known = (*PROFILES, *packaged_names("profile"))
+    if isinstance(value, str) and (value in known or is_path(value)):
+        return value
+    close = nearest(value, known) if isinstance(value, str) else ""
+    raise ConfigError(
+        f"options: profile: found {shown(value)}{close}; expected {', '.join(known)} or a path to a YAML file"
+    )
 
 
 def _track(value: Any) -> str:

@@ -87,13 +87,14 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
 
     **Episodes.** ``reset(seed=s)`` begins episode 0 of seed s, ``reset()`` the next episode of the same seed.
     Episode k is drawn from [s, k] alone: it does not depend on those before.
-    ``reset(options={...})`` fixes some of ``speed_kmh, wear, profile, friction, payload, initial_current,
-    track, track_scale, faults``.
+    ``reset(options={...})`` fixes some of ``speed_kmh, profile, wear, gauge, friction, payload,
+    initial_current, track, track_scale, faults``.
 
     **Info.** Each step ``cost_acceleration`` and ``cost_force`` (the two squares of the cost, unweighted,
     means of the bogies), ``dominant_frequency`` (2, Hz); ``ending`` where the run was terminated. `reset`
-    reports ``seed, episode, speed_kmh, wear, friction, track, faults``. With ``info="full"`` also, at the end
-    of the period: ``damper_force`` (8, N), ``track_shift_force`` (4, N), ``wheel_lateral_force`` and
+    reports ``seed, episode, speed_kmh, profile, wheel_shift, wear, gauge, friction, track, faults``. With
+    ``info="full"`` also, at the end of the period: ``damper_force`` (8, N), ``track_shift_force`` (4, N),
+    ``wheel_lateral_force`` and
     ``wheel_vertical_force`` (8, N, on the rails; left and right in turn), ``valve_current`` and
     ``valve_command`` (8), ``hydraulic_flow`` (8, m3/s: what the pistons displace) and ``hydraulic_power``
     (8, W: what they put into the oil), and EN 14363's values of the last 100 m behind the on-line filter,
@@ -115,7 +116,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     history : int, optional
         Vectors in a ``history``.
     reward : str, pair or mapping, optional
-        ``"mppt1"``, ``"mppt2"`` (the study's weights, as by default), ``(k_y, k_F)`` or
+        ``"mppt1"``, ``"mppt2"`` (as the study by default), ``"low-force"``, ``(k_y, k_F)`` or
         ``{"k_y": ..., "k_F": ...}``.
     control_period : float, optional
         s; a whole number of milliseconds that divides a second.

@@ -12,8 +12,10 @@ import numpy.typing as npt
 
 from sayd_env.config import StudyError
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.config.scenario import Scenario
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.units import KMH, Array
+from sayd_env.envs.cost import charged
 from sayd_env.envs.loop import (
     BOGIES,
     LOG_ACCELERATION,
@@ -87,6 +89,15 @@ class Row:
     duration_s: float = math.nan
     """From step 0 to the end of the run."""
 
+    def lost(self, seconds: float) -> float:
+        """Share of so many seconds from step 0 on that an early end has cut off."""
+        return 0.0 if self.ending is None else max(1.0 - self.duration_s / seconds, 0.0)
+
+    def cost(self, environment: EnvironmentConfig, weights: CostConfig) -> float:
+        """J over the episode of the environment that ran, on-line filter, with other weights."""
+        lost = self.lost(environment.episode_s)
+        return float(charged(environment, weights, self.J_acceleration, self.J_force, lost))
+
 
 def rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:
     """Make runs, or take them from the cache, and judge them; `what` names them where progress is reported.
@@ -105,6 +116,36 @@ def rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:
 def judged(runs: list[Run]) -> list[Row]:
     """Make runs that are companions, and judge them."""
     return [policy_row(run, rollout) for run, rollout in zip(runs, roll_out_runs(runs), strict=True)]
+
+
+@dataclass(frozen=True)
+class CostParts:
+    """Cost of an episode whose weights are still open."""
+
+    acceleration: float
+    """Mean of (psi_y / y_lim)^2, on-line filter."""
+    force: float
+    """Mean of (psi_F / F_max)^2."""
+    lost: float
+    """Share of the episode that a derailment has cut off."""
+
+
+def cost_parts(runs: list[Run]) -> list[CostParts]:
+    """Make runs that are companions over the episode of their environment, and take the parts of their J.
+
+    Raises
+    ------
+    StudyError
+        A run that diverged.
+    """
+    found = []
+    for run, rollout in zip(runs, roll_out_runs(runs, episode=True), strict=True):
+        if rollout.ending is not None:
+            _refuse_divergence(rollout)
+        cost = rollout.episode_cost(run.environment, run.scenario)
+        share = len(rollout.terms) * rollout.control_period / run.environment.episode_s
+        found.append(CostParts(cost.acceleration, cost.force, max(1.0 - share, 0.0)))
+    return found
 
 
 def policy_row(run: Run, rollout: Rollout) -> Row:

@@ -44,8 +44,14 @@ class Run:
         return id(self.policy), id(self.scenario), id(self.environment), self.initial_current
 
 
-def roll_out_runs(runs: Sequence[Run]) -> list[Rollout]:
+def roll_out_runs(runs: Sequence[Run], *, episode: bool = False) -> list[Rollout]:
     """Run-in and assessed length of runs that are companions, on one thread.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    episode : bool
+        The environment's episode in place of the assessed length.
 
     Raises
     ------
@@ -63,7 +69,7 @@ def roll_out_runs(runs: Sequence[Run]) -> list[Rollout]:
         )
         for run in runs
     ]
-    steps = [assessed_steps(config, first.scenario, run.speed) for run in runs]
+    steps = [batch.steps if episode else assessed_steps(config, first.scenario, run.speed) for run in runs]
     return roll_out(batch, first.policy.make(batch), episodes, steps)
 
 
@@ -127,13 +133,10 @@ def policy_runs(
 
 
 def environment_of(scenario: Scenario, environment: EnvironmentConfig) -> EnvironmentConfig:
-    """Environment whose wear, friction, track and run-in are those of a scenario, none of them drawn."""
-    distributions = environment.randomisation.model_copy(
-        update={"wear": None, "friction": None, "tracks": ()}
-    )
+    """Environment whose wheels, friction, track and run-in are those of a scenario, none of them drawn."""
     return environment.model_copy(
         update={
-            "randomisation": distributions,
+            "randomisation": environment.randomisation.without(),
             "damper": scenario.damper.type,
             "run_in": scenario.assessment.run_in,
         }

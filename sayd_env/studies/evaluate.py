@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.palette import policy_style
-from sayd_env.config.scenario import Scenario
+from sayd_env.config.reward import REPORTED, reported_costs
+from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.units import Array
-from sayd_env.envs.keywords import REWARDS
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
 from sayd_env.runs.context import RunContext
@@ -48,6 +47,8 @@ class OperatingPoint(NamedTuple):
     speed_kmh: float
 
 
+_REPORTED = tuple(Column(column, f"J {name}", digits=4, best=True) for column, name in REPORTED.items())
+"""J by other weights than the evaluation's; those that it has are left out."""
 _WHO = (
     Column("policy", "policy"),
     Column("wear", "wear", wide=True),
@@ -56,6 +57,7 @@ _WHO = (
 )
 _COST_COLUMNS = (
     Column("J", "J", digits=4, best=True),
+    *_REPORTED,
     Column("J_acceleration", "acceleration", digits=4, best=True, wide=True),
     Column("J_force", "force", digits=4, best=True, wide=True),
     Column("J_offline", "J off-line", digits=4, best=True),
@@ -74,24 +76,26 @@ _DAMPER_COLUMNS = (
 _POLICY_COLUMNS = (
     Column("policy", "policy"),
     Column("J", "J", digits=4, best=True),
+    *_REPORTED,
     Column("J_offline", "J off-line", digits=4, best=True),
     Column("largest_ratio", "largest ratio", digits=2, best=True, limit=1.0, infinite=DERAILED),
-    Column("force_rms_n", "force", "kN", 1e-3, 2, best=True),
-    Column("comfort", "N_MV", digits=2, best=True),
+    Column("force_rms_n", "force", "kN", 1e-3, 2, best=True, wide=True),
+    Column("comfort", "N_MV", digits=2, best=True, wide=True),
     Column("derailed", "derailed", limit=0.0),
     Column("runs", "runs"),
 )
 _MEDIANS = tuple(Column(name) for name in ("policy", *OperatingPoint._fields, *AVERAGED, "derailed"))
-_PANELS = (
-    (_COST_COLUMNS[0], "J, on-line filter"),
-    (_COST_COLUMNS[4], "acceleration, RMS over limit"),
-    (_COST_COLUMNS[1], "acceleration's part of J, unweighted"),
-    (_COST_COLUMNS[5], "track shift force, RMS over limit"),
-    (_COST_COLUMNS[2], "force's part of J, unweighted"),
-    (_DAMPER_COLUMNS[0], "yaw damper force, RMS (kN)"),
-    (_COST_COLUMNS[3], "J, off-line filter"),
-    (_COST_COLUMNS[6], "comfort index N_MV"),
-)
+_BY_NAME = {column.name: column for column in (*_COST_COLUMNS, *_DAMPER_COLUMNS)}
+_PANELS = {
+    "J": "J, on-line filter",
+    "acceleration_ratio": "acceleration, RMS over limit",
+    "J_acceleration": "acceleration's part of J, unweighted",
+    "track_shift_ratio": "track shift force, RMS over limit",
+    "J_force": "force's part of J, unweighted",
+    "force_rms_n": "yaw damper force, RMS (kN)",
+    "J_offline": "J, off-line filter",
+    "comfort": "comfort index N_MV",
+}
 """Of the pictures: what is drawn, and how its axis is called."""
 
 
@@ -101,6 +105,16 @@ class EvaluateResult:
 
     scenario: Scenario
     rows: list[Row]
+    environment: EnvironmentConfig = field(default_factory=load_environment)
+
+    @cached_property
+    def reported(self) -> dict[str, CostConfig]:
+        """Other weights by which J is given, too, by column."""
+        return reported_costs(self.scenario.cost)
+
+    def by_weights(self, run: Row) -> dict[str, float]:
+        """J of a run by these weights."""
+        return {column: run.cost(self.environment, cost) for column, cost in self.reported.items()}
 
     @cached_property
     def policies(self) -> tuple[str, ...]:
@@ -122,7 +136,7 @@ class EvaluateResult:
         """Medians over the seeds of each condition and policy, by `_MEDIANS`; NaN for what there is not."""
         return [
             {"policy": policy, "condition": condition, **condition._asdict()}
-            | _over(np.median, runs)
+            | self._over(np.median, runs)
             | {"derailed": _derailed(runs), "runs": len(runs)}
             for condition in self.conditions
             for policy in self.policies
@@ -132,14 +146,18 @@ class EvaluateResult:
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd evaluate --json``."""
         return {
-            "rows": [asdict(row) for row in self.rows],
+            "rows": [asdict(row) | self.by_weights(row) for row in self.rows],
             "summary": {policy: self._summary(policy) for policy in self.policies},
         }
 
     def tables(self) -> dict[str, Table]:
         """All runs, and the medians over the seeds that the printed table shows."""
-        runs = [Column(field.name) for field in fields(Row)]
-        return {"runs": csv_table(runs, self.rows), "medians": csv_table(_MEDIANS, self.medians)}
+        runs = [Column(name) for name in (*(each.name for each in fields(Row)), *self.reported)]
+        medians = [*_MEDIANS, *map(Column, self.reported)]
+        return {
+            "runs": csv_table(runs, self.as_dict()["rows"]),
+            "medians": csv_table(medians, self.medians),
+        }
 
     def plots(self) -> dict[str, Plot]:
         """Cost, ratios, force and comfort over speed by policy, one picture for each wear and friction."""
@@ -160,14 +178,15 @@ class EvaluateResult:
             ("cost (its terms unweighted), limits, comfort", _COST_COLUMNS),
             ("dampers and valves", _DAMPER_COLUMNS),
         ):
-            found = [*who, *columns]
+            found = [*who, *(column for column in columns if self._has(column))]
             print_table(console, f"{about}: {title}", found, self.medians, wide=wide, section="condition")
         policies = [
             {"policy": policy, "runs": len(self.runs(policy)), **self._summary(policy)}
             for policy in self.policies
         ]
         title = f"all {len(self.conditions)} conditions: means over the runs"
-        print_table(console, title, _POLICY_COLUMNS, policies, wide=wide)
+        shown = [column for column in _POLICY_COLUMNS if self._has(column)]
+        print_table(console, title, shown, policies, wide=wide)
         for row in self.medians:
             if row["derailed"]:
                 console.print(
@@ -182,14 +201,24 @@ class EvaluateResult:
         """Means over all runs; the largest median of either ratio; how many runs derailed."""
         largest = max(row[name] for row in self.medians if row["policy"] == policy for name in RATIOS)
         runs = self.runs(policy)
-        return _over(np.mean, runs) | {"largest_ratio": largest, "derailed": float(_derailed(runs))}
+        return self._over(np.mean, runs) | {"largest_ratio": largest, "derailed": float(_derailed(runs))}
+
+    def _has(self, column: Column) -> bool:
+        return column.name not in REPORTED or column.name in self.reported
+
+    def _over(self, statistic: Callable[[Any], Any], runs: Sequence[Row]) -> dict[str, float]:
+        """A statistic of all columns; NaN for what there is not."""
+        values = {name: [getattr(run, name) for run in runs] for name in AVERAGED}
+        values |= {name: [self.by_weights(run)[name] for run in runs] for name in self.reported}
+        return {name: math.nan if None in each else float(statistic(each)) for name, each in values.items()}
 
     def _draw(self, figure: Figure, wear: float, friction: float) -> None:
         figure.suptitle(
             f"{self.scenario.vehicle.name}, wear {wear:g}, friction {friction:g}: medians and seeds"
         )
         axes = panels(figure, len(_PANELS), 2, (5.0, 2.9), sharex=True)
-        for axis, (column, title) in zip(axes, _PANELS, strict=True):
+        for axis, (name, title) in zip(axes, _PANELS.items(), strict=True):
+            column = _BY_NAME[name]
             for policy in self.policies:
                 self._draw_policy(axis, policy, (wear, friction), column)
             axis.set_ylabel(title)
@@ -262,24 +291,7 @@ def evaluate(
     specs = tuple(policies) or (own_policy(scenario),)
     chosen, setup = conditions(scenario, wear, friction), environment or load_environment()
     runs = list(policy_runs(specs, chosen, speeds, seeds, setup, initial_current=initial_current))
-    return EvaluateResult(scenario, rows(runs, context or RunContext()))
-
-
-def with_reward(scenario: Scenario, reward: str) -> Scenario:
-    """Scenario whose cost has the weights of a named reward, as the keyword ``reward`` of the environment.
-
-    Raises
-    ------
-    ConfigError
-        An unknown name.
-    """
-    if reward not in REWARDS:
-        raise ConfigError(f"--reward {reward}: expected {' or '.join(REWARDS)}")
-    weights = REWARDS[reward]
-    if weights is None:
-        return scenario
-    cost = scenario.cost.model_copy(update={"acceleration_weight": weights[0], "force_weight": weights[1]})
-    return scenario.model_copy(update={"cost": cost})
+    return EvaluateResult(scenario, rows(runs, context or RunContext()), setup)
 
 
 def _condition(row: Row) -> OperatingPoint:
@@ -288,8 +300,3 @@ def _condition(row: Row) -> OperatingPoint:
 
 def _derailed(runs: Sequence[Row]) -> int:
     return sum(row.ending is not None for row in runs)
-
-
-def _over(statistic: Callable[[Any], Any], rows: Sequence[Row]) -> dict[str, float]:
-    values = {name: [getattr(row, name) for row in rows] for name in AVERAGED}
-    return {name: math.nan if None in column else float(statistic(column)) for name, column in values.items()}

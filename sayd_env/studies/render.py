@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -196,13 +196,6 @@ def render(
 
     write_video(video.file, _pictures(result, policy, recorder, renderer, progress), video.fps, colours())
     return result
-
-
-def with_fixed(environment: EnvironmentConfig, names: Sequence[str]) -> EnvironmentConfig:
-    """Environment that draws no ``wear``, ``friction`` or ``tracks`` but leaves them to the scenario."""
-    fixed: dict[str, Any] = {name: () if name == "tracks" else None for name in names}
-    drawn = environment.randomisation.model_copy(update=fixed)
-    return environment.model_copy(update={"randomisation": drawn})
 
 
 def _check(video: Video, control_period: float) -> None:

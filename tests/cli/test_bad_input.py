@@ -149,13 +149,10 @@ def test_bad_pictures_are_refused(arguments: list[str], message: str, refused: R
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--condition-speeds", ""], "--condition-speeds an empty place: expected a finite number"),
-        (["--condition-speeds", "900"], "speed 900 km/h is outside the range of vehicle 'emu-estimate'"),
+        (["--conditions", "mapp"], "unknown study 'mapp', did you mean 'map'?"),
+        (["--conditions", "heldout"], "configs/study/heldout.yaml: "),
         (["--speeds", "300,900"], "speed 900 km/h is outside the range of vehicle 'emu-estimate'"),
-        (
-            ["--condition-speeds", "300", "--no-constants"],
-            "--condition-speeds: are those of the best constant",
-        ),
+        (["--conditions", "map", "--no-constants"], "--conditions: are those of the best constant commands"),
     ],
 )
 def test_bad_maps_are_refused_before_any_work(arguments: list[str], message: str, refused: Refused):

@@ -28,7 +28,7 @@ OFFERED = {
     "modes": {*VEHICLE, *SHOWN, "speeds", "amplitude"},
     "assess": {*CONFIG, *SHOWN, "speed", "sample-rate", "column", "run-in"},
     "evaluate": {*GRID, *RUNS, *SHOWN, "initial-current", "seed", "seeds"},
-    "map": {*GRID, *RUNS, *SHOWN, "condition-speeds", "constants", "quick", "seed", "seeds"},
+    "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"},
     "compare": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick", "seed"},
     "render": {*VEHICLE, *SHOWN, *FOREIGN, "policy", "speed", "environment", "seconds", "fps", "file"}
     | {"exaggeration", "seed"},

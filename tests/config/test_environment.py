@@ -10,7 +10,7 @@ import pytest
 from sayd_env.config import ConfigError, packaged_names
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.distribution import FixedDistribution, UniformDistribution
-from sayd_env.config.environment import EnvironmentConfig, load_environment
+from sayd_env.config.environment import OF_THE_SCENARIO, EnvironmentConfig, fixed_by, load_environment
 from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import load_scenario
 
@@ -83,9 +83,29 @@ def test_randomised_conditions_span_speeds_wear_and_tracks():
     assert laws.wear is not None
     assert laws.wear.bounds == (0.0, 1.0)
     assert {track.name for track in laws.tracks} == {"german_low", "german_high", "china"}
+    assert {(profile.name, profile.shift) for profile in laws.profiles} == {
+        (None, None),
+        (None, 1e-3),
+        ("lma", None),
+    }
+    assert laws.gauge is not None
+    assert laws.gauge.bounds == (1.432, 1.440)
+    assert load_environment("training").randomisation.profiles == laws.profiles
     for group in laws.tolerances.values():
         low, high = group.factor.bounds
         assert low < 1.0 < high
+
+
+def test_what_assignments_to_a_scenario_fix_is_not_drawn():
+    laws = load_environment("randomized").randomisation
+    keys = ("wear", "wheel.shift", "track.irregularity.scale", "vehicle.bodies.frame.mass")
+    assert fixed_by(keys) == {"wear", "profiles", "tracks"}
+    assert fixed_by(["track"]) == {"gauge", "tracks"}
+    left = laws.without(fixed_by(keys))
+    assert (left.wear, left.profiles, left.tracks) == (None, (), ())
+    assert (left.friction, left.gauge, left.tolerances) == (laws.friction, laws.gauge, laws.tolerances)
+    every = laws.without()
+    assert [getattr(every, name) for name in OF_THE_SCENARIO] == [None, (), None, None, ()]
 
 
 def test_every_tolerance_leads_to_numbers_of_the_study():
@@ -188,6 +208,10 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
         ("randomisation.tracks.0.name=chna", "unknown track 'chna', did you mean 'china'?"),
         ("randomisation.tracks=[{name: smooth, scale: {law: fixed, value: 1}}]", "has nothing to scale"),
         ("randomisation.tracks=[{name: china, weight: 0}]", "at least one weight must be positive"),
+        ("randomisation.profiles=[{name: lma, weight: 0}]", "at least one weight must be positive"),
+        ("randomisation.profiles.0.name=lmaa", "unknown profile 'lmaa', did you mean 'lma'?"),
+        ("randomisation.profiles.0.shift=0.1", "shift: found 0.1"),
+        ("randomisation.gauge={law: fixed, value: 1435}", "the distribution reaches from 1435"),
         ("randomisation.tolerances.frames.keys=[vehcle.x]", "begins with 'vehcle', did you mean 'vehicle'?"),
         (
             "randomisation.tolerances.frames.factor.low=0",

@@ -15,6 +15,7 @@ from scipy import stats
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.fault import SensorBiased, SensorNoisy, ValveStuck
+from sayd_env.config.profile import load_wheel
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import SIGNALS
 from sayd_env.config.track import SpectrumConfig, read_track
@@ -185,14 +186,36 @@ def test_a_law_that_is_exchanged_shifts_no_other_draw():
     for k in range(5):
         found = differing(draw_episode(FAULTY, 1, k), draw_episode(other, 1, k))
         assert found <= {"wear", "friction", "tolerances", "sensor_bias"}
+    fewer = load_environment("faults", ["randomisation.profiles=[]", "randomisation.gauge=null"])
+    for k in range(20):
+        found = differing(draw_episode(FAULTY, 1, k), draw_episode(fewer, 1, k))
+        assert found <= {"profile", "wheel", "wheel_shift", "gauge", "wear"}
+
+
+def test_profiles_come_by_their_weights_and_wear_if_they_can():
+    counts = Counter((episode.profile, episode.wheel_shift) for episode in MANY)
+    expected = {(None, None): 600, (None, 1e-3): 200, ("lma", None): 200}
+    assert set(counts) == set(expected)
+    assert stats.chisquare([counts[k] for k in expected], list(expected.values())).pvalue > 0.001
+    for episode in MANY:
+        assert (episode.wheel is None) == (episode.profile is None)
+        assert episode.profile is None or episode.wear == 0.0
+    assert len({episode.wear for episode in MANY}) == 21
+
+
+def test_the_gauge_lies_on_a_grid_of_millimetres():
+    counts = Counter(episode.gauge for episode in MANY)
+    assert sorted(counts) == [round(1.432 + 0.001 * k, 3) for k in range(9)]
+    assert stats.chisquare(list(counts.values())).pvalue > 0.001
 
 
 # Options
 
 OPTIONS: dict[str, tuple[Any, set[str]]] = {
     "speed_kmh": (250, {"speed"}),
-    "wear": (0.33, {"wear"}),
-    "profile": ("worn", {"wear"}),
+    "wear": (0.33, {"wear"}),  # the four profiles can have it
+    "profile": ("worn", {"wear", "wheel_shift"}),  # the study's own, of which two are shifted
+    "gauge": (1.4375, {"gauge"}),
     "friction": (0.31, {"friction"}),
     "payload": (0.1, {"payload"}),
     "initial_current": (1.0, {"initial_current"}),
@@ -223,6 +246,32 @@ def test_options_are_taken_as_they_are():
     assert differing(draw_episode(NOMINAL, 0, 0, {}), draw_episode(NOMINAL, 0, 0)) == set()
 
 
+def test_a_profile_is_a_name_a_path_or_an_end_of_wear(tmp_path: Path):
+    packaged = draw_episode(RANDOMISED, 0, 0, {"profile": "lma"})
+    assert (packaged.profile, packaged.wheel, packaged.wear) == ("lma", load_wheel("lma"), 0.0)
+    worn = draw_episode(RANDOMISED, 0, 0, {"profile": "s1002cn", "wear": 0.5})
+    assert (worn.wheel, worn.wheel_shift, worn.wear) == (load_wheel("s1002cn"), None, 0.5)
+    path = tmp_path / "own.yaml"
+    for shift in ("2.0e-3", "2.5e-3"):  # read again for each episode
+        path.write_text(f"base: s1002cn\nshift: {shift}\n")
+        wheel = draw_episode(NOMINAL, 0, 0, {"profile": str(path)}).wheel
+        assert wheel is not None
+        assert wheel.shift == float(shift)
+    for seed in range(20):  # an end of wear is that of the study's own profile
+        episode = draw_episode(RANDOMISED, seed, 0, {"profile": "new"})
+        assert (episode.profile, episode.wheel, episode.wheel_shift, episode.wear) == (None, None, None, 0.0)
+
+
+def test_a_wear_is_that_of_a_profile_which_wears():
+    drawn = [draw_episode(RANDOMISED, seed, 0) for seed in range(40)]
+    fixed = [draw_episode(RANDOMISED, seed, 0, {"wear": 0.5}) for seed in range(40)]
+    assert {episode.profile for episode in drawn} == {None, "lma"}
+    assert {(episode.profile, episode.wear) for episode in fixed} == {(None, 0.5)}
+    for before, after in zip(drawn, fixed, strict=True):
+        assert before.profile is not None or before.wheel_shift == after.wheel_shift
+    assert {draw_episode(RANDOMISED, seed, 0, {"wear": 0}).profile for seed in range(40)} == {None, "lma"}
+
+
 def test_a_track_file_is_read_again_for_each_episode(tmp_path: Path):
     text = (Path(__file__).parents[2] / "configs/track/sine.yaml").read_text(encoding="utf-8")
     path = tmp_path / "line.yaml"
@@ -251,9 +300,13 @@ def test_a_track_file_is_read_again_for_each_episode(tmp_path: Path):
         ({"payload": 2}, "payload: found 2; expected a number from -0.5 to 0.5"),
         ({"initial_current": 1.01}, "initial_current: found 1.01; expected a number from 0 to 1"),
         ({"track_scale": 6}, "track_scale: found 6; expected a number from 0 to 5"),
-        ({"profile": "wron"}, "profile: found 'wron', did you mean 'worn'?; expected new or worn"),
-        ({"profile": 1}, "profile: found 1; expected new or worn"),
-        ({"profile": "new", "wear": 0.5}, "wear and profile set the same quantity: give one of them"),
+        ({"profile": "wron"}, "profile: found 'wron', did you mean 'worn'?; expected new, worn, "),
+        ({"profile": 1}, "profile: found 1; expected new, worn, "),
+        ({"profile": "cn60"}, "cn60.yaml: is a rail profile; as wheel are available: "),
+        ({"profile": "nowhere.yaml"}, "nowhere.yaml: no such file"),
+        ({"profile": "new", "wear": 0.5}, "wear and profile 'new' set the same quantity: give one of them"),
+        ({"profile": "lma", "wear": 0.5}, "wear: found 0.5; wheel profile 'lma' does not say how it wears"),
+        ({"gauge": 1435}, "gauge: found 1435; expected a number from 0.9 to 1.7 m"),
         ({"track": "chna"}, "unknown track 'chna', did you mean 'china'?; available: "),
         ({"track": None}, "track: found None; expected the name of a track or a path"),
         ({"track": "nowhere.yaml"}, "nowhere.yaml: no such file"),
@@ -358,8 +411,17 @@ def test_conditions_arrive_in_the_scenario():
     assert scenario.damper.type == BASE.damper.type == "sayd"
     ratio = scenario.damper.oil.bulk_modulus / BASE.damper.oil.bulk_modulus
     assert ratio == pytest.approx(episode.tolerances["sayd.oil.bulk_modulus"], rel=1e-15)
-    assert scenario.wheel is BASE.wheel
-    assert scenario.track.gauge == BASE.track.gauge
+    assert scenario.wheel == BASE.wheel.model_copy(update={"shift": episode.wheel_shift or BASE.wheel.shift})
+    assert scenario.track.gauge == episode.gauge
+
+
+def test_a_profile_and_a_gauge_arrive_in_the_scenario():
+    scenario = episode_scenario(BASE, draw_episode(NOMINAL, 0, 0, {"profile": "lma", "gauge": 1.44}))
+    assert (scenario.wheel, scenario.wear, scenario.track.gauge) == (load_wheel("lma"), 0.0, 1.44)
+    assert scenario.track.irregularity == BASE.track.irregularity
+    flatter = load_environment("nominal", ["randomisation.profiles=[{shift: 0.001}]"])
+    wheel = episode_scenario(BASE, draw_episode(flatter, 0, 0)).wheel
+    assert wheel == BASE.wheel.model_copy(update={"shift": 1e-3})
 
 
 def test_every_drawn_scenario_is_allowed_with_both_kinds_of_damper():

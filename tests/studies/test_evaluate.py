@@ -21,6 +21,7 @@ from sayd_env import baselines
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import load_environment
+from sayd_env.config.reward import with_reward
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import RUN_OUT, Simulator, Telemetry, VehicleModel
@@ -29,7 +30,7 @@ from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.runs.metrics import switchings
 from sayd_env.runs.passive import assessed_run
 from sayd_env.runs.policies import policy_spec
-from sayd_env.studies.evaluate import AVERAGED, EvaluateResult, Row, evaluate, with_reward
+from sayd_env.studies.evaluate import AVERAGED, EvaluateResult, Row, evaluate
 
 Array = npt.NDArray[np.float64]
 SPEED = 360 / 3.6
@@ -127,22 +128,29 @@ def episode(policy: str, seed: int, **keywords: Any) -> float:
     return total
 
 
-@pytest.mark.parametrize("reward", ["mppt1", "mppt2"])
+@pytest.mark.parametrize("reward", ["mppt1", "mppt2", "low-force"])
 def test_j_is_minus_the_mean_reward_of_the_environment_with_this_seed(reward: str):
     """To 1e-5, for the passive vehicle, a constant current and two controllers; an episode of 4 s."""
     names = ("passive", "constant:0.3", "mppt2", "skyhook-onoff")
-    rows = evaluate(
+    result = evaluate(
         with_reward(load_scenario(overrides=SETTINGS), reward),
         [SPEED],
         [5],
         policies=[policy_spec(name) for name in names],
         environment=load_environment(overrides=["episode_s=4"]),
-    ).rows
-    for name, row in zip(names, rows, strict=True):
+    )
+    for name, row in zip(names, result.rows, strict=True):
         total = episode(name, 5, reward=reward, episode_s=4.0)
         assert pytest.approx(-total / 4.0, rel=1e-5) == row.J, name
-        weight = 0.0 if reward == "mppt1" else 0.5
+        weight = {"mppt1": 0.0, "mppt2": 0.5, "low-force": 2.0}[reward]
         assert pytest.approx(row.J_acceleration + weight * row.J_force, rel=1e-12) == row.J
+        others = {"J_mppt2": 0.5, "J_low_force": 2.0}
+        expected = {
+            column: pytest.approx(row.J_acceleration + k_F * row.J_force, rel=1e-12)
+            for column, k_F in others.items()
+            if k_F != weight
+        }
+        assert result.by_weights(row) == expected
 
 
 def test_a_derailment_is_charged_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -162,6 +170,8 @@ def test_a_derailment_is_charged_and_told(tmp_path: Path, monkeypatch: pytest.Mo
         total = episode("mppt2", row.seed, environment="touchy.yaml")
         assert pytest.approx(-total / 4.0, rel=1e-5) == row.J
         assert row.J > 1.0
+        total = episode("mppt2", row.seed, environment="touchy.yaml", reward="low-force")
+        assert pytest.approx(-total / 4.0, rel=1e-5) == result.by_weights(row)["J_low_force"]
     console = Console(file=io.StringIO(), width=120)
     result.summary(console)
     text = console.file.getvalue()  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Maps over wear and friction: crossings and best currents of made-up costs, runs that are not repeated."""
+"""Maps over wear and friction: crossings of made-up ratios, runs that are not repeated."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from rich.console import Console
 
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
-from sayd_env.config.damper import load_sayd
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import RunContext
@@ -21,29 +20,21 @@ from sayd_env.runs.metrics import Row
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.runs.rollouts import Run
 from sayd_env.studies import map as module
-from sayd_env.studies.map import MapGrid, MapResult, halfway, stability_map
+from sayd_env.studies.map import MapGrid, MapResult, stability_map
 
 GRID = MapGrid(
     wear=(0.0, 1.0),
     friction=(0.2, 0.4),
     speeds=tuple(v / 3.6 for v in (280, 320, 360, 400)),
-    condition_speeds=(350 / 3.6,),
-    refinements=2,
 )
 
 
 def made_up(run: Run) -> Row:
-    """Acceleration reaches its limit at 340 - 40 wear km/h (300 at wear 1), track shift force 20 km/h later.
-
-    J is lowest at the current 0.45 on line, at 0.9 off line.
-    """
+    """Acceleration reaches its limit at 340 - 40 wear km/h, 300 if worn; track shift force 20 km/h later."""
     kmh, wear = run.speed * 3.6, run.scenario.wear
-    current = float(run.policy.parameters.get("current", 0.0))
     ratio = 1.0 + (kmh - (340.0 - 40.0 * wear)) / 100.0 + 0.01 * (run.seed - 1)
     others = dict.fromkeys((field.name for field in fields(Row)), 0.0) | {"ending": None}
     made: dict[str, Any] = {
-        "J": (current - 0.45) ** 2,
-        "J_offline": (current - 0.9) ** 2 + 1.0,
         "acceleration_ratio": ratio,
         "track_shift_ratio": ratio - 0.2,
     }
@@ -88,39 +79,8 @@ def test_the_interval_of_the_crossing_is_halved(
     assert len(runs) == len(set(runs))
 
 
-def test_the_best_current_is_found_to_a_sixteenth(result: MapResult):
-    for entry in result.best:
-        assert entry.current == pytest.approx(0.45, abs=1 / 16)
-        assert entry.current_offline == pytest.approx(0.9, abs=1 / 16)
-        assert (entry.J_closed, entry.J_open) == (pytest.approx(0.2025), pytest.approx(0.3025))
-        assert min(entry.J_closed, entry.J_open) >= entry.J
-    assert result.as_dict()["best_constant"][0]["condition"] == {
-        "speed_kmh": pytest.approx(350),
-        "wear": 0.0,
-        "friction": 0.2,
-    }
-
-
-def test_currents_that_leave_the_valve_closed_are_tried_once(
-    result: MapResult, runs: list[tuple[str, float, float, float, int]]
-):
-    """The packaged valve's overlap keeps it closed up to the current `throttle.overlap`."""
-    closed = load_sayd("sayd").throttle.overlap
-    tried = sorted({float(title.partition(":")[2]) for title, *_ in runs if title.startswith("constant")})
-    assert tried[0] == 0.0
-    assert [current for current in tried if 0.0 < current <= closed] == []
-    assert tried[-1] == 1.0
-    assert closed + (1.0 - closed) * 0.05 in [pytest.approx(current, abs=1e-5) for current in tried]
-
-
-def test_halves_lie_beyond_the_overlap():
-    assert halfway(0.0, [0.0, 0.5, 1.0], 0.4) == [0.45]
-    assert halfway(0.5, [0.0, 0.5, 1.0], 0.4) == [0.45, 0.75]
-    assert halfway(1.0, [0.0, 0.5, 1.0], 0.0) == [0.75]
-
-
 def test_few_seeds_are_a_look(runs: list[Any], result: MapResult, short_scenario: Scenario):
-    enough = stability_map(short_scenario, [PolicySpec("mppt1")], range(5), grid=GRID, best_constant=False)
+    enough = stability_map(short_scenario, [PolicySpec("mppt1")], range(5), grid=GRID)
     for found, told in ((result, True), (enough, False)):
         console = Console(file=io.StringIO(), width=120)
         found.summary(console)
@@ -131,7 +91,7 @@ def test_beyond_the_grid_is_told(runs: list[Any], short_scenario: Scenario):
     high = MapGrid(wear=(0.0,), friction=(0.3,), speeds=(380 / 3.6, 400 / 3.6))
     low = MapGrid(wear=(0.0,), friction=(0.3,), speeds=(280 / 3.6, 300 / 3.6))
     for grid, status in ((high, "below_grid"), (low, "not_reached")):
-        found = stability_map(short_scenario, [PolicySpec("mppt1")], [1], grid=grid, best_constant=False)
+        found = stability_map(short_scenario, [PolicySpec("mppt1")], [1], grid=grid)
         assert found.as_dict()["status"] == {"mppt1": [[status]]}
         assert found.as_dict()["critical_speed_kmh"] == {"mppt1": [[None]]}
 
@@ -144,20 +104,12 @@ def test_one_speed_has_no_crossing(short_scenario: Scenario):
 def test_a_repeated_map_runs_nothing_again(tmp_path: Path):
     """Also where the second one asks for more."""
     scenario = load_scenario("estimates", ("assessment.run_in=200", "assessment.length=600"))
-    grid = MapGrid(
-        wear=(1.0,),
-        friction=(0.4,),
-        speeds=(100.0, 105.0),
-        condition_speeds=(100.0,),
-        openings=(1.0,),
-        refinements=0,
-    )
+    grid = MapGrid(wear=(1.0,), friction=(0.4,), speeds=(100.0, 105.0))
     specs = [policy_spec("constant:1")]
     caches = [RunCache(tmp_path), RunCache(tmp_path)]
     first = stability_map(scenario, specs, [0], grid=grid, context=RunContext(cache=caches[0]))
     stability_map(scenario, specs, [0, 1], grid=grid, context=RunContext(cache=caches[1]))
-    # An open valve at both speeds, a closed one at the first.
-    assert [cache.reused for cache in caches] == [0, 3]
+    assert [cache.reused for cache in caches] == [0, 2]
     alone = stability_map(scenario, specs, [0], grid=grid)
     assert alone.as_dict() == first.as_dict()
 

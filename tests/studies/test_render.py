@@ -21,7 +21,7 @@ from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.report.video import checked_video, write_video
 from sayd_env.runs.policies import policy_spec
-from sayd_env.studies.render import RenderResult, Video, render, with_fixed
+from sayd_env.studies.render import RenderResult, Video, render
 
 pytest.importorskip("pygame")
 
@@ -120,14 +120,6 @@ def test_a_run_that_ends_early_stops_the_film(
     assert result.ending is not None
     assert "derailment" in result.ending
     assert result.pictures <= 6
-
-
-def test_what_flags_fix_is_not_drawn() -> None:
-    laws = load_environment("randomized")
-    fixed = with_fixed(laws, ["wear", "tracks"]).randomisation
-    assert fixed.wear is None
-    assert fixed.tracks == ()
-    assert fixed.friction == laws.randomisation.friction
 
 
 def test_a_failure_leaves_the_former_file(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def compare(
     new = [policy for policy in bounding if policy.title not in runs]
     constants = runs | run_all(grid, new, context, "constant currents")
     cells = _critical_speeds(study, worn, members, context)
-    ways = [Variant(*each) for each in product(FILTERS, chosen.force_weights)]
+    ways = [Variant(*each) for each in product(FILTERS, grid.factors)]
     costs = {
         variant: {
             each.name: np.stack([grid.costs(runs[title], variant) for title in each.titles])
@@ -103,7 +103,6 @@ def _critical_speeds(
         policies,
         settings.seeds,
         grid=MapGrid(wear=(study.wear,), friction=(study.friction,), speeds=speeds),
-        best_constant=False,
         environment=load_environment(),
         context=context,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import islice, product
 from typing import Literal, NamedTuple
 
@@ -13,10 +13,12 @@ import numpy as np
 
 from sayd_env.config import ConfigError
 from sayd_env.config.comparison import ComparedTrack, ComparisonConfig
-from sayd_env.config.environment import EnvironmentConfig, charge_a_second, load_environment
+from sayd_env.config.environment import EnvironmentConfig, load_environment
+from sayd_env.config.reward import reported_costs
 from sayd_env.config.scenario import CostConfig, Scenario, load_scenario
 from sayd_env.config.track import IrregularityConfig
 from sayd_env.config.units import KMH, Array
+from sayd_env.envs.cost import charged
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
@@ -143,13 +145,30 @@ class ScenarioGrid:
         """
         own = self.scenario.cost
         cost = own.model_copy(update={"force_weight": own.force_weight * variant.factor})
-        charge = charge_a_second(self.environment, cost)
-        online = _weighted(cost, runs["J_acceleration"], runs["J_force"])
+        online = partial(charged, self.environment, cost, runs["J_acceleration"], runs["J_force"])
         if variant.filter == "online":
-            return online + charge * runs["lost"]
-        offline = _weighted(cost, runs["J_offline_acceleration"], runs["J_offline_force"])
-        charged = online + charge * np.maximum(runs["lost"], runs["offline_lost"])
-        return np.where(np.isfinite(offline), offline, charged)
+            return online(runs["lost"])
+        offline = runs["J_offline_acceleration"], runs["J_offline_force"]
+        return np.where(
+            np.isfinite(offline[0]),
+            charged(self.environment, cost, *offline, 0.0),
+            online(np.maximum(runs["lost"], runs["offline_lost"])),
+        )
+
+    @property
+    def reported(self) -> dict[str, float]:
+        """Factor on k_F that stands for each of the `REPORTED` weights but the study's own, by column."""
+
+        def ratio(cost: CostConfig) -> float:
+            return cost.force_weight / cost.acceleration_weight
+
+        own = self.scenario.cost
+        return {column: ratio(cost) / ratio(own) for column, cost in reported_costs(own).items()}
+
+    @property
+    def factors(self) -> tuple[float, ...]:
+        """Factors on k_F for which J is taken."""
+        return tuple(dict.fromkeys((*self.config.force_weights, *self.reported.values())))
 
 
 def run_all(
@@ -187,18 +206,9 @@ def _arrays(grid: ScenarioGrid, found: Sequence[Row]) -> Runs:
     def table(values: Iterable[float | None]) -> Array:
         return np.array([math.nan if value is None else value for value in values]).reshape(shape)
 
-    def lost(times: Array | float) -> Array:
-        """Share of times (s) from step 0 on that an early end has cut off."""
-        return np.maximum(1.0 - ends / times, 0.0)
-
-    ends = table(math.inf if row.ending is None else row.duration_s for row in found)
     length = grid.scenario.assessment.length or 0.0
     return {
         **{name: table(getattr(row, name) for row in found) for name in MEASURED},
-        "lost": lost(grid.environment.episode_s),
-        "offline_lost": lost(table(length / row.speed_kmh * KMH for row in found)),
+        "lost": table(row.lost(grid.environment.episode_s) for row in found),
+        "offline_lost": table(row.lost(length / row.speed_kmh * KMH) for row in found),
     }
-
-
-def _weighted(cost: CostConfig, acceleration: Array, force: Array) -> Array:
-    return cost.acceleration_weight * acceleration + cost.force_weight * force

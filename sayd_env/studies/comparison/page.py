@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sayd_env.config.reward import REPORTED
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot
 from sayd_env.studies.comparison.figures import draw
-from sayd_env.studies.comparison.grid import OFFLINE, OWN, RATIOS
+from sayd_env.studies.comparison.grid import OFFLINE, OWN, RATIOS, Variant
 from sayd_env.studies.comparison.result import MATRIX, Comparison
 from sayd_env.studies.comparison.scores import Stability
 from sayd_env.studies.comparison.statistics import Estimate
@@ -45,7 +46,7 @@ _COSTS = (
     Column("best_of_paper"),
     *_estimate("improvement_over_best"),
     *_estimate("reduction"),
-    Column("worst_vs_passive", "worst / passive", digits=2),
+    Column("worst_vs_passive", "worst / passive", digits=2, wide=True),
     Column("conditions_worse_than_passive"),
     Column("relative_to_best_constant"),
     Column("J_best_training_seed"),
@@ -53,6 +54,7 @@ _COSTS = (
 )
 _LIMITED: dict[str, Any] = {"digits": 2, "limit": 1.0, "infinite": "derailed"}
 _BESIDE = (
+    *(Column(column, f"J {name}", digits=4, best=True) for column, name in REPORTED.items()),
     Column("J_offline", "J off line", digits=4, best=True, wide=True),
     Column("largest_acceleration_ratio", "acc. / limit", wide=True, **_LIMITED),
     Column("largest_track_shift_ratio", "shift / limit", wide=True, **_LIMITED),
@@ -106,7 +108,9 @@ class CompareResult(Comparison):
             f"{len(self.grid.conditions)} conditions x {len(self.config.seeds)} seeds: J on line, "
             "and IQM of its ratio to MPPT2's (95 %)"
         )
-        print_table(console, title, (*_COSTS, *_BESIDE), _lines(self), wide=wide, section="bound")
+        lines = _lines(self)
+        columns = [column for column in (*_COSTS, *_BESIDE) if column.name in lines[0]]
+        print_table(console, title, columns, lines, wide=wide, section="bound")
         for line in _notes(self):
             console.print(line, markup=False, highlight=False)
         learned = {each.name for each in self.entrants if each.learned}
@@ -127,7 +131,9 @@ def _lines(result: Comparison) -> list[dict[str, Any]]:
         row["largest_ratio"] = max(row[f"largest_{name}"] for name in RATIOS)
         row["critical"] = _critical(result.stability_of(each), result.config.critical_speed.speeds_kmh)
         rows.append(row)
-    costs = {"J": result.bounds[OWN].costs.mean(), "J_offline": result.bounds[OFFLINE].costs.mean()}
+    ways = {"J": OWN, "J_offline": OFFLINE}
+    ways |= {column: Variant("online", factor) for column, factor in result.grid.reported.items()}
+    costs = {column: result.bounds[way].costs.mean() for column, way in ways.items()}
     return [*rows, dict.fromkeys(rows[0]) | {"policy": BEST_CONSTANT, "bound": True} | costs]
 
 

@@ -76,7 +76,11 @@ class Comparison:
             if each.learned
             for row in targets(
                 each,
-                {variant: found[each.name] for variant, found in self.scores.items()},
+                {
+                    variant: found[each.name]
+                    for variant, found in self.scores.items()
+                    if variant.factor in self.config.force_weights
+                },
                 self.stability_of(each),
                 max(float(self.field(each, name).max()) for name in RATIOS),
             )
@@ -122,6 +126,10 @@ class Comparison:
             **own.relative_to_mppt2.as_dict(),
             "worst_vs_passive": own.worst_vs_passive,
             "J": own.J,
+            **{
+                column: self.scores[Variant("online", factor)][entrant.name].J
+                for column, factor in self.grid.reported.items()
+            },
             "J_offline": self.scores[OFFLINE][entrant.name].J,
             **{f"largest_{name}": float(fields[name].max()) for name in RATIOS},
             "derailed": int(np.count_nonzero(np.isinf(fields["acceleration_ratio"]))),
@@ -133,7 +141,7 @@ class Comparison:
         return {
             filter_: {
                 f"{factor:g}": self.scores[Variant(filter_, factor)][entrant.name].as_dict()
-                for factor in self.config.force_weights
+                for factor in self.grid.factors
             }
             for filter_ in FILTERS
         }

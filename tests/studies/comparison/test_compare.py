@@ -249,6 +249,10 @@ def test_the_result_has_what_scripts_read(result: CompareResult):
     (learned,) = found["learned"]
     assert (learned["seed"], learned["steps"], learned["git_commit"]) == (4, 7, "abc")
     assert len(learned["sha256"]) == 64
+    runs = result.runs["mppt2"]  # J by the weights low-force, whose k_F is four times the study's
+    low = float(np.mean(runs["J_acceleration"] + 2.0 * runs["J_force"]))
+    assert found["scores"]["mppt2"]["J_low_force"] == pytest.approx(low, rel=1e-12)
+    assert set(found["scores"]["mppt2"]["online"]) == {"0.5", "1", "2", "4"}
     assert found["targets"] == []  # three of the paper's controllers are missing
     assert result.missing == ("mppt1", "skyhook-onoff", "skyhook-continuous")
 
