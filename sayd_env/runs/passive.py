@@ -29,15 +29,6 @@ from sayd_env.stability import (
     thinned_grids,
 )
 
-NEW_SPEEDS = tuple(v / KMH for v in (280, 310, 340, 355, 370, 385, 400))
-"""Speed grid of figure 8 of the paper, new wheels, m/s; closer where its critical speed lies."""
-WORN_SPEEDS = tuple(v / KMH for v in (320, 350, 370, 395, 420, 445))
-"""Speed grid of figure 10, worn wheels, m/s."""
-SAYD_SPEEDS = tuple(v / KMH for v in (300, 320, 350, 375, 400))
-"""Speed grid of figures 11, 13, 15 and 17, semi-active dampers, m/s."""
-LAW_SPEEDS = tuple(v / KMH for v in range(260, 441, 20))
-"""Speeds of a comparison of creep laws (m/s): wide enough for all of them on new and on worn wheels."""
-
 Selection: TypeAlias = slice | npt.NDArray[np.int64]
 """Of seeds by their places, with repetitions in a bootstrap."""
 ALL = slice(None)

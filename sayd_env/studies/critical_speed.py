@@ -11,6 +11,7 @@ import numpy as np
 
 from sayd_env.config import ConfigError
 from sayd_env.config.palette import wheelset_style
+from sayd_env.config.reproduction import load_reproduction
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.vehicle import model_limits
@@ -20,8 +21,6 @@ from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, panels, with_band
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.passive import (
-    NEW_SPEEDS,
-    WORN_SPEEDS,
     Criterion,
     PassiveRun,
     Sweep,
@@ -275,7 +274,7 @@ _LAW_COLUMNS = (
 
 def default_speeds(wear: float) -> tuple[float, ...]:
     """Speed grid of the paper (m/s): figure 8 for new wheels, figure 10 for worn ones."""
-    return NEW_SPEEDS if wear < HALF_WORN else WORN_SPEEDS
+    return load_reproduction().speeds("new" if wear < HALF_WORN else "worn")
 
 
 def find_critical_speed(
