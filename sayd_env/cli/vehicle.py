@@ -25,23 +25,31 @@ def critical_speed(
     scenario: options.VehicleOptions,
     *,
     speeds: options.Speeds = None,
+    who: str | None = options.policy(
+        "--policy NAME|FILE",
+        "What commands semi-active dampers: a controller, constant:V or a file. Default: their own command.",
+    ),
     creep_laws: options.CreepLaws = None,
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
 ) -> Plan:
     """Find the critical speed by EN 14363: quantities over speed, and where they cross their limits.
 
-    Default speeds: the paper's grid, 280 to 400 km/h on new and 320 to 445 km/h on worn wheels.
+    Default speeds: the paper's grid, 280 to 400 km/h on new and 320 to 445 km/h on worn wheels. With
+    --policy, semi-active dampers replace passive ones.
     """
+    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies import critical_speed as study  # noqa: PLC0415 - keeps --help fast
 
     laws = creep_laws or ()
     study.check_laws(laws, "--creep-laws")
-    chosen = scenario.load()
+    chosen, spec = scenario.load(), None if who is None else policy_spec(who)
     numbers = range(seed, seed + seeds)
     return Plan(
-        lambda run: study.find_critical_speed(chosen, speeds, numbers, creep_laws=laws, context=run),
-        chosen,
+        lambda run: study.find_critical_speed(
+            chosen, speeds, numbers, policy=spec, creep_laws=laws, context=run
+        ),
+        lambda result: {**dict(result.scenario), "policy": None if spec is None else spec.identity()},
         seed,
     )
 

@@ -32,6 +32,8 @@ from sayd_env.stability import (
 Selection: TypeAlias = slice | npt.NDArray[np.int64]
 """Of seeds by their places, with repetitions in a bootstrap."""
 ALL = slice(None)
+FAR = 100.0
+"""Between speeds, a derailment counts as this many times the limit."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class Criterion:
 
     def critical_speed(self, seeds: Selection = ALL) -> CriticalSpeed:
         """Where the medians cross the limit (m/s)."""
-        return critical_speed(self.speeds, self.medians(seeds), self.limit)
+        return critical_speed(self.speeds, np.minimum(self.medians(seeds), FAR * self.limit), self.limit)
 
     def kmh(self, seeds: Selection = ALL) -> float:
         """The same in km/h; NaN if they do not."""
@@ -106,7 +108,8 @@ class Criterion:
 
     def sensitive(self, tolerance: float) -> bool:
         """Whether the critical speed moves by more than a tolerance (m/s) on a thinner grid of speeds."""
-        thinner = thinned_grids(self.speeds, self.medians(), self.limit)
+        values = np.minimum(self.medians(), FAR * self.limit)
+        thinner = thinned_grids(self.speeds, values, self.limit)
         return grid_sensitivity(self.critical_speed(), thinner, tolerance).sensitive
 
 

@@ -77,7 +77,7 @@ def claim_columns(claims: Sequence[Claim]) -> list[Column]:
         for column in (
             Column(f"{command} measured", f"{command}: measured", wide=True),
             Column(f"{command} fraction"),
-            # Short, because the texts of a row need the room: V 0 and V tuned of constant:0 and constant-tuned.
+            # Short, for the texts of a row need the room: V 0, V tuned of constant:0, constant-tuned.
             Column(f"{command} holds", f"V {command.removeprefix('constant').lstrip(':-')}"),
         )
     ]

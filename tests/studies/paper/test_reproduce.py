@@ -220,6 +220,26 @@ def test_dampers_and_controllers_from_files(short_scenario: Scenario, tmp_path: 
     assert command(None, 2e6)[1] != own[1]
 
 
+def test_the_command_takes_dampers_and_controllers_from_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """Copies of the packaged files change no row; result.json holds what was used."""
+    packaged, files = resources.files("sayd_env.configs"), {}
+    for kind, name in (("damper", "passive"), ("damper", "sayd"), ("control", "skyhook-onoff")):
+        files[name] = tmp_path / f"{name}.yaml"
+        files[name].write_text(packaged.joinpath(kind, f"{name}.yaml").read_text())
+    own = ["--damper", files["passive"], "--sayd", files["sayd"], "--controllers", files["skyhook-onoff"]]
+    contents = []
+    for more in (["--damper", "passive"], [str(each) for each in own]):
+        assert main(["reproduce", *SHORT, "--seeds", "1", "--json", *more]) == 0
+        contents.append(json.loads(capsys.readouterr().out))
+    first, second = contents
+    assert second["claims"] == first["claims"]
+    assert second["config"]["sayd"] == first["config"]["sayd"]
+    assert second["config"]["controllers"] == first["config"]["controllers"]
+    assert main(["reproduce", "--damper", "sayd"]) == 2
+
+
 def test_files_of_other_controllers_are_refused(tmp_path: Path):
     path = tmp_path / "constant.yaml"
     path.write_text("current: 0.3\n")
