@@ -95,7 +95,7 @@ def controlled_runs(
         fitted = for_policy(scenario, policy)
         config = environment_of(fitted, environment)
         runs += [Run(policy, fitted, config, speed, seed, current) for seed in seeds]
-    found = context.records(assessed_controlled, runs, ControlledRun)
+    found = context.records(assessed_or_derailed, runs, ControlledRun)
     return ControlledRuns(
         replace(record, policy=run.policy.title) for run, record in zip(runs, found, strict=True)
     )
@@ -109,15 +109,26 @@ def assessed_controlled(runs: list[Run]) -> list[ControlledRun]:
     ]
 
 
-def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig) -> ControlledRun:
-    """Assess a rollout whose policy commands each bogie, over run-in and at least the assessed length.
+def assessed_or_derailed(runs: list[Run]) -> list[ControlledRun]:
+    """Make runs that are companions, and assess them.
 
     Where the vehicle derails, what belongs to the whole length is infinite, and it has no frequency.
+    """
+    return [
+        controlled_run_of(run.policy.title, rollout, run.scenario.assessment)
+        if rollout.ending is None
+        else derailed_run_of(run.policy.title, rollout)
+        for run, rollout in zip(runs, roll_out_runs(runs), strict=True)
+    ]
+
+
+def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig) -> ControlledRun:
+    """Assess a rollout whose policy commands each bogie, over run-in and at least the assessed length.
 
     Raises
     ------
     StudyError
-        The simulation diverged.
+        The run ended early.
     ConfigError
         The environment's run-in is not the assessment's.
     DataError
@@ -125,8 +136,8 @@ def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig)
     """
     episode, rate, period = rollout.episode, rollout.sample_rate, rollout.control_period
     if rollout.ending is not None:
-        refuse_divergence(rollout)
-        return _derailed(policy, rollout)
+        where = f"at {episode.speed * KMH:g} km/h, seed {episode.seed}"
+        raise StudyError(f"the run of '{policy}' {where}, ended: {rollout.ending}")
     late = rollout.run_in / rate - settings.run_in / episode.speed
     if not -1.5 / rate < late < period + 1.5 / rate:  # a whole number of periods
         raise ConfigError(
@@ -169,7 +180,15 @@ def refuse_divergence(rollout: Rollout) -> None:
         )
 
 
-def _derailed(policy: str, rollout: Rollout) -> ControlledRun:
+def derailed_run_of(policy: str, rollout: Rollout) -> ControlledRun:
+    """Make the record of a run that a derailment ended: beyond every limit.
+
+    Raises
+    ------
+    StudyError
+        The simulation diverged.
+    """
+    refuse_divergence(rollout)
     episode, wheelsets = rollout.episode, LOG_TRACK_SHIFT - LOG_ACCELERATION
     none, beyond = np.full(wheelsets, np.nan), np.full(wheelsets, np.inf)
     at_rest = np.full((1, rollout.actions.shape[1]), episode.initial_current, dtype=np.float32)

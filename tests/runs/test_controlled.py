@@ -19,6 +19,7 @@ from sayd_env.runs.controlled import (
     ControlledRun,
     ControlledRuns,
     controlled_run_of,
+    derailed_run_of,
     high_frequency_power,
 )
 
@@ -126,16 +127,18 @@ def test_a_signal_that_is_not_finite_is_refused(signals: dict[str, Any], setting
 
 
 def test_a_rollout_that_cannot_be_assessed_is_refused(rollout: Rollout, settings: AssessmentConfig):
+    with pytest.raises(StudyError, match=r"'mppt1' at 360 km/h, seed 7, ended: a wheel climbed"):
+        controlled_run_of("mppt1", dataclasses.replace(rollout, ending="a wheel climbed"), settings)
     with pytest.raises(StudyError, match="the run of seed 7 at 360 km/h diverged"):
-        controlled_run_of("mppt1", dataclasses.replace(rollout, ending="non-finite state"), settings)
+        derailed_run_of("mppt1", dataclasses.replace(rollout, ending="non-finite state"))
     with pytest.raises(ConfigError, match="found 500 m, while the environment runs in for 200 m"):
         controlled_run_of("mppt1", dataclasses.replace(rollout, run_in=2000), settings)
 
 
 @pytest.mark.parametrize("steps", [0, 700])
-def test_a_derailed_vehicle_exceeds_every_limit(steps: int, rollout: Rollout, settings: AssessmentConfig):
+def test_a_derailed_vehicle_exceeds_every_limit(steps: int, rollout: Rollout):
     short = dataclasses.replace(rollout, ending="a wheel climbed", actions=rollout.actions[:steps])
-    run = controlled_run_of("mppt1", short, settings)
+    run = derailed_run_of("mppt1", short)
     assert np.isinf([*run.acceleration, *run.track_shift, run.force_rms, run.force_peak]).all()
     assert run.command.shape == (max(steps, 1), 2)
 
