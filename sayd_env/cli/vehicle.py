@@ -25,31 +25,53 @@ def critical_speed(
     scenario: options.VehicleOptions,
     *,
     speeds: options.Speeds = None,
+    who: str | None = options.policy(
+        "--policy NAME|FILE",
+        "What commands semi-active dampers: a controller, constant:V or a file. Default: their own command.",
+    ),
     creep_laws: options.CreepLaws = None,
     seed: options.Seed = 0,
     seeds: options.Seeds = 10,
 ) -> Plan:
     """Find the critical speed by EN 14363: quantities over speed, and where they cross their limits.
 
-    Default speeds: the paper's grid, 280 to 400 km/h on new and 320 to 445 km/h on worn wheels.
+    Default speeds: the paper's grid, 280 to 400 km/h on new and 320 to 445 km/h on worn wheels. With
+    --policy, semi-active dampers replace passive ones.
     """
+    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies import critical_speed as study  # noqa: PLC0415 - keeps --help fast
 
     laws = creep_laws or ()
     study.check_laws(laws, "--creep-laws")
-    chosen = scenario.load()
+    chosen, spec = scenario.load(), None if who is None else policy_spec(who)
     numbers = range(seed, seed + seeds)
     return Plan(
-        lambda run: study.find_critical_speed(chosen, speeds, numbers, creep_laws=laws, context=run),
-        chosen,
+        lambda run: study.find_critical_speed(
+            chosen, speeds, numbers, policy=spec, creep_laws=laws, context=run
+        ),
+        lambda result: {**dict(result.scenario), "policy": None if spec is None else spec.identity()},
         seed,
     )
 
 
-@command(GROUP, "--quick", runs=True, without=("profile", "damper", "wear"))
+@command(GROUP, "--quick", runs=True, without=("profile", "wear"))
 def reproduce(
     scenario: options.VehicleOptions,
     *,
+    sayd: str = option(
+        "--sayd NAME|FILE",
+        "Semi-active dampers of the rows on controllers; --damper has the passive ones.",
+        rich_help_panel="Scenario",
+        default="sayd",
+    ),
+    controllers: Names | None = option(
+        "--controllers FILE,...", "Parameters of the rows' controllers: own/mppt1.yaml.", ListOf(name)
+    ),
+    assumptions: bool = option(
+        "--assumptions",
+        "Judge the rows under other creep laws and track irregularities, too; takes hours.",
+        default=False,
+    ),
     strict: bool = option("--strict", "Exit with status 1 if a row does not hold.", default=False),
     allow: Names | None = option("--allow ROW,...", "Rows that may fail with --strict: P2,M7.", ListOf(name)),
     control_periods: Numbers | None = option(
@@ -59,16 +81,21 @@ def reproduce(
     ),
     creep_laws: options.CreepLaws = None,
     quick: options.Quick = False,
-    seed: options.Seed = 0,
+    seed: int | None = options.runs(
+        "--seed S", "First seed. Default: the seeds of configs/study/reproduce.yaml.", options.SEED
+    ),
     seeds: options.QuickSeeds = None,
 ) -> Plan:
     """Measure what the paper shows, row by row: the passive vehicle, the controllers, all figures.
 
-    Takes 10 track realisations, with --quick 2. --creep-laws gives the critical speeds of rows P2 and P5.
+    Takes 20 track realisations, with --quick 2. Beside every row stands what fixed commands do in it, in the
+    controller's place. --creep-laws gives the critical speeds of rows P2 and P5.
     """
     from sayd_env.config import ConfigError, StudyError  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.damper import load_sayd  # noqa: PLC0415
+    from sayd_env.config.reproduction import load_reproduction  # noqa: PLC0415
     from sayd_env.studies.critical_speed import check_laws  # noqa: PLC0415
-    from sayd_env.studies.paper.reproduce import ROWS  # noqa: PLC0415
+    from sayd_env.studies.paper.reproduce import ROWS, row_policies  # noqa: PLC0415
     from sayd_env.studies.paper.reproduce import reproduce as study  # noqa: PLC0415
 
     allowed, laws, periods = allow or (), creep_laws or (), control_periods or ()
@@ -76,8 +103,10 @@ def reproduce(
     if unknown:
         raise ConfigError(f"--allow {unknown[0]}: unknown row; expected {', '.join(ROWS)}")
     check_laws(laws, "--creep-laws")
-    chosen = scenario.load()
-    numbers = range(seed, seed + (seeds or (2 if quick else 10)))
+    chosen, plan = scenario.load(), load_reproduction()
+    count = seeds or (plan.quick_seeds if quick else len(plan.seeds))
+    numbers = plan.first_seeds(count) if seed is None else tuple(range(seed, seed + count))
+    damper, specs = load_sayd(sayd), row_policies(controllers or (), plan.fixed)
 
     def judge(result: ReproduceResult, _: Output) -> None:
         failed = [row for row in result.failed if row not in allowed]
@@ -85,9 +114,24 @@ def reproduce(
             raise StudyError(f"rows that do not hold: {', '.join(failed)}")
 
     return Plan(
-        lambda run: study(chosen, numbers, control_periods=periods, creep_laws=laws, context=run),
-        chosen,
-        seed,
+        lambda run: study(
+            chosen,
+            numbers,
+            study=plan,
+            sayd=damper,
+            policies=specs,
+            control_periods=periods,
+            creep_laws=laws,
+            assumptions=assumptions,
+            context=run,
+        ),
+        {
+            **dict(chosen),
+            "sayd": damper,
+            "controllers": {name: spec.identity() for name, spec in specs.items()},
+            "reproduction": plan,
+        },
+        numbers[0],
         after=judge,
     )
 

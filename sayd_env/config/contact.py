@@ -8,11 +8,13 @@ from pydantic import Field, model_validator
 
 from sayd_env.config.base import Model, quantity
 
+CreepLaw = Literal["table", "polach", "fastsim"]
+
 
 class ContactConfig(Model):
     """Law of the creep forces, and how the contact tables are made."""
 
-    creep_law: Literal["table", "polach", "fastsim"] = Field(
+    creep_law: CreepLaw = Field(
         "table",
         description="Creep forces: table of FASTSIM, Polach's law, or FASTSIM itself (slow, the reference)",
     )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from scipy.signal import decimate, welch
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.config.control import load_controller
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
@@ -20,9 +19,11 @@ from sayd_env.envs.loop import LOG_ACCELERATION, LOG_FORCE, LOG_HYDRAULIC, LOG_T
 from sayd_env.envs.rollout import Rollout
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.passive import Assessed, Sweep, assessed_part, assessed_run, gathered, runs_table
-from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.runs.policies import PolicySpec, for_policy, policy_spec
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
 
+IMPOSSIBLE = 1e5
+"""Acceleration of a bogie frame that no wheel on a rail causes, m/s2: the integration diverged."""
 HIGH_FREQUENCY = 10.0
 """Hz; above it lies what the paper calls the high-frequency part of the damper force."""
 FRONT, REAR = 0, 1
@@ -65,30 +66,58 @@ def controlled_runs(
     seeds: Sequence[int],
     required: Iterable[tuple[str, float, float]],
     context: RunContext,
+    policies: Mapping[str, PolicySpec] | None = None,
 ) -> ControlledRuns:
     """Make and assess the runs that the rows of a claim need, or take them from the cache.
 
-    `required` holds controllers with their speed (m/s) and initial current; each is run with every seed, and
-    semi-active dampers replace the passive ones of the scenario.
+    Parameters
+    ----------
+    scenario : Scenario
+        The packaged semi-active dampers replace passive ones; others stay.
+    environment : EnvironmentConfig
+        Sensors and clock.
+    seeds : sequence of int
+        Track seeds; each of the following is run with all of them.
+    required : iterable
+        Names of policies with their speed (m/s) and initial current.
+    context : RunContext
+    policies : mapping, optional
+        What some of the names stand for; the packaged policies by default.
 
     Raises
     ------
     ConfigError, StudyError
-        See `roll_out_runs` and `controlled_run_of`.
+        See `policy_spec`, `roll_out_runs` and `controlled_run_of`.
     """
     runs: list[Run] = []
     for name, speed, current in required:
-        policy = PolicySpec(name, load_controller(name, {}).model_dump())
+        policy = replace((policies or {}).get(name) or policy_spec(name), label=name)
         fitted = for_policy(scenario, policy)
         config = environment_of(fitted, environment)
         runs += [Run(policy, fitted, config, speed, seed, current) for seed in seeds]
-    return ControlledRuns(context.records(assessed_controlled, runs, ControlledRun))
+    found = context.records(assessed_or_derailed, runs, ControlledRun)
+    return ControlledRuns(
+        replace(record, policy=run.policy.title) for run, record in zip(runs, found, strict=True)
+    )
 
 
 def assessed_controlled(runs: list[Run]) -> list[ControlledRun]:
     """Make runs that are companions, and assess them."""
     return [
-        controlled_run_of(run.policy.name, rollout, run.scenario.assessment)
+        controlled_run_of(run.policy.title, rollout, run.scenario.assessment)
+        for run, rollout in zip(runs, roll_out_runs(runs), strict=True)
+    ]
+
+
+def assessed_or_derailed(runs: list[Run]) -> list[ControlledRun]:
+    """Make runs that are companions, and assess them.
+
+    Where the vehicle derails, what belongs to the whole length is infinite, and it has no frequency.
+    """
+    return [
+        controlled_run_of(run.policy.title, rollout, run.scenario.assessment)
+        if rollout.ending is None
+        else derailed_run_of(run.policy.title, rollout)
         for run, rollout in zip(runs, roll_out_runs(runs), strict=True)
     ]
 
@@ -136,6 +165,52 @@ def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig)
     )
 
 
+def refuse_divergence(rollout: Rollout) -> None:
+    """Refuse a run that ended because the simulation diverged: this is no derailment.
+
+    Raises
+    ------
+    StudyError
+        It did.
+    """
+    fiercest = np.max(np.abs(rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]))
+    if str(rollout.ending).startswith("non-finite") or not fiercest < IMPOSSIBLE:
+        raise StudyError(
+            f"the run of seed {rollout.episode.seed} at {rollout.episode.speed * KMH:g} km/h diverged"
+        )
+
+
+def derailed_run_of(policy: str, rollout: Rollout) -> ControlledRun:
+    """Make the record of a run that a derailment ended: beyond every limit.
+
+    Raises
+    ------
+    StudyError
+        The simulation diverged.
+    """
+    refuse_divergence(rollout)
+    episode, wheelsets = rollout.episode, LOG_TRACK_SHIFT - LOG_ACCELERATION
+    none, beyond = np.full(wheelsets, np.nan), np.full(wheelsets, np.inf)
+    at_rest = np.full((1, rollout.actions.shape[1]), episode.initial_current, dtype=np.float32)
+    return ControlledRun(
+        speed=episode.speed,
+        seed=episode.seed,
+        frequency=none,
+        frequency_force=none,
+        acceleration=beyond,
+        track_shift=beyond,
+        policy=policy,
+        initial_current=episode.initial_current,
+        force_rms=np.inf,
+        force_peak=np.inf,
+        force_power_high=np.inf,
+        command=rollout.actions if len(rollout.actions) else at_rest,
+        control_period=rollout.control_period,
+        force_trace=np.zeros(0, dtype=np.float32),
+        trace_period=1.0 / _TRACE_RATE,
+    )
+
+
 def high_frequency_power(force: Array, sample_rate: float) -> float:
     """Power of forces, shape (t, d) in N, above 10 Hz by Welch's (1967) averaged spectra (N^2).
 
@@ -176,6 +251,11 @@ class ControlledRuns:
         self.variants = tuple(dict.fromkeys((run.policy, run.initial_current) for run in self.runs))
         """Controllers with their initial currents, in the order of the runs."""
 
+    @property
+    def speeds(self) -> list[float]:
+        """All speeds, m/s, rising."""
+        return sorted({run.speed for run in self.runs})
+
     def at(self, policy: str, kmh: float, initial_current: float = 0.0) -> tuple[ControlledRun, ...]:
         """Runs of a controller at a speed (km/h), one for each seed."""
         keys = [(policy, initial_current, round(kmh, 6), seed) for seed in self.seeds]
@@ -185,6 +265,13 @@ class ControlledRuns:
                     f"no run of '{policy}' at {kmh:g} km/h, V(0) = {initial_current:g}, seed {key[-1]}"
                 )
         return tuple(self._runs[key] for key in keys)
+
+    def in_place_of(self, policies: Collection[str], stand_in: str) -> ControlledRuns:
+        """The same, but for runs from closed valves of some policies: those of another one stand for them."""
+        replaced = {run.policy for run in self.runs if run.policy in policies}
+        kept = [run for run in self.runs if run.policy not in policies or run.initial_current != 0.0]
+        others = [run for run in self.runs if run.policy == stand_in and run.initial_current == 0.0]
+        return ControlledRuns([*kept, *(replace(run, policy=name) for name in replaced for run in others)])
 
     def sweep(self, policy: str, initial_current: float = 0.0) -> Sweep:
         """Assessed quantities of a controller over its speeds."""

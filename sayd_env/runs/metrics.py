@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.config import StudyError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import CostConfig, Scenario
@@ -28,7 +27,7 @@ from sayd_env.envs.rollout import Rollout
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.controlled import controlled_run_of
+from sayd_env.runs.controlled import controlled_run_of, refuse_divergence
 from sayd_env.runs.passive import assessed_part
 from sayd_env.runs.policies import PASSIVE
 from sayd_env.runs.rollouts import Run, roll_out_runs
@@ -37,8 +36,6 @@ from sayd_env.stability.comfort import mean_comfort
 
 LOWER, UPPER = 0.25, 0.75
 """A valve switches when its command goes from the lower quarter of its range to the upper one, or back."""
-IMPOSSIBLE = 1e5
-"""Acceleration of a bogie frame that no wheel on a rail causes, m/s2: the integration diverged."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +158,7 @@ def policy_row(run: Run, rollout: Rollout) -> Row:
     scenario = run.scenario
     weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
     if rollout.ending is not None:
-        _refuse_divergence(rollout)
+        refuse_divergence(rollout)
         over_the_length = dict.fromkeys(OVER_THE_LENGTH, math.inf)
     else:
         over_the_length = _measured(rollout, scenario, weights)
@@ -180,15 +177,6 @@ def policy_row(run: Run, rollout: Rollout) -> Row:
         ending=rollout.ending,
         duration_s=len(rollout.terms) * rollout.control_period,
     )
-
-
-def _refuse_divergence(rollout: Rollout) -> None:
-    """Refuse a run that ended because the simulation diverged: this is no derailment."""
-    fiercest = np.max(np.abs(rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]))
-    if str(rollout.ending).startswith("non-finite") or not fiercest < IMPOSSIBLE:
-        raise StudyError(
-            f"the run of seed {rollout.episode.seed} at {rollout.episode.speed * KMH:g} km/h diverged"
-        )
 
 
 def offline_cost(

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.errors import Diverged, StudyError
+from sayd_env.config.reproduction import load_reproduction
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.batch import BatchSimulator
@@ -29,18 +30,14 @@ from sayd_env.stability import (
     thinned_grids,
 )
 
-NEW_SPEEDS = tuple(v / KMH for v in (280, 310, 340, 355, 370, 385, 400))
-"""Speed grid of figure 8 of the paper, new wheels, m/s; closer where its critical speed lies."""
-WORN_SPEEDS = tuple(v / KMH for v in (320, 350, 370, 395, 420, 445))
-"""Speed grid of figure 10, worn wheels, m/s."""
-SAYD_SPEEDS = tuple(v / KMH for v in (300, 320, 350, 375, 400))
-"""Speed grid of figures 11, 13, 15 and 17, semi-active dampers, m/s."""
-LAW_SPEEDS = tuple(v / KMH for v in range(260, 441, 20))
-"""Speeds of a comparison of creep laws (m/s): wide enough for all of them on new and on worn wheels."""
+NEW_SPEEDS, WORN_SPEEDS = load_reproduction().speeds("new"), load_reproduction().speeds("worn")
+"""Speed grids of figures 8 and 10 of the paper, on new and on worn wheels, m/s."""
 
 Selection: TypeAlias = slice | npt.NDArray[np.int64]
 """Of seeds by their places, with repetitions in a bootstrap."""
 ALL = slice(None)
+FAR = 100.0
+"""Between speeds, a derailment counts as this many times the limit."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +78,7 @@ class Criterion:
 
     def critical_speed(self, seeds: Selection = ALL) -> CriticalSpeed:
         """Where the medians cross the limit (m/s)."""
-        return critical_speed(self.speeds, self.medians(seeds), self.limit)
+        return critical_speed(self.speeds, np.minimum(self.medians(seeds), FAR * self.limit), self.limit)
 
     def kmh(self, seeds: Selection = ALL) -> float:
         """The same in km/h; NaN if they do not."""
@@ -115,7 +112,8 @@ class Criterion:
 
     def sensitive(self, tolerance: float) -> bool:
         """Whether the critical speed moves by more than a tolerance (m/s) on a thinner grid of speeds."""
-        thinner = thinned_grids(self.speeds, self.medians(), self.limit)
+        values = np.minimum(self.medians(), FAR * self.limit)
+        thinner = thinned_grids(self.speeds, values, self.limit)
         return grid_sensitivity(self.critical_speed(), thinner, tolerance).sensitive
 
 

@@ -10,18 +10,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sayd_env.config import ConfigError
+from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.config.environment import load_environment
 from sayd_env.config.palette import wheelset_style
+from sayd_env.config.reproduction import load_reproduction
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
+from sayd_env.envs.loop import LOG_ACCELERATION, LOG_TRACK_SHIFT
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.contact.creep import LAWS
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, panels, with_band
 from sayd_env.runs.context import RunContext
+from sayd_env.runs.controlled import controlled_runs
 from sayd_env.runs.passive import (
-    NEW_SPEEDS,
-    WORN_SPEEDS,
     Criterion,
     PassiveRun,
     Sweep,
@@ -29,6 +32,8 @@ from sayd_env.runs.passive import (
     simulated,
     sweep,
 )
+from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
 from sayd_env.stability import CriticalSpeed, Crossing, Limits, assess, band_pass
 from sayd_env.studies.assess import draw_assessed
 
@@ -275,7 +280,7 @@ _LAW_COLUMNS = (
 
 def default_speeds(wear: float) -> tuple[float, ...]:
     """Speed grid of the paper (m/s): figure 8 for new wheels, figure 10 for worn ones."""
-    return NEW_SPEEDS if wear < HALF_WORN else WORN_SPEEDS
+    return load_reproduction().speeds("new" if wear < HALF_WORN else "worn")
 
 
 def find_critical_speed(
@@ -283,6 +288,7 @@ def find_critical_speed(
     speeds: Sequence[float] | None = None,
     seeds: Sequence[int] = range(10),
     *,
+    policy: PolicySpec | None = None,
     creep_laws: Sequence[str] = (),
     context: RunContext | None = None,
 ) -> CriticalSpeedResult:
@@ -295,6 +301,8 @@ def find_critical_speed(
         Speeds, m/s, rising; the paper's grid for the wear by default.
     seeds : sequence of int
         Track seeds.
+    policy : PolicySpec, optional
+        What commands semi-active dampers; these replace passive ones. Their own constant command by default.
     creep_laws : sequence of str
         Creep laws by which the critical speed is found besides, all else equal.
     context : RunContext, optional
@@ -302,7 +310,8 @@ def find_critical_speed(
     Raises
     ------
     ConfigError
-        A speed outside the vehicle's range, a profile that cannot be used, a name that is no creep law.
+        A speed outside the vehicle's range, a profile that cannot be used, a name that is no creep law, a
+        policy that does not fit.
     StudyError
         A run that diverged.
     """
@@ -311,10 +320,11 @@ def find_critical_speed(
     chosen = default_speeds(scenario.wear) if speeds is None else tuple(speeds)
     each = len(chosen) * len(seeds)
     total = each * (1 + len(creep_laws))
-    own = _found(scenario, chosen, seeds, context.part(0, total))
+    own = _found(scenario, chosen, seeds, context.part(0, total), policy)
     if not creep_laws:
         return own
-    return replace(own, laws=compare_laws(scenario, chosen, seeds, creep_laws, context.part(each, total)))
+    rest = context.part(each, total)
+    return replace(own, laws=compare_laws(scenario, chosen, seeds, creep_laws, rest, policy))
 
 
 def compare_laws(
@@ -323,6 +333,7 @@ def compare_laws(
     seeds: Sequence[int],
     creep_laws: Sequence[str],
     context: RunContext,
+    policy: PolicySpec | None = None,
 ) -> CreepLawComparison:
     """Critical speeds by several creep laws; parameters and errors as of `find_critical_speed`."""
     each = len(speeds) * len(seeds)
@@ -330,17 +341,32 @@ def compare_laws(
     for i, law in enumerate(creep_laws):
         contact = scenario.contact.model_copy(update={"creep_law": law})
         part = context.part(i * each, len(creep_laws) * each)
-        results[law] = _found(scenario.model_copy(update={"contact": contact}), speeds, seeds, part)
+        results[law] = _found(scenario.model_copy(update={"contact": contact}), speeds, seeds, part, policy)
     return CreepLawComparison(results)
 
 
 def _found(
-    scenario: Scenario, speeds: Sequence[float], seeds: Sequence[int], context: RunContext
+    scenario: Scenario,
+    speeds: Sequence[float],
+    seeds: Sequence[int],
+    context: RunContext,
+    policy: PolicySpec | None,
 ) -> CriticalSpeedResult:
-    found = sweep(scenario, speeds, seeds, context)
+    if policy is None:
+        found = sweep(scenario, speeds, seeds, context)
+        ((acceleration, _),) = simulated([PassiveRun(scenario, speeds[0], seeds[0])])
+    else:
+        scenario, name = for_policy(scenario, policy), policy.title
+        environment = environment_of(scenario, load_environment())
+        required = [(name, speed, 0.0) for speed in speeds]
+        runs = controlled_runs(scenario, environment, seeds, required, context, {name: policy})
+        found = runs.sweep(name)
+        (rollout,) = roll_out_runs([Run(policy, scenario, environment, speeds[0], seeds[0])])
+        acceleration = rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]
     model = VehicleModel(scenario)
-    history = _history(PassiveRun(scenario, speeds[0], seeds[0]), wheelset_names(model))
-    return CriticalSpeedResult(scenario, found, model_limits(model), wheelset_names(model), history)
+    names = wheelset_names(model)
+    history = _history(acceleration, speeds[0], scenario.assessment, names)
+    return CriticalSpeedResult(scenario, found, model_limits(model), names, history)
 
 
 def wheelset_names(model: VehicleModel) -> tuple[str, ...]:
@@ -348,15 +374,13 @@ def wheelset_names(model: VehicleModel) -> tuple[str, ...]:
     return tuple(name.removeprefix("wheelset.") for name, _ in model.multibody.measuring_points)
 
 
-def _history(run: PassiveRun, names: Sequence[str]) -> History:
-    settings = run.scenario.assessment
-    ((acceleration, _),) = simulated([run])
-    found = assess(acceleration, settings.sample_rate, run.speed, settings)
+def _history(acceleration: Array, speed: float, settings: AssessmentConfig, names: Sequence[str]) -> History:
+    found = assess(acceleration, settings.sample_rate, speed, settings)
     worst = int(np.argmax(found.maximum))
     frequency = found.dominant_frequency[[worst]]
     filtered = band_pass(acceleration[:, [worst]], settings.sample_rate, frequency, settings)[:, 0]
     time = np.arange(1, len(filtered) + 1) / settings.sample_rate
-    return History(run.speed, names[worst], time, filtered, found.position, found.rms[:, worst])
+    return History(speed, names[worst], time, filtered, found.position, found.rms[:, worst])
 
 
 def check_laws(laws: Sequence[str], option: str) -> None:

@@ -19,9 +19,9 @@ from sayd_env.runs.controlled import (
     ControlledRun,
     ControlledRuns,
     controlled_run_of,
+    derailed_run_of,
     high_frequency_power,
 )
-from sayd_env.runs.passive import SAYD_SPEEDS
 
 SPEED = 100.0  # m/s: the assessed 5 km begin at 5 s and end at 55 s
 RATE = 1000
@@ -129,12 +129,36 @@ def test_a_signal_that_is_not_finite_is_refused(signals: dict[str, Any], setting
 def test_a_rollout_that_cannot_be_assessed_is_refused(rollout: Rollout, settings: AssessmentConfig):
     with pytest.raises(StudyError, match=r"'mppt1' at 360 km/h, seed 7, ended: a wheel climbed"):
         controlled_run_of("mppt1", dataclasses.replace(rollout, ending="a wheel climbed"), settings)
+    with pytest.raises(StudyError, match="the run of seed 7 at 360 km/h diverged"):
+        derailed_run_of("mppt1", dataclasses.replace(rollout, ending="non-finite state"))
     with pytest.raises(ConfigError, match="found 500 m, while the environment runs in for 200 m"):
         controlled_run_of("mppt1", dataclasses.replace(rollout, run_in=2000), settings)
 
 
-def test_the_grid_is_that_of_figures_11_to_17():
-    assert np.array(SAYD_SPEEDS) * 3.6 == pytest.approx([300, 320, 350, 375, 400])
+@pytest.mark.parametrize("steps", [0, 700])
+def test_a_derailed_vehicle_exceeds_every_limit(steps: int, rollout: Rollout):
+    short = dataclasses.replace(rollout, ending="a wheel climbed", actions=rollout.actions[:steps])
+    run = derailed_run_of("mppt1", short)
+    assert np.isinf([*run.acceleration, *run.track_shift, run.force_rms, run.force_peak]).all()
+    assert run.command.shape == (max(steps, 1), 2)
+
+
+def test_one_policy_stands_for_others(controlled_run: Callable[..., ControlledRun]):
+    """From closed valves; what ran from open ones stays, and so do all others."""
+    starts = [("a", 0.0), ("a", 1.0), ("b", 0.0), ("c", 0.0)]
+    runs = ControlledRuns(
+        controlled_run(name, 300.0, seed, initial_current=current, force_rms=float(ord(name)))
+        for name, current in starts
+        for seed in range(2)
+    )
+    changed = runs.in_place_of(("a", "b"), "c")
+    assert {(r.policy, r.initial_current, chr(int(r.force_rms))) for r in changed.runs} == {
+        ("a", 0.0, "c"),
+        ("a", 1.0, "a"),
+        ("b", 0.0, "c"),
+        ("c", 0.0, "c"),
+    }
+    assert len(changed.runs) == len(runs.runs)
 
 
 def test_runs_are_found_in_any_order(controlled_run: Callable[..., ControlledRun]):

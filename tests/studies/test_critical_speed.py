@@ -11,13 +11,16 @@ import pytest
 
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
+from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.files import json_text
 from sayd_env.runs.context import RunContext
+from sayd_env.runs.controlled import controlled_runs
 from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.runs.passive import PassiveRun, Sweep, assessed, sweep
+from sayd_env.runs.policies import policy_spec
 from sayd_env.stability import Limits
 from sayd_env.studies.critical_speed import (
     CriticalSpeedResult,
@@ -132,6 +135,30 @@ def test_a_sweep_is_its_single_runs_whatever_the_workers(short_scenario: Scenari
     (single,) = assessed([PassiveRun(short_scenario, SPEEDS[1], 5)])
     assert np.array_equal(one.track_shift[1, 1], single.track_shift)
     assert np.array_equal(one.frequency[1, 1], single.frequency)
+
+
+def test_a_policy_commands_semi_active_dampers(short_scenario: Scenario):
+    """They replace the passive ones; the history is that of a run of the sweep."""
+    found, other = (
+        find_critical_speed(short_scenario, [80.0, 100.0], [3], policy=policy_spec(name))
+        for name in ("constant:0", "skyhook-onoff")
+    )
+    assert found.scenario.damper.type == other.scenario.damper.type == "sayd"
+    assert found.history.rms.max() == pytest.approx(found.sweep.acceleration[0, 0].max(), rel=1e-9)
+    assert found.sweep.acceleration.shape == (2, 1, 4)
+    (run,) = controlled_runs(
+        short_scenario, load_environment(), [3], [("constant:0", 100.0, 0.0)], RunContext()
+    ).runs
+    assert (found.sweep.acceleration[1, 0] == run.acceleration).all()
+    assert (found.sweep.acceleration != other.sweep.acceleration).all()
+
+
+def test_where_the_vehicle_derails_the_limit_is_exceeded(result: Make):
+    """Its maxima are infinite: the crossing lies just above the last speed without a derailment."""
+    derailed = result([900.0] * 3, [900.0] * 3)
+    derailed.sweep.acceleration[KMH.index(395.0) :] = np.inf
+    speed = derailed.as_dict()["by_criterion"]["acceleration"]["critical_speed_kmh"]
+    assert 370.0 < speed < 371.0
 
 
 def test_progress_counts_every_run_once(short_scenario: Scenario):

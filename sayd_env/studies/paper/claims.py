@@ -7,14 +7,15 @@ the median over the seeds passes and at least 80 % of 1,000 bootstraps over the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config.units import Array
-from sayd_env.report.columns import Column
+from sayd_env.report.columns import Column, json_rows
 
 Flags = npt.NDArray[np.bool_]
 Seeds = npt.NDArray[np.int64]
@@ -23,6 +24,16 @@ Seeds = npt.NDArray[np.int64]
 SHARE = 0.8
 """Share of seeds or bootstraps that must pass."""
 BOOTSTRAPS = 1000
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A row that something else than what the row is about went through."""
+
+    measured: str
+    fraction: float | None = None
+    """None where the row does not apply."""
+    holds: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,13 @@ class Claim:
     fraction: float
     """Share of the seeds, or of the bootstraps, that pass."""
     holds: bool
+    fixed: Mapping[str, Verdict] = field(default_factory=dict)
+    """What fixed commands do in the controller's place; empty for a row without one."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What came out, alone."""
+        return Verdict(self.measured, self.fraction, self.holds)
 
 
 CLAIMS = (
@@ -48,6 +66,44 @@ CLAIMS = (
     Column("fraction", "share", "%", 100.0, 0),
     Column("holds", "holds", bad=lambda holds: not holds),
 )
+
+
+def claim_columns(claims: Sequence[Claim]) -> list[Column]:
+    """Columns of the rows, then of what each fixed command does in them."""
+    commands = dict.fromkeys(command for claim in claims for command in claim.fixed)
+    beside = [
+        column
+        for command in commands
+        for column in (
+            Column(f"{command} measured", f"{command}: measured", wide=True),
+            Column(f"{command} fraction"),
+            # Short, for the texts of a row need the room: V 0, V tuned of constant:0, constant-tuned.
+            Column(f"{command} holds", f"V {command.removeprefix('constant').lstrip(':-')}"),
+        )
+    ]
+    return [*CLAIMS, *beside]
+
+
+def claim_rows(claims: Sequence[Claim]) -> list[dict[str, Any]]:
+    """One entry for each row of claims, by the names of `claim_columns`; None where a row does not apply."""
+    names = [column.name for column in claim_columns(claims)]
+    found = []
+    for claim in claims:
+        beside = {
+            f"{command} {key}": value
+            for command, verdict in claim.fixed.items()
+            for key, value in asdict(verdict).items()
+        }
+        found.append(dict.fromkeys(names) | {column.name: column.of(claim) for column in CLAIMS} | beside)
+    return found
+
+
+def claims_document(claims: Sequence[Claim]) -> list[dict[str, Any]]:
+    """Rows of the JSON document; ``fixed`` has what fixed commands do, where the row applies to them."""
+    return [
+        row | {"fixed": {command: asdict(verdict) for command, verdict in claim.fixed.items()}}
+        for row, claim in zip(json_rows(CLAIMS, claims), claims, strict=True)
+    ]
 
 
 def spread(values: Array, unit: str = "", digits: int = 2) -> str:

@@ -7,8 +7,8 @@ from dataclasses import asdict
 from typing import Any, TypeAlias
 
 from sayd_env.config import ConfigError, validate
-from sayd_env.config.environment import EnvironmentConfig, load_environment
-from sayd_env.config.scenario import Scenario
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.reproduction import ReproductionConfig
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column
@@ -16,6 +16,7 @@ from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import controlled_runs
 from sayd_env.studies.paper.claims import Claim
 from sayd_env.studies.paper.controlled_claims import skyhook_claims, skyhook_runs
+from sayd_env.studies.paper.judged import Vehicle
 
 PeriodClaims: TypeAlias = Mapping[float, list[Claim]]
 """Rows S1 to S6 by control period (s)."""
@@ -32,11 +33,10 @@ def period_rows(claims: PeriodClaims) -> list[dict[str, Any]]:
 
 
 def period_claims(
-    scenario: Scenario,
+    vehicle: Vehicle,
+    study: ReproductionConfig,
     seeds: Sequence[int],
     periods: Sequence[float],
-    *,
-    environment: EnvironmentConfig | None = None,
     context: RunContext | None = None,
 ) -> PeriodClaims:
     """Judge rows S1 to S6 on worn wheels with controllers that act at several periods (s).
@@ -46,18 +46,17 @@ def period_claims(
     ConfigError
         A period that does not divide a second or is named twice, or dampers that do not fit.
     StudyError
-        A run that diverged or derailed.
+        A run that diverged.
     """
-    configs = environments_at(periods, environment or load_environment())
-    limits = model_limits(VehicleModel(scenario))
-    context = context or RunContext()
-    each = len(skyhook_runs()) * len(seeds)
+    configs = environments_at(periods, vehicle.environment)
+    limits = model_limits(VehicleModel(vehicle.scenario))
+    context, required = context or RunContext(), skyhook_runs(study.speeds("sayd"))
+    each = len(required) * len(seeds)
     claims: dict[float, list[Claim]] = {}
     for number, (period, config) in enumerate(zip(periods, configs, strict=True)):
         part = context.part(number * each, len(periods) * each, f"control period {1e3 * period:g} ms")
-        claims[period] = skyhook_claims(
-            controlled_runs(scenario, config, seeds, skyhook_runs(), part), limits
-        )
+        runs = controlled_runs(vehicle.semi_active, config, seeds, required, part, vehicle.policies)
+        claims[period] = skyhook_claims(runs, limits)
     return claims
 
 

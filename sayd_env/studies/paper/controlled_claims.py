@@ -13,13 +13,22 @@ from operator import attrgetter
 import numpy as np
 
 from sayd_env.config.assessment import AssessmentConfig, load_assessment
+from sayd_env.config.reproduction import load_reproduction
 from sayd_env.config.units import KMH, Array
 from sayd_env.runs.controlled import REAR, ControlledRun, ControlledRuns
 from sayd_env.runs.metrics import switchings
-from sayd_env.runs.passive import SAYD_SPEEDS
 from sayd_env.runs.policies import PAPER
 from sayd_env.stability import Limits
-from sayd_env.studies.paper.claims import Claim, Flags, Seeds, bootstrapped, by_median, by_seed, spread
+from sayd_env.studies.paper.claims import (
+    Claim,
+    Flags,
+    Seeds,
+    Verdict,
+    bootstrapped,
+    by_median,
+    by_seed,
+    spread,
+)
 
 MPPT1, MPPT2, ON_OFF, CONTINUOUS = PAPER
 CLOSED, OPEN = 0.0, 1.0
@@ -32,21 +41,31 @@ FAST_SWITCH = 0.1
 """s, row S2."""
 LOW_END, HIGH_END = 0.2, 0.8
 """Commands up to the first one are at the closed end of the valve's range, from the second on at the open."""
+MOTION = ("M3", "M4", "M6", "M7", "S2", "S5")
+"""Rows about the motion of the command."""
 OCCUPIED = 0.1
 """An end is occupied if more than this share of the time is spent there."""
 
 
-def required_runs() -> list[tuple[str, float, float]]:
-    """Controller, speed (m/s) and initial current of every run that the rows need, for each seed."""
-    closed = [(policy, speed, CLOSED) for policy in PAPER for speed in SAYD_SPEEDS]
-    return [*closed, (MPPT1, 400 / KMH, OPEN), (MPPT2, 300 / KMH, OPEN)]
+def required_runs(speeds: Sequence[float] | None = None) -> list[tuple[str, float, float]]:
+    """Controller, speed (m/s) and initial current of every run that the rows need, for each seed.
+
+    The grid of speeds (m/s) is by default that of the packaged study.
+    """
+    grid = load_reproduction().speeds("sayd") if speeds is None else speeds
+    return [*runs_over_speed(PAPER, grid), (MPPT1, 400 / KMH, OPEN), (MPPT2, 300 / KMH, OPEN)]
 
 
-def skyhook_runs() -> list[tuple[str, float, float]]:
+def runs_over_speed(policies: Sequence[str], speeds: Sequence[float]) -> list[tuple[str, float, float]]:
+    """Runs of policies at every speed (m/s), from closed valves."""
+    return [(policy, speed, CLOSED) for policy in policies for speed in speeds]
+
+
+def skyhook_runs(speeds: Sequence[float] | None = None) -> list[tuple[str, float, float]]:
     """Runs on which rows S1 to S6 rest: those of both skyhooks, and both MPPTs at 400 km/h (S3)."""
     return [
         (policy, speed, current)
-        for policy, speed, current in required_runs()
+        for policy, speed, current in required_runs(speeds)
         if current == CLOSED and (policy in (ON_OFF, CONTINUOUS) or round(speed * KMH) == 400)
     ]
 
@@ -168,7 +187,8 @@ class ControlledMeasures:
 
     def ratio(self, name: str, one: tuple[str, float], other: tuple[str, float]) -> Array:
         """A force quantity of one controller and speed (km/h) over that of another, for each seed."""
-        return self.each(attrgetter(name), *one) / self.each(attrgetter(name), *other)
+        with np.errstate(invalid="ignore"):  # both may be infinite
+            return np.asarray(self.each(attrgetter(name), *one) / self.each(attrgetter(name), *other))
 
 
 def controlled_claims(
@@ -181,49 +201,85 @@ def controlled_claims(
     ValueError
         A run is missing.
     """
-    m = ControlledMeasures(runs, limits, required_runs(), assessment)
+    m = ControlledMeasures(runs, limits, required_runs(runs.speeds), assessment)
+    return [claim for rows in CONTROLLER_ROWS.values() for claim in rows(m)] + [bounded_row(m)]
+
+
+def skyhook_claims(runs: ControlledRuns, limits: Limits) -> list[Claim]:
+    """Judge rows S1 to S6 alone, from `skyhook_runs`; otherwise as `controlled_claims`."""
+    m = ControlledMeasures(runs, limits, skyhook_runs(runs.speeds))
+    return [*_on_off_rows(m), *_continuous_rows(m)]
+
+
+def fixed_verdicts(
+    runs: ControlledRuns, limits: Limits, command: str, assessment: AssessmentConfig | None = None
+) -> dict[str, Verdict]:
+    """What a policy of one command does in the rows, in the place of the controller that each is about.
+
+    Where a row compares two controllers, the other one stays. Rows about the motion of the command do not
+    apply: their verdict says where it stays.
+
+    Parameters
+    ----------
+    runs : ControlledRuns
+        With `required_runs` and those of the command over speed.
+    limits, assessment
+        As of `ControlledMeasures`.
+    command : str
+        Name of the policy.
+    """
+
+    def measures(policies: Sequence[str]) -> ControlledMeasures:
+        stood_in = runs.in_place_of(policies, command)
+        return ControlledMeasures(stood_in, limits, required_runs(runs.speeds), assessment)
+
+    claims = [claim for policy, rows in CONTROLLER_ROWS.items() for claim in rows(measures([policy]))]
+    found = {claim.id: claim.verdict for claim in [*claims, bounded_row(measures(PAPER))]}
+    level = next(run.command[0, REAR] for run in runs.runs if run.policy == command)
+    return found | dict.fromkeys(MOTION, Verdict(f"stays at {PERCENT * level:.0f} %"))
+
+
+def bounded_row(m: ControlledMeasures) -> Claim:
+    """Row C1."""
     largest = np.asarray(np.max([m.ratios(policy).max(axis=0) for policy in PAPER], axis=0))
-    bounded = by_seed(
+    return by_seed(
         "C1",
         "all four controllers: no limit exceeded up to 400 km/h",
         largest <= 1.0,
         f"largest ratio {spread(largest)}",
     )
-    return [*_mppt_rows(m), *_skyhook_rows(m), bounded]
 
 
-def skyhook_claims(runs: ControlledRuns, limits: Limits) -> list[Claim]:
-    """Judge rows S1 to S6 alone, from `skyhook_runs`; otherwise as `controlled_claims`."""
-    return _skyhook_rows(ControlledMeasures(runs, limits, skyhook_runs()))
+def _mppt1_rows(m: ControlledMeasures) -> list[Claim]:
+    calm, settled = m.acceleration(MPPT1), PERCENT * m.each(settled_command, MPPT1, 400)
+    return [
+        by_seed("M1", "MPPT1, 300 to 400 km/h: a_max < 0.5 of the limit", calm < 0.5, spread(calm)),
+        _scatter_row(m),
+        by_seed(
+            "M3",
+            "MPPT1, 400 km/h, V(0) = 0 %: settles at 3 to 13 %",
+            _between(settled, 3.0, 13.0),
+            spread(settled, "%", 1),
+        ),
+        _open_start_row(m, "M4", MPPT1, 400, "< 20 %", lambda v: v < 20.0, after=10.0, as_in="M3"),
+    ]
 
 
-def _mppt_rows(m: ControlledMeasures) -> list[Claim]:
-    calm1, calm2 = m.acceleration(MPPT1), m.acceleration(MPPT2)
-    settled1, settled2 = (
-        PERCENT * m.each(settled_command, policy, kmh) for policy, kmh in ((MPPT1, 400), (MPPT2, 300))
-    )
+def _mppt2_rows(m: ControlledMeasures) -> list[Claim]:
+    calm, settled = m.acceleration(MPPT2), PERCENT * m.each(settled_command, MPPT2, 300)
     at_5 = PERCENT * m.each(command_after_5_s, MPPT2, 300)
     restless = PERCENT * m.each(lambda run: float(commands_from(run, 15.0).std()), MPPT2, 300)
     slow, fast = (MPPT2, 300.0), (MPPT1, 400.0)
     quieter, smoother = m.ratio("force_rms", slow, fast), m.ratio("force_power_high", slow, fast)
     force = m.ratio("force_rms", slow, (MPPT1, 300.0))
     return [
-        by_seed("M1", "MPPT1, 300 to 400 km/h: a_max < 0.5 of the limit", calm1 < 0.5, spread(calm1)),
-        _scatter_row(m),
-        by_seed(
-            "M3",
-            "MPPT1, 400 km/h, V(0) = 0 %: settles at 3 to 13 %",
-            _between(settled1, 3.0, 13.0),
-            spread(settled1, "%", 1),
-        ),
-        _open_start_row(m, "M4", MPPT1, 400, "< 20 %", lambda v: v < 20.0, after=10.0, as_in="M3"),
-        by_seed("M5", "MPPT2, 300 to 400 km/h: a_max < 0.5 of the limit", calm2 < 0.5, spread(calm2)),
+        by_seed("M5", "MPPT2, 300 to 400 km/h: a_max < 0.5 of the limit", calm < 0.5, spread(calm)),
         by_seed(
             "M6",
             "MPPT2, 300 km/h, V(0) = 0 %: 20 to 30 % after 5 s, settles at 30 to 40 %, "
             "deviates by less than 10 points from 15 s on",
-            _between(at_5, 20.0, 30.0) & _between(settled2, 30.0, 40.0) & (restless < 10.0),
-            f"5 s: {spread(at_5, '%', 1)}; settled: {spread(settled2, '%', 1)}; "
+            _between(at_5, 20.0, 30.0) & _between(settled, 30.0, 40.0) & (restless < 10.0),
+            f"5 s: {spread(at_5, '%', 1)}; settled: {spread(settled, '%', 1)}; "
             f"standard deviation {spread(restless, 'points', 1)}",
         ),
         _open_start_row(
@@ -293,28 +349,11 @@ def _open_start_row(
     )
 
 
-def _skyhook_rows(m: ControlledMeasures) -> list[Claim]:
-    calm, everything = m.ratios(ON_OFF).max(axis=0), np.arange(m.count)
+def _on_off_rows(m: ControlledMeasures) -> list[Claim]:
+    calm = m.ratios(ON_OFF).max(axis=0)
     on_off, *mppt = (m.each(attrgetter("force_peak"), policy, 400) for policy in (ON_OFF, MPPT1, MPPT2))
-    peak = on_off / np.maximum(*mppt)
-    high = m.ratio("force_power_high", (CONTINUOUS, 400), (ON_OFF, 400))
-    a_max, a_max_on_off = (m.criteria[policy]["acceleration"].values for policy in (CONTINUOUS, ON_OFF))
-
-    def largest(seeds: Seeds) -> float:
-        """Largest of both ratios over the speeds, medians over seeds."""
-        return float(np.median(m.ratios(CONTINUOUS)[:, seeds], axis=1).max())
-
-    def excess(seeds: Seeds) -> Array:
-        """Median of each seed's own rise at each speed: both controllers run on the same tracks."""
-        return np.asarray(np.median((a_max / a_max_on_off - 1.0)[:, seeds], axis=1))
-
-    def slightly_higher(seeds: Seeds) -> bool:
-        rise = excess(seeds)
-        return bool(largest(seeds) < 0.6 and np.all((rise >= 0.0) & (rise <= 0.4)))
-
-    rise = PERCENT * excess(everything)
-    low_end, high_end = np.array([end_shares(run) for run in m.runs.at(CONTINUOUS, 400)]).T
-    swings = m.each(swings_per_second, CONTINUOUS, 400)
+    with np.errstate(invalid="ignore"):
+        peak = on_off / np.maximum(*mppt)
     return [
         by_seed("S1", "on-off skyhook, 300 to 400 km/h: both ratios < 0.5", calm < 0.5, spread(calm)),
         _switching_row(m),
@@ -324,6 +363,32 @@ def _skyhook_rows(m: ControlledMeasures) -> list[Claim]:
             peak > 1.0,
             f"{spread(peak)} times",
         ),
+    ]
+
+
+def _continuous_rows(m: ControlledMeasures) -> list[Claim]:
+    everything = np.arange(m.count)
+    high = m.ratio("force_power_high", (CONTINUOUS, 400), (ON_OFF, 400))
+    a_max, a_max_on_off = (m.criteria[policy]["acceleration"].values for policy in (CONTINUOUS, ON_OFF))
+    with np.errstate(invalid="ignore"):
+        higher = a_max / a_max_on_off - 1.0
+
+    def largest(seeds: Seeds) -> float:
+        """Largest of both ratios over the speeds, medians over seeds."""
+        return float(np.median(m.ratios(CONTINUOUS)[:, seeds], axis=1).max())
+
+    def excess(seeds: Seeds) -> Array:
+        """Median of each seed's own rise at each speed: both controllers run on the same tracks."""
+        return np.asarray(np.median(higher[:, seeds], axis=1))
+
+    def slightly_higher(seeds: Seeds) -> bool:
+        rise = excess(seeds)
+        return bool(largest(seeds) < 0.6 and np.all((rise >= 0.0) & (rise <= 0.4)))
+
+    rise = PERCENT * excess(everything)
+    low_end, high_end = np.array([end_shares(run) for run in m.runs.at(CONTINUOUS, 400)]).T
+    swings = m.each(swings_per_second, CONTINUOUS, 400)
+    return [
         by_median(
             "S4",
             "continuous skyhook: both ratios < 0.6, a_max 0 to 40 % above on-off's at every speed",
@@ -361,6 +426,15 @@ def _switching_row(m: ControlledMeasures) -> Claim:
         f"10th percentile {spread(short, 's')}, median {spread(middle, 's')}"
         + ("" if two_valued.all() else ", other commands than 0 and 1"),
     )
+
+
+CONTROLLER_ROWS: dict[str, Callable[[ControlledMeasures], list[Claim]]] = {
+    MPPT1: _mppt1_rows,
+    MPPT2: _mppt2_rows,
+    ON_OFF: _on_off_rows,
+    CONTINUOUS: _continuous_rows,
+}
+"""What judges the rows that are about a controller."""
 
 
 def _between(values: Array, low: float, high: float) -> Flags:

@@ -8,7 +8,8 @@ from typing import Any
 
 from sayd_env.report.files import json_text
 from sayd_env.report.html import Block, Code, Grid, Picture, Section, Text, report
-from sayd_env.studies.paper.claims import CLAIMS, Claim
+from sayd_env.studies.paper.assumptions import CRITICAL_SPEEDS, ByAssumption, side_by_side, speed_rows
+from sayd_env.studies.paper.claims import Claim, claim_columns, claim_rows
 
 TITLE = "The paper's statements, measured"
 
@@ -116,16 +117,34 @@ FIGURES = {
 
 
 def reproduce_page(
-    claims: Sequence[Claim], images: Mapping[str, bytes], document: Mapping[str, Any], seeds: int
+    claims: Sequence[Claim],
+    images: Mapping[str, bytes],
+    document: Mapping[str, Any],
+    seeds: int,
+    assumptions: ByAssumption | None = None,
 ) -> str:
-    """Return the page of all claims, PNG pictures whose names start with ``figure_NN``, ``result.json``."""
+    """Return the page of all claims, PNG pictures whose names start with ``figure_NN``, ``result.json``.
+
+    The rows under several assumptions stand on it where there are more than the study's own.
+    """
     verdicts = {claim.id: claim for claim in claims}
     figures = [
         Section(f"Figure {number}: {figure.heading}", _figure_blocks(number, images, verdicts))
         for number, figure in FIGURES.items()
         if _names(number, images)
     ]
-    return report(TITLE, [_claims_section(claims, seeds), *figures, *_provenance(document)])
+    beside = _assumption_sections(assumptions or {})
+    return report(TITLE, [_claims_section(claims, seeds), *beside, *figures, *_provenance(document)])
+
+
+def _assumption_sections(found: ByAssumption) -> list[Section]:
+    """Critical speeds, and the rows where there is more than one assumption."""
+    if not found:
+        return []
+    speeds = Section("Critical speeds of the passive vehicle", [Grid.of(CRITICAL_SPEEDS, speed_rows(found))])
+    words = "Whether each row holds, and its share of seeds or bootstraps, with one assumption changed."
+    rows = Section("What each assumption carries", [Text(words), Grid.of(*side_by_side(found))])
+    return [rows, speeds] if len(found) > 1 else [speeds]
 
 
 def _claims_section(claims: Sequence[Claim], seeds: int) -> Section:
@@ -135,13 +154,16 @@ def _claims_section(claims: Sequence[Claim], seeds: int) -> Section:
         "Kovacic and Bruni, Vehicle System Dynamics 60(8), 2608-2633 (2022). A row judged by seed holds if "
         "at least 80 % of the seeds pass it; one judged by median, if the median over the seeds passes and "
         "at least 80 % of 1,000 bootstraps over the seeds do; one judged once has no randomness. What "
-        "the paper's figures show is taken from its text."
+        "the paper's figures show is taken from its text. Columns named after a fixed command say whether "
+        "it passes as well, in the place of the row's controller; rows about the motion of the command and "
+        "about passive dampers do not apply to it."
     )
     return Section("Statements", [Text(words), _claims_grid(claims)])
 
 
 def _claims_grid(claims: Sequence[Claim]) -> Grid:
-    return Grid.of(CLAIMS, claims, frozenset(i for i, c in enumerate(claims) if not c.holds))
+    failed = frozenset(i for i, c in enumerate(claims) if not c.holds)
+    return Grid.of(claim_columns(claims), claim_rows(claims), failed)
 
 
 def _names(number: int, images: Mapping[str, bytes]) -> list[str]:

@@ -93,7 +93,9 @@ def passive_claims(
     def crossing(criterion: Criterion) -> str:
         moves = ", sensitive to the speed grid" if criterion.sensitive(tolerance) else ""
         spread = f"; 80 % of the seeds {criterion.over_seeds_text()}"
-        return bootstrapped(criterion.kmh, m.count, "km/h") + spread + moves
+        none = f"no crossing from {criterion.speeds[0] * KMH:.0f} to {criterion.speeds[-1] * KMH:.0f} km/h"
+        found = not np.isnan(criterion.kmh())
+        return (bootstrapped(criterion.kmh, m.count, "km/h") if found else none) + spread + moves
 
     return [
         by_seed("P1", "new, 280 km/h: a_max < 0.5 of the limit", stable < 0.5, spread(stable)),

@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 from sayd_env.config import ConfigError
-from sayd_env.config.damper import PassiveDamperConfig
+from sayd_env.config.control import controller_of
+from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig, load_environment
+from sayd_env.config.reproduction import ReproductionConfig, load_reproduction
 from sayd_env.config.scenario import Scenario
-from sayd_env.envs.vehicle import model_limits
-from sayd_env.physics import sayd
-from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Table, csv_table, json_rows, print_table
 from sayd_env.report.figures import Plot
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.controlled import ControlledRuns, controlled_runs
-from sayd_env.runs.passive import LAW_SPEEDS, NEW_SPEEDS, WORN_SPEEDS, Sweep, runs_table, sweep
-from sayd_env.stability import Limits
+from sayd_env.runs.passive import Sweep, runs_table
+from sayd_env.runs.policies import PAPER, PolicySpec, policy_spec
 from sayd_env.studies.components.conicity import conicity, plot_conicity
-from sayd_env.studies.components.hysteresis import HysteresisResult, hysteresis
-from sayd_env.studies.critical_speed import (
-    CreepLawComparison,
-    check_laws,
-    compare_laws,
-    draw_trends,
-    wheelset_names,
-)
+from sayd_env.studies.critical_speed import CreepLawComparison, check_laws, compare_laws, draw_trends
+from sayd_env.studies.paper import assumptions as other
 from sayd_env.studies.paper import control_periods as periods
-from sayd_env.studies.paper.claims import CLAIMS, Claim, once
-from sayd_env.studies.paper.controlled_claims import controlled_claims, required_runs, skyhook_runs
+from sayd_env.studies.paper.claims import claim_columns, claim_rows, claims_document
+from sayd_env.studies.paper.controlled_claims import skyhook_runs
 from sayd_env.studies.paper.figures import controlled_plots
+from sayd_env.studies.paper.judged import Judged, Vehicle, judge, runs_of_a_seed
 from sayd_env.studies.paper.page import reproduce_page
-from sayd_env.studies.paper.passive_claims import passive_claims
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,51 +40,53 @@ ROWS = (
     "C2",
 )
 """Names of the rows, in the order of the table."""
-LEAST_SEEDS = 10
-"""Track realisations that a verdict needs."""
 
 
 @dataclass(frozen=True)
-class ReproduceResult:
+class ReproduceResult(Judged):
     """The table of claims and what it rests on."""
 
-    scenario: Scenario
-    claims: list[Claim]
-    new: Sweep
-    worn: Sweep
-    limits: Limits
-    wheelsets: tuple[str, ...]
-    loops: HysteresisResult
-    controlled: ControlledRuns
-    """Runs with semi-active dampers."""
+    least_seeds: int = 1
+    """Track realisations that a verdict needs."""
     by_period: periods.PeriodClaims = field(default_factory=dict)
     """Rows S1 to S6 at other control periods."""
     creep_laws: Mapping[str, CreepLawComparison] = field(default_factory=dict)
     """Critical speeds on new and on worn wheels by creep law."""
+    assumptions: Mapping[str, Judged] = field(default_factory=dict)
+    """The rows under other assumptions."""
 
     @property
     def failed(self) -> list[str]:
         """Rows that do not hold."""
         return [c.id for c in self.claims if not c.holds]
 
+    @property
+    def _by_assumption(self) -> other.ByAssumption:
+        return {other.OWN: self, **self.assumptions}
+
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd reproduce --json``."""
         laws = {wheels: found.as_dict() for wheels, found in self.creep_laws.items()}
         return {
-            "claims": json_rows(CLAIMS, self.claims),
+            "claims": claims_document(self.claims),
             "seeds": list(self.new.seeds),
+            "critical_speeds": json_rows(other.CRITICAL_SPEEDS, other.speed_rows(self._by_assumption)),
+            **({"assumptions": other.verdict_rows(self._by_assumption)} if self.assumptions else {}),
             **({"control_periods": periods.period_rows(self.by_period)} if self.by_period else {}),
             **({"by_creep_law": laws} if laws else {}),
         }
 
     def tables(self) -> dict[str, Table]:
-        """Claims, and every run."""
+        """Claims, critical speeds, and every run."""
         by_period = csv_table(periods.COLUMNS, periods.period_rows(self.by_period))
+        verdicts = csv_table(other.VERDICTS, other.verdict_rows(self._by_assumption))
         return {
-            "claims": csv_table(CLAIMS, self.claims),
+            "claims": csv_table(claim_columns(self.claims), claim_rows(self.claims)),
+            "critical_speeds": csv_table(other.CRITICAL_SPEEDS, other.speed_rows(self._by_assumption)),
             "runs_new": runs_table(self.new, self.wheelsets),
             "runs_worn": runs_table(self.worn, self.wheelsets),
             **self.controlled.tables(self.wheelsets),
+            **({"assumptions": verdicts} if self.assumptions else {}),
             **({"control_periods": by_period} if self.by_period else {}),
             **{f"creep_laws_{wheels}": found.table() for wheels, found in self.creep_laws.items()},
         }
@@ -110,19 +104,26 @@ class ReproduceResult:
 
     def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> dict[str, str]:
         """Claims and figures on one page, beside what the paper shows."""
-        return {"report": reproduce_page(self.claims, images, document, len(self.new.seeds))}
+        seeds = len(self.new.seeds)
+        return {"report": reproduce_page(self.claims, images, document, seeds, self._by_assumption)}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the table of claims."""
         title = f"what the paper shows, on {len(self.new.seeds)} track seeds"
-        print_table(console, title, CLAIMS, self.claims, wide=wide)
+        print_table(console, title, claim_columns(self.claims), claim_rows(self.claims), wide=wide)
+        if self.assumptions:
+            title = "the rows by assumption, all else equal"
+            print_table(console, title, *other.side_by_side(self._by_assumption))
+        title = "critical speeds of the passive vehicle"
+        speeds = other.speed_rows(self._by_assumption)
+        print_table(console, title, other.CRITICAL_SPEEDS, speeds, wide=wide, section="assumption")
         for period, claims in self.by_period.items():
             title = f"rows S1 to S6 with a control period of {1e3 * period:g} ms"
-            print_table(console, title, CLAIMS, claims, wide=wide)
+            print_table(console, title, claim_columns(claims), claim_rows(claims), wide=wide)
         for wheels, found in self.creep_laws.items():
             found.summary(console, f"critical speed on {wheels} wheels by creep law, all else equal", wide)
-        if len(self.new.seeds) < LEAST_SEEDS:
-            console.print(f"fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
+        if len(self.new.seeds) < self.least_seeds:
+            console.print(f"fewer than {self.least_seeds} seeds: a look, not a verdict")
         held = len(self.claims) - len(self.failed)
         console.print(
             f"{held} of {len(self.claims)} rows hold"
@@ -140,11 +141,15 @@ class ReproduceResult:
 
 def reproduce(
     scenario: Scenario,
-    seeds: Sequence[int] = range(10),
+    seeds: Sequence[int] | None = None,
     *,
+    study: ReproductionConfig | None = None,
+    sayd: SaydDamperConfig | None = None,
+    policies: Mapping[str, PolicySpec] | None = None,
     environment: EnvironmentConfig | None = None,
     control_periods: Sequence[float] = (),
     creep_laws: Sequence[str] = (),
+    assumptions: bool = False,
     context: RunContext | None = None,
 ) -> ReproduceResult:
     """Measure all rows of the paper's statements.
@@ -152,16 +157,23 @@ def reproduce(
     Parameters
     ----------
     scenario : Scenario
-        The configuration, with passive yaw dampers; its wear is set to 0 and 1 in turn. For the rows on
-        controllers, the packaged semi-active dampers replace the passive ones.
-    seeds : sequence of int
-        Track seeds.
+        The configuration, with passive yaw dampers; its wear is set to 0 and 1 in turn.
+    seeds : sequence of int, optional
+        Track seeds; those of the study by default.
+    study : ReproductionConfig, optional
+        Speeds, seeds, fixed commands and assumptions; ``configs/study/reproduce.yaml`` by default.
+    sayd : SaydDamperConfig, optional
+        What replaces the passive dampers in the rows on controllers; the packaged one by default.
+    policies : mapping, optional
+        Of each controller of the rows what commands in its place; the packaged controllers by default.
     environment : EnvironmentConfig, optional
         Sensors and clock of the controllers; those of ``nominal`` by default.
     control_periods : sequence of float
         Control periods (s) at which rows S1 to S6 are judged besides.
     creep_laws : sequence of str
         Creep laws by which the passive critical speeds are found besides, on a grid wide enough for all.
+    assumptions : bool
+        Judge the rows again under each assumption of the study, on as many seeds as it says.
     context : RunContext, optional
 
     Raises
@@ -174,70 +186,69 @@ def reproduce(
     """
     if not isinstance(scenario.damper, PassiveDamperConfig):
         raise ConfigError(f"damper '{scenario.damper.name}': rows P1 to P11 are about the passive yaw damper")
-    setup = environment or load_environment()
+    study, setup = study or load_reproduction(), environment or load_environment()
+    seeds = study.seeds if seeds is None else seeds
     if control_periods:
         periods.environments_at(control_periods, setup)  # refused before any work
     check_laws(creep_laws, "creep laws")
-    models = [VehicleModel(scenario.model_copy(update={"wear": wear})) for wear in (0.0, 1.0)]
-    wheels = dict(zip(("new", "worn"), (model.scenario for model in models), strict=True))
-    new, worn, controlled, others, *by_law = _parts(
+    vehicle = Vehicle(scenario, setup, sayd, policies)
+    judged_again = study.assumptions if assumptions else ()
+    grid = study.speeds("creep_laws")
+    own, others, new_laws, worn_laws, *again = _parts(
         context or RunContext(),
-        len(seeds),
-        (len(NEW_SPEEDS), len(WORN_SPEEDS), len(required_runs()), len(control_periods) * len(skyhook_runs()))
-        + 2 * (len(creep_laws) * len(LAW_SPEEDS),),
+        [
+            len(seeds) * runs_of_a_seed(study, study.fixed),
+            len(seeds) * len(control_periods) * len(skyhook_runs(study.speeds("sayd"))),
+            *2 * [len(seeds) * len(creep_laws) * len(grid)],
+            *(min(a.seeds, len(seeds)) * runs_of_a_seed(study) for a in judged_again),
+        ],
     )
-    new_runs = sweep(wheels["new"], NEW_SPEEDS, seeds, new)
-    worn_runs = sweep(wheels["worn"], WORN_SPEEDS, seeds, worn)
-    runs = controlled_runs(wheels["worn"], setup, seeds, required_runs(), controlled)
+    judged = judge(vehicle, study, seeds, own, study.fixed)
     by_period: periods.PeriodClaims = {}
     if control_periods:
-        by_period = periods.period_claims(
-            wheels["worn"], seeds, control_periods, environment=setup, context=others
-        )
+        by_period = periods.period_claims(vehicle, study, seeds, control_periods, others)
     compared = {
-        name: compare_laws(vehicle, LAW_SPEEDS, seeds, creep_laws, part)
-        for (name, vehicle), part in zip(wheels.items(), by_law, strict=True)
+        name: compare_laws(vehicle.worn(wear), grid, seeds, creep_laws, part)
+        for name, wear, part in (("new", 0.0, new_laws), ("worn", 1.0, worn_laws))
         if creep_laws
     }
-    limits = model_limits(models[0])
-    loops = hysteresis(scenario)
-    claims = [
-        *passive_claims(new_runs, worn_runs, limits, scenario.assessment),
-        damper_claim(loops),
-        *controlled_claims(runs, limits, scenario.assessment),
-        model_claim(models[0]),
-    ]
-    names = wheelset_names(models[0])
+    by_assumption = {
+        a.name: judge(replace(vehicle, scenario=a.applied(scenario)), study, seeds[: a.seeds], part)
+        for a, part in zip(judged_again, again, strict=True)
+    }
     return ReproduceResult(
-        scenario, claims, new_runs, worn_runs, limits, names, loops, runs, by_period, compared
+        **vars(judged),
+        least_seeds=study.least_seeds,
+        by_period=by_period,
+        creep_laws=compared,
+        assumptions=by_assumption,
     )
 
 
-def _parts(context: RunContext, seeds: int, runs: Sequence[int]) -> list[RunContext]:
-    """Contexts of the parts of the study, each of so many runs of a seed."""
-    begins = accumulate((seeds * count for count in runs[:-1]), initial=0)
-    return [context.part(begin, seeds * sum(runs)) for begin in begins]
+def row_policies(files: Sequence[str] = (), fixed: Sequence[str] = ()) -> dict[str, PolicySpec]:
+    """What the rows' controllers and the fixed commands stand for.
+
+    Parameters
+    ----------
+    files : sequence of str
+        Files of parameters of controllers, which are named after them; the others are packaged ones.
+    fixed : sequence of str
+        Policies of one command.
+
+    Raises
+    ------
+    ConfigError
+        A file that cannot be used, or one of a controller that no row is about; a policy that is unknown.
+    """
+    own = {controller_of(file): policy_spec(file) for file in files}
+    for name in own:
+        if name not in PAPER:
+            raise ConfigError(f"controller '{name}': no row is about it; expected {', '.join(PAPER)}")
+    if len(own) < len(files):
+        raise ConfigError(f"controllers {', '.join(files)}: two files are of the same controller")
+    return {name: policy_spec(name) for name in (*PAPER, *fixed)} | own
 
 
-def damper_claim(result: HysteresisResult) -> Claim:
-    """Row P11: loops that dissipate, with a force below the curve at the peak velocity."""
-    excess = [loop.force_peak / loop.force_limit for loop in result.loops]
-    least = min(loop.energy for loop in result.loops)
-    holds = least > 0.0 and max(excess) <= 1.0
-    damper = result.damper
-    assert isinstance(damper, PassiveDamperConfig)  # `reproduce` has refused any other
-    stiffness = [loop.zero_force_slope / damper.series_stiffness for loop in result.loops]
-    measured = (
-        f"smallest loop {least:.2f} J; largest peak force {100 * max(excess):.1f} % of the curve; "
-        f"slope at zero force {min(stiffness):.2f} to {max(stiffness):.2f} of the series stiffness"
-    )
-    return once("P11", "hysteresis: loops dissipate, peak force <= curve at peak velocity", holds, measured)
-
-
-def model_claim(model: VehicleModel) -> Claim:
-    """Row C2: counted from the assembled model and from the semi-active damper's unknowns."""
-    n, d = model.multibody.n, len(model.multibody.yaw_dampers)
-    mechanical = (sayd.STROKE, sayd.STROKE_RATE, sayd.ROD, sayd.ROD_RATE)
-    states = len({*mechanical, sayd.PRESSURE_A, sayd.PRESSURE_B})
-    holds = (n, d, states) == (62, 8, 6)
-    return once("C2", "62 degrees of freedom, 8 yaw dampers of 6 states", holds, f"{n}, {d} and {states}")
+def _parts(context: RunContext, runs: Sequence[int]) -> list[RunContext]:
+    """Contexts of the parts of the study, each of so many runs."""
+    return [context.part(begin, sum(runs)) for begin in accumulate(runs[:-1], initial=0)]

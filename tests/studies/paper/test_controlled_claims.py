@@ -12,12 +12,14 @@ import pytest
 
 from sayd_env.runs.controlled import ControlledRun, ControlledRuns
 from sayd_env.stability import Limits
-from sayd_env.studies.paper.claims import Claim
+from sayd_env.studies.paper.claims import Claim, Verdict
 from sayd_env.studies.paper.controlled_claims import (
+    MOTION,
     command_at,
     controlled_claims,
     dwell_times,
     end_shares,
+    fixed_verdicts,
     largest_distance,
     required_runs,
     settled_command,
@@ -122,6 +124,33 @@ def test_each_row_fails_by_itself(paper_runs: MakeRuns, courses: SimpleNamespace
     ]
     for number, (change, rows) in enumerate(cases):
         assert failed(judged(paper_runs(2, change), limits)) == rows, f"case {number}"
+
+
+def test_a_fixed_command_takes_the_place_of_a_row_s_controller(
+    paper_runs: MakeRuns, controlled_run: MakeRun, limits: Limits
+):
+    """Its force is 2.4 kN at 300 and 2.8 kN at 400 km/h; MPPT1's are 2.5 and 3 kN, on-off's peak is 11 kN."""
+    runs = paper_runs(2)
+    fixed = [
+        controlled_run(
+            "constant:0.05",
+            kmh,
+            seed,
+            force_rms=2.4e3 if kmh == 300 else 2.8e3,
+            force_power_high=9e4,
+            **acceleration(limits, 0.45),
+        )
+        for kmh in (300, 320, 350, 375, 400)
+        for seed in range(2)
+    ]
+    verdicts = fixed_verdicts(ControlledRuns([*runs.runs, *fixed]), limits, "constant:0.05")
+    assert list(verdicts) == ROWS
+    assert {row for row, verdict in verdicts.items() if verdict.holds} == {"M1", "M5", "M8", "M9", "S1", "C1"}
+    assert {row for row, verdict in verdicts.items() if verdict.holds is None} == set(MOTION)
+    assert verdicts["M9"].measured == "RMS force 0.96 (0.96 to 0.96) times"
+    assert verdicts["M8"].measured.startswith("RMS force 0.80 (0.80 to 0.80) times")
+    assert verdicts["M3"] == Verdict("stays at 5 %")
+    assert verdicts["C1"].measured == "largest ratio 0.45 (0.45 to 0.45)"
 
 
 @pytest.mark.parametrize(("passing", "holds"), [(10, True), (8, True), (7, False)])

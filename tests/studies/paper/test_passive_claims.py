@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sayd_env.runs.passive import NEW_SPEEDS, WORN_SPEEDS, Sweep
+from sayd_env.config.reproduction import load_reproduction
+from sayd_env.runs.passive import Sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.paper.claims import Claim
 from sayd_env.studies.paper.passive_claims import PassiveMeasures, passive_claims
@@ -53,9 +54,11 @@ def failed(claims: dict[str, Claim]) -> set[str]:
     return {claim.id for claim in claims.values() if not claim.holds}
 
 
-def test_the_grids_are_those_of_figures_8_and_10():
-    assert np.array(NEW_SPEEDS) * 3.6 == pytest.approx(NEW)
-    assert np.array(WORN_SPEEDS) * 3.6 == pytest.approx(WORN)
+def test_the_grids_are_those_of_the_figures():
+    study = load_reproduction()
+    assert np.array(study.speeds("new")) * 3.6 == pytest.approx(NEW)
+    assert np.array(study.speeds("worn")) * 3.6 == pytest.approx(WORN)
+    assert np.array(study.speeds("sayd")) * 3.6 == pytest.approx([300, 320, 350, 375, 400])
 
 
 def test_a_vehicle_like_the_papers_passes_every_row(judge: Callable[..., dict[str, Claim]]):
