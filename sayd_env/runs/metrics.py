@@ -138,7 +138,7 @@ def cost_parts(runs: list[Run]) -> list[CostParts]:
     found = []
     for run, rollout in zip(runs, roll_out_runs(runs, episode=True), strict=True):
         if rollout.ending is not None:
-            _refuse_divergence(rollout)
+            refuse_divergence(rollout)
         cost = rollout.episode_cost(run.environment, run.scenario)
         share = len(rollout.terms) * rollout.control_period / run.environment.episode_s
         found.append(CostParts(cost.acceleration, cost.force, max(1.0 - share, 0.0)))
