@@ -139,11 +139,6 @@ def reproduce(
 @command(GROUP, "--out results/calibrate", runs=True)
 def calibrate(
     *,
-    from_middle: bool = option(
-        "--from-middle",
-        "Begin in the middle of every range, not at the best of random points.",
-        default=False,
-    ),
     config: options.Config = None,
     assignments: options.Set = None,
     seed: options.Seed = 0,
@@ -168,7 +163,7 @@ def calibrate(
                 write_file(path, text.encode())
 
     return Plan(
-        lambda run: study(settings, seed=seed, from_middle=from_middle, context=run),
+        lambda run: study(settings, seed=seed, context=run),
         settings,
         seed,
         after=store,

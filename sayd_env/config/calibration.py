@@ -46,16 +46,8 @@ class Parameter(Model):
         return (value - self.low) / (self.high - self.low)
 
 
-class Screening(Model):
-    """Points of a Latin hypercube, of which the best one is where the search begins."""
-
-    samples: int = quantity("-", "Number of points", ge=1)
-    seeds: int = quantity("-", "Track seeds of each of them", ge=1)
-    length: float = quantity("m", LENGTH, ge=1500.0)
-
-
 class Search(Model):
-    """A search by response surfaces around the best point of the one before."""
+    """A search by response surfaces in a box around the best place of the one before."""
 
     name: str
     seeds: int = quantity("-", "Track seeds of each evaluation", ge=1)
@@ -69,8 +61,9 @@ class Stage(Model):
     """The free numbers of one part of the plant, and how they are looked for."""
 
     parameters: tuple[Parameter, ...] = Field(min_length=1)
-    screening: Screening
-    searches: tuple[Search, ...] = Field(description="Each from the best point of the one before")
+    searches: tuple[Search, ...] = Field(
+        description="Each around the best point of the one before", min_length=1
+    )
 
     @field_validator("parameters")
     @classmethod
@@ -80,6 +73,17 @@ class Stage(Model):
             if names.count(name) > 1:
                 raise ValueError(f"parameter '{name}' appears twice")
         return parameters
+
+    @model_validator(mode="after")
+    def _enough(self) -> Stage:
+        least = len(self.parameters) + 2
+        for search in self.searches:
+            if not least <= search.samples <= search.evaluations:
+                raise ValueError(
+                    f"search '{search.name}': {search.samples} samples; surfaces over {least - 2} parameters "
+                    f"need {least} or more, and at most all {search.evaluations} evaluations"
+                )
+        return self
 
     def values(self, place: Sequence[float]) -> dict[str, float]:
         """Value of each parameter by name at a place of the unit cube."""

@@ -19,7 +19,7 @@ from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
 from sayd_env.config import StudyError
-from sayd_env.config.calibration import CalibrationConfig, Parameter, Screening, Search, Sensitivity, Stage
+from sayd_env.config.calibration import CalibrationConfig, Parameter, Search, Sensitivity, Stage
 from sayd_env.config.control import load_controller
 from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
@@ -62,10 +62,14 @@ if TYPE_CHECKING:
 
 PRIOR = 0.02
 """Weight of a parameter's distance from the middle of its range: settles what the rows do not."""
+KNEE = 3.0
+"""Residual from which on it counts by its logarithm."""
 LOST = 50.0
 """Residual of numbers with which a run does not stay finite, or derails."""
 SMOOTHING = 0.1
 """Of the response surfaces: what differs less than places do is taken for chance."""
+KEPT = 0.75
+"""Share of the trials that surfaces drawn from them pass."""
 ABREAST = 4
 """Places that are tried side by side."""
 CONTROL = "control."
@@ -92,7 +96,7 @@ class Trial:
 
 def damped(trial: Trial) -> Array:
     """Residuals whose large values grow as logarithms, so that no lost row outweighs all others."""
-    return np.asarray(np.arcsinh(list(trial.residuals.values())))
+    return np.asarray(KNEE * np.arcsinh(np.array(list(trial.residuals.values())) / KNEE))
 
 
 @dataclass(frozen=True)
@@ -217,7 +221,7 @@ RESTING = ((MPPT1, 400 / KMH, CLOSED), (MPPT2, 300 / KMH, CLOSED))
 
 
 def calibrate(
-    config: CalibrationConfig, *, seed: int = 0, from_middle: bool = False, context: RunContext | None = None
+    config: CalibrationConfig, *, seed: int = 0, context: RunContext | None = None
 ) -> CalibrationResult:
     """Search for the numbers that meet most rows: first the passive vehicle, then dampers and controllers.
 
@@ -225,9 +229,8 @@ def calibrate(
     ----------
     config : CalibrationConfig
     seed : int
-        Of the Latin hypercubes, not of the tracks.
-    from_middle : bool
-        Whether the searches begin in the middle of every range, not at the best of the Latin hypercube.
+        Where the searches begin: 0 in the middle of every range, others at a random place; of their random
+        draws as well, not of the tracks.
     context : RunContext, optional
 
     Raises
@@ -236,7 +239,7 @@ def calibrate(
         No numbers gave a finite run.
     """
     context = context or RunContext()
-    tell = _Teller(context, config, from_middle)
+    tell = _Teller(context, config)
     runs = RunContext(context.executor, context.cache, silent, context.kept)
     passive = _Passive(config, runs)
     found = {"passive": _searched("passive", config.passive, passive.outcomes, seed, tell)}
@@ -254,15 +257,14 @@ class _Teller:
 
     context: RunContext
     config: CalibrationConfig
-    from_middle: bool
     done: int = 0
 
     def __call__(self, what: str, cost: float, count: int = 0) -> None:
         self.done += count
         total = sum(
-            (1 if self.from_middle else stage.screening.samples)
-            + sum(search.evaluations for search in stage.searches)
+            search.evaluations
             for stage in (self.config.passive, self.config.semi_active)
+            for search in stage.searches
         )
         words = f"{what}, best cost {cost:.2f}" if cost else what
         self.context.progress(min(self.done, total), total, words)
@@ -276,7 +278,7 @@ def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Tel
     """Screen the ranges of a stage, then search from the best point."""
     trials: list[Trial] = []
 
-    def tried(what: str, places: Iterable[Array], settings: Screening | Search) -> list[Trial]:
+    def tried(what: str, places: Iterable[Array], settings: Search) -> list[Trial]:
         keys = [tuple(round(float(u), 6) for u in np.clip(place, 0.0, 1.0)) for place in places]
         outcomes = evaluate(keys, settings.seeds, settings.length)
         new = [Trial(f"{name}, {what}", key, *outcome) for key, outcome in zip(keys, outcomes, strict=True)]
@@ -285,45 +287,41 @@ def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Tel
         return new
 
     count = len(stage.parameters)
-    if tell.from_middle:
-        starts = np.full((1, count), 0.5)
-    else:
-        starts = qmc.LatinHypercube(count, rng=seed).random(stage.screening.samples)
-    for place in starts:
-        tried("screening", [place], stage.screening)
-    best = best_of(trials)
-    if LOST in best.residuals.values():
-        raise StudyError(f"calibration, {name}: no numbers within the ranges gave a finite run")
+    place = np.full(count, 0.5) if seed == 0 else np.random.default_rng(seed).random(count)
     for search in stage.searches:
-        best = _search(search, best, tried, seed)
+        best = _search(search, place, tried, seed)
+        place = np.array(best.place)
+        if LOST in best.residuals.values():
+            raise StudyError(f"calibration, {name}: no numbers within the ranges gave a finite run")
     return trials
 
 
 def _search(
-    search: Search, start: Trial, tried: Callable[[str, Iterable[Array], Search], list[Trial]], seed: int
+    search: Search, start: Array, tried: Callable[[str, Iterable[Array], Search], list[Trial]], seed: int
 ) -> Trial:
-    """Search a box around a trial by response surfaces; returns the best trial in it.
+    """Search a box around a place by response surfaces; returns the best trial in it.
 
     Radial basis functions smooth all residuals over the places tried so far. Where their sum of squares is
-    least, the next places are tried: each by surfaces through another resampling of the trials, so that they
-    spread where the surfaces are uncertain.
+    least, the next places are tried: each by surfaces through other trials, drawn from all, so that the
+    places spread where the surfaces are uncertain.
     """
     random = np.random.default_rng(seed)
-    middle, count = np.clip(start.place, 0.0, 1.0), len(start.place)
-    low, high = np.maximum(middle - search.radius, 0.0), np.minimum(middle + search.radius, 1.0)
+    count = len(start)
+    low, high = np.maximum(start - search.radius, 0.0), np.minimum(start + search.radius, 1.0)
     cube = qmc.LatinHypercube(count, rng=seed).random(search.samples - 1)
-    made = tried(search.name, [middle, *qmc.scale(cube, low, high)], search)
+    made = tried(search.name, [start, *qmc.scale(cube, low, high)], search)
     while len(made) < search.evaluations:
-        places = [_least(made, low, high, random, resampled=i > 0) for i in range(ABREAST)]
+        places = [_least(made, low, high, random, drawn=i > 0) for i in range(ABREAST)]
         made += tried(search.name, places, search)
     return best_of(made)
 
 
 def _least(
-    made: Sequence[Trial], low: Array, high: Array, random: np.random.Generator, *, resampled: bool
+    made: Sequence[Trial], low: Array, high: Array, random: np.random.Generator, *, drawn: bool
 ) -> Array:
-    """Where response surfaces through all trials, or through a resampling of them, have the least cost."""
-    chosen = random.integers(0, len(made), len(made)) if resampled else np.arange(len(made))
+    """Where response surfaces through all trials, or through some drawn from them, have the least cost."""
+    kept = max(len(low) + 2, round(KEPT * len(made))) if drawn else len(made)
+    chosen = random.permutation(len(made))[:kept]
     trials = {made[i].place: damped(made[i]) for i in chosen}
     surface = RBFInterpolator(
         np.array(list(trials)),
