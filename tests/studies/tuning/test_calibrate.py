@@ -14,7 +14,7 @@ from sayd_env.cli import main
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.calibration import CalibrationConfig, load_calibration
 from sayd_env.config.control import MpptConfig, load_controller
-from sayd_env.config.damper import load_sayd
+from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.scenario import load_scenario
 from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import RunContext
@@ -30,8 +30,7 @@ base: {base}
 semi_active_damper: sayd-estimate
 first_seed: 1000
 passive:
-  screening: {{samples: 2, seeds: 1, length: 1500.0}}
-  searches: []
+  searches: [{{name: all, seeds: 1, length: 1500.0, radius: 1.0, samples: 4, evaluations: 4}}]
   parameters:
     - name: series stiffness
       unit: N/m
@@ -47,15 +46,8 @@ passive:
       keys: {{friction: 1.0, contact_damping: 2.0e+5}}
       source: made up
 semi_active:
-  screening: {{samples: 1, seeds: 1, length: 1500.0}}
-  searches: []
+  searches: [{{name: all, seeds: 1, length: 1500.0, radius: 1.0, samples: 5, evaluations: 5}}]
   parameters:
-    - name: ratio
-      unit: "-"
-      low: 50.0
-      high: 80.0
-      keys: {{damper.throttle.ratio: 1.0}}
-      source: made up
     - name: corner
       unit: Hz
       low: 0.05
@@ -109,7 +101,7 @@ def test_a_place_sets_values_times_factors(config: CalibrationConfig):
 
 
 def test_what_two_parameters_give_to_one_key_is_added_up(config: CalibrationConfig):
-    numbers = config.semi_active.assignments(config.semi_active.values((0.0, 0.0, 0.5, 0.5)))
+    numbers = config.semi_active.assignments(config.semi_active.values((0.0, 0.5, 0.5)))
     assert numbers["control.mppt2.threshold_min"] == pytest.approx(0.6)
     assert numbers["control.mppt2.threshold_max"] == pytest.approx(0.6 + 0.2)
 
@@ -236,25 +228,24 @@ class Stop(Exception):
 
 
 def test_an_interrupted_calibration_goes_on_where_it_stopped(config: CalibrationConfig, tmp_path: Path):
-    told: list[float] = []
+    """Progress is reported after each batch of trials: the first one is that of the passive vehicle."""
 
     def stop(done: float, total: float, what: str = "") -> None:
-        told.append(done)
-        if len(told) == 2:
-            raise Stop
+        raise Stop
 
     with pytest.raises(Stop):
         calibrate(config, context=RunContext(cache=RunCache(tmp_path), progress=stop))
-    assert len(list(tmp_path.glob("*/*.npz"))) == 2 * SWEEPS
-    told = [0.0, 0.0]
+    assert len(list(tmp_path.glob("*/*.npz"))) == 4 * SWEEPS
+    told: list[float] = []
     cache = RunCache(tmp_path)
-    result = calibrate(config, context=RunContext(cache=cache, progress=stop))
-    assert told[2:5] == [1, 2, 3]
-    assert cache.reused == 2 * SWEEPS
+    result = calibrate(config, context=RunContext(cache=cache, progress=lambda done, *_: told.append(done)))
+    assert told[:2] == [4, 4 + 5]
+    assert cache.reused == 4 * SWEEPS
     best = min(trial.cost for trial in result.trials["passive"])
     assert result.best("passive").cost == best
-    assert [len(trials) for trials in result.trials.values()] == [2, 1]
-    assert len(result.sensitivity) == 1 + 2 * (2 + 4)
+    assert result.trials["passive"][0].place == (0.5, 0.5)
+    assert [len(trials) for trials in result.trials.values()] == [4, 5]
+    assert len(result.sensitivity) == 1 + 2 * (2 + 3)
 
 
 def test_no_finite_run_at_all_is_a_failed_study(config: CalibrationConfig, monkeypatch: pytest.MonkeyPatch):
@@ -278,31 +269,33 @@ def test_one_lost_set_of_numbers_does_not_take_the_others_with_it():
 
 
 def test_the_command_says_what_it_found(study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """From the middle of every range, which without searches is also where it ends."""
     out = tmp_path / "out"
-    assert main(["calibrate", "--config", str(study), "--json", "--from-middle", "--out", str(out)]) == 0
+    assert main(["calibrate", "--config", str(study), "--json", "--seed", "3", "--out", str(out)]) == 0
     content = json.loads(capsys.readouterr().out)
-    assert content["passive"]["evaluations"] == content["semi_active"]["evaluations"] == 1
-    assert content["passive"]["parameters"] == pytest.approx({"series stiffness": 6e6, "friction": 0.4})
+    assert [content[name]["evaluations"] for name in ("passive", "semi_active")] == [4, 5]
     names = {"result.json", "evaluations_passive.csv", "evaluations_semi_active.csv", "sensitivity.csv"}
     assert {path.name for path in out.iterdir()} == {*names, "runs", "cost.png", "configs"}
     parts = {str(path.relative_to(out / "configs")) for path in (out / "configs").rglob("*.yaml")}
-    own = {"damper/passive.yaml", "damper/sayd.yaml", "control/skyhook.yaml", "control/mppt2.yaml"}
+    own = {"damper/passive.yaml", "control/skyhook.yaml", "control/mppt2.yaml"}
     assert parts == own | {"study/nominal.yaml"}
-    costs = {
-        name: sum(np.arcsinh(list(content[name]["residuals"].values())) ** 2)
-        for name in ("passive", "semi_active")
-    }
-    assert costs == pytest.approx({name: content[name]["cost"] for name in costs})
+    for name in ("passive", "semi_active"):
+        residuals = np.array(list(content[name]["residuals"].values()))
+        assert content[name]["cost"] == pytest.approx(np.sum((3 * np.arcsinh(residuals / 3)) ** 2))
+    values = content["passive"]["parameters"]
+    stored = load_scenario("estimates", [f"damper={out}/configs/damper/passive.yaml"])
+    assert isinstance(stored.damper, PassiveDamperConfig)
+    assert stored.damper.series_stiffness == values["series stiffness"]
     calibrated, *moved = content["sensitivity"]
     assert calibrated["name"] == "as calibrated"
-    assert [line["value"] for line in moved[2:4]] == pytest.approx([0.42, 0.38])  # a tenth of 0.3 to 0.5
+    friction = values["friction"]
+    steps = [min(friction + 0.02, 0.5), max(friction - 0.02, 0.3)]  # a tenth of 0.3 to 0.5
+    assert [line["value"] for line in moved[2:4]] == pytest.approx(steps, abs=1e-5)
     assert {line["critical_new_kmh"] for line in moved[4:]} == {None}  # the damper is another
 
 
 def test_large_residuals_count_by_their_logarithm():
     trial = module.Trial("any", (0.5,), {"P1": 0.01, "P2": -50.0}, {})
-    assert damped(trial) == pytest.approx([0.01, -np.log(100.0)], abs=1e-3)
+    assert damped(trial) == pytest.approx([0.01, -3.0 * np.log(100.0 / 3.0)], abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -310,8 +303,8 @@ def test_large_residuals_count_by_their_logarithm():
     [
         ("passive.parameters.friction.low=0.6", "parameters.friction: needs low < high"),
         ("passive.parameters.friction.sorce=x", "unknown key 'passive.parameters.friction.sorce', did you"),
-        ("passive.screening.samples=0", "screening.samples: found 0; .*greater than or equal to 1"),
-        ("semi_active.screening.length=1000", "length: found 1000"),
+        ("passive.searches.all.samples=3", "search 'all': 3 samples; surfaces over 2 parameters need 4"),
+        ("semi_active.searches.all.length=1000", "length: found 1000"),
     ],
 )
 def test_bad_calibrations_are_refused(change: str, message: str, study: Path):
