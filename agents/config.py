@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from sayd_env.config import Model, quantity
 from sayd_env.config.base import Number
 from sayd_env.config.layers import Kind, read_layered
-from sayd_env.config.reward import checked_reward
+from sayd_env.config.reward import RewardName
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 """A whole number of 1 or more."""
@@ -35,9 +35,7 @@ class LearningEnvironmentConfig(Model):
     history: Count | None = Field(None, description="Vectors in an observation of type 'history'")
     control_period: float = quantity("s", "Time for which a command holds", gt=0.0, le=1.0)
     episode_s: float = quantity("s", "Time at which an episode is truncated", gt=0.0)
-    reward: str = Field(description="Weights of the cost, by name")
-
-    _reward = field_validator("reward")(checked_reward)
+    reward: RewardName = Field(description="Weights of the cost, by name; null: the study's")
 
 
 class InputConfig(Model):

@@ -252,8 +252,8 @@ def tune(
     """Find the gains of a controller with the smallest mean J over a list of scenarios.
 
     The list, the ranges and the budget are those of configs/study/tuning.yaml (--config, --set); J has the
-    weights of MPPT2. mppt2: differential evolution, then COBYQA, about ten minutes; constant: Brent's search,
-    a minute or two; --quick takes a few scenarios and evaluations.
+    weights of MPPT2 (--set reward=low-force). mppt2: differential evolution, then COBYQA, about ten minutes;
+    constant: Brent's search, a minute or two; --quick takes a few scenarios and evaluations.
 
     The result is a file of parameters that --policies takes like a name, for example
     results/tune-mppt2/mppt2-tuned.yaml; the packaged mppt2-tuned and constant-tuned were found so.

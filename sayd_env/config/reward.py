@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
+from typing import Annotated
+
+from pydantic import AfterValidator
 
 from sayd_env.config.base import Model, quantity
 from sayd_env.config.errors import ConfigError
@@ -35,18 +38,15 @@ def named_rewards() -> Mapping[str, RewardConfig]:
     return MappingProxyType({name: validate(RewardConfig, each, source) for name, each in named.items()})
 
 
-def checked_reward(name: str) -> str:
-    """The name of weights.
-
-    Raises
-    ------
-    ValueError
-        An unknown one.
-    """
+def _known(name: str | None) -> str | None:
     known = named_rewards()
-    if name not in known:
+    if name is not None and name not in known:
         raise ValueError(f"found '{name}'{nearest(name, known)}; expected {', '.join(known)}")
     return name
+
+
+RewardName = Annotated[str | None, AfterValidator(_known)]
+"""Name of weights in a configuration; None: those of the study."""
 
 
 def with_reward(scenario: Scenario, name: str) -> Scenario:
@@ -58,10 +58,10 @@ def with_reward(scenario: Scenario, name: str) -> Scenario:
         An unknown name.
     """
     try:
-        weights = named_rewards()[checked_reward(name)]
+        _known(name)
     except ValueError as error:
         raise ConfigError(f"--reward: {error}") from None
-    return scenario.model_copy(update={"cost": weights.of(scenario.cost)})
+    return scenario.model_copy(update={"cost": named_rewards()[name].of(scenario.cost)})
 
 
 def reported_costs(own: CostConfig) -> dict[str, CostConfig]:

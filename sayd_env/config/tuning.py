@@ -11,7 +11,7 @@ from sayd_env.config.control import CONTROLLERS, load_controller
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
 from sayd_env.config.loader import read_study
-from sayd_env.config.reward import checked_reward
+from sayd_env.config.reward import RewardName
 
 Gains = Mapping[str, float]
 """Values of a controller's gains by name."""
@@ -125,15 +125,13 @@ class TuningConfig(Model):
     description: str = ""
     environment: str = Field(min_length=1, description="Environment: a packaged name or a path")
     episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
-    reward: str = Field("mppt2", description="Weights of J, by name")
+    reward: RewardName = Field(None, description="Weights of J, by name; null: the study's")
     initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
     digits: int = quantity("-", "Decimal places of a gain", ge=1, le=12)
     references: tuple[str, ...] = Field((), description="Policies that are also run on the list")
     scenarios: tuple[TuningScenario, ...] = Field(min_length=1)
     controllers: dict[str, ControllerTuning] = Field(min_length=1)
     quick: QuickTuning
-
-    _reward = field_validator("reward")(checked_reward)
 
     @field_validator("scenarios")
     @classmethod

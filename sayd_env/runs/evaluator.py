@@ -53,8 +53,8 @@ class PolicyEvaluator:
         Of each scenario the ``seed`` and the options of its episode.
     episode_s : float
         Time over which J is taken, s.
-    reward : str
-        Weights of J: ``mppt1`` or ``mppt2``.
+    reward : str, optional
+        Name of the weights of J; the study's by default.
     initial_current : float
         Valve command of the run-in, where the valves have one.
     executor : ExecutorChoice, optional
@@ -75,7 +75,7 @@ class PolicyEvaluator:
         cases: Sequence[Mapping[str, Any]],
         *,
         episode_s: float,
-        reward: str = "mppt2",
+        reward: str | None = None,
         initial_current: float = 0.0,
         executor: ExecutorChoice | None = None,
         kept: KeptExecutor | None = None,

@@ -106,6 +106,7 @@ def test_packaged_results_are_those_of_the_packaged_tuning():
     ("change", "message"),
     [
         ("scenarios.0.seed=8001", "scenarios: .*the seed 8001 is a duplicate"),
+        ("reward=mppt3", "reward: .*found 'mppt3', did you mean 'mppt2'"),
         ("scenarios.0.wear=1.5", "scenarios.*wear: found 1.5"),
         ("controllers.mppt2.gains.k_J.low=0.4", "k_J: .*needs low < high"),
         ("controllers.mppt2.gains.k_J.high=1.5", "an end of the ranges is not allowed: .*k_J: found 1.5"),

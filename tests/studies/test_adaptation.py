@@ -52,8 +52,8 @@ def made_up(runs: list[Run]) -> list[CostParts]:
 @pytest.fixture
 def found(monkeypatch: pytest.MonkeyPatch) -> ConstantMap:
     monkeypatch.setattr(module, "cost_parts", made_up)
-    scenario = load_scenario(overrides=["damper=sayd", "damper.throttle.overlap=0.0"])
-    return constant_map(scenario, CONFIG, load_environment(), RunContext())
+    monkeypatch.setattr(module, "overlap", lambda _: 0.0)
+    return constant_map(load_scenario(), CONFIG, load_environment(), RunContext())
 
 
 def test_the_best_command_of_each_condition_is_found_to_a_64th(found: ConstantMap):
@@ -112,8 +112,8 @@ def test_one_run_serves_all_weights_and_derailments_are_charged():
         assert study._weighted(weight)[condition][0.0] == pytest.approx(expected, rel=1e-12)
 
 
-def test_commands_that_leave_the_valve_closed_are_tried_once():
-    scenario = load_scenario(overrides=["damper=sayd", "damper.throttle.overlap=0.4"])
+def test_commands_that_leave_the_valve_closed_are_tried_once(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "overlap", lambda _: 0.4)
     asked: list[float] = []
 
     class Noted(RunContext):
@@ -121,7 +121,7 @@ def test_commands_that_leave_the_valve_closed_are_tried_once():
             asked.extend(run.policy.parameters["current"] for run in specs)
             return made_up(specs)
 
-    constant_map(scenario, CONFIG, load_environment(), Noted())
+    constant_map(load_scenario(), CONFIG, load_environment(), Noted())
     assert 0.0 in asked
     assert [current for current in asked if 0.0 < current <= 0.4] == []
     assert len(asked) > 6 * 2 * 3

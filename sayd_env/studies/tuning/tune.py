@@ -262,6 +262,7 @@ class _Tuning:
             settings.environment,
             [case.model_dump() for case in settings.scenarios],
             episode_s=settings.episode_s,
+            reward=settings.reward,
             initial_current=settings.initial_current,
             executor=context.executor,
             kept=context.kept,
