@@ -203,6 +203,26 @@ def test_the_band_is_that_of_hunting_from_step_0_after_a_run_in(interface):
         assert state.readings.rms[vehicle, :, 0] == pytest.approx(expected, rel=1e-9)
 
 
+def test_without_eq_31_the_command_drifts_closed(interface, observe):
+    """Where J of a second is drawn anew: by p (Delta V - k_J rho) each second, docs/model.md.
+
+    p is the chance of a second above the threshold, rho the mean relative rise of J into such a second from
+    one below it. k_J rho < Delta V: what (29) gives back is less than what (30) has taken.
+    """
+    features, generator = interface(observation="features", control_period=1.0), np.random.default_rng(3)
+    cost = generator.chisquare(8, 4000) / 8.0  # mean square of a second of noise, 4 Hz wide: 2 B T = 8
+    bound = float(np.quantile(cost, 0.8))
+    gains = {"k_J": 5e-5, "delta_v_down": 1e-4, "threshold_min": 0.0, "v_min": 0.0, "k_y": 1.0, "k_F": 0.0}
+    threshold = LIMIT * math.sqrt(bound)
+    policy = baselines.make("mppt1", features, initial=0.5, threshold_max=threshold, **gains)
+    commands = run(policy, observe, features, accelerations(cost))
+    before, after = cost[:-1], cost[1:]
+    rises = np.where((before <= bound) & (after > bound), (after - before) / after, 0.0)
+    expected = -0.2 * (1e-4 - 5e-5 * rises.sum() / np.count_nonzero(after > bound)) * len(cost)
+    assert commands[-1, 0] - 0.5 == pytest.approx(expected, rel=0.1)
+    assert expected < -0.05
+
+
 @pytest.mark.parametrize("name", ["mppt1", "mppt2", "mppt2-tuned", "perturb-and-observe"])
 def test_where_the_command_rests_is_not_its_limit(name):
     """The paper's commands rest at 5 % and above (figures 12 and 14): far from V_min."""
