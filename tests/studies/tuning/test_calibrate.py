@@ -79,7 +79,7 @@ CONTROLLED = 4 * 5 + 2
 def study(tmp_path: Path) -> Path:
     """A calibration of a few numbers over a short distance."""
     base = tmp_path / "short.yaml"
-    base.write_text("base: estimates\nassessment: {run_in: 200.0}\n")
+    base.write_text("base: estimates\nassessment: {run_in: 200.0}\nset: {track.irregularity.scale: 0.5}\n")
     path = tmp_path / "small.yaml"
     path.write_text(STUDY.format(base="./short.yaml"))
     return path
