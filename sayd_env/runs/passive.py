@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.errors import Diverged, StudyError
-from sayd_env.config.reproduction import load_reproduction
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.batch import BatchSimulator
@@ -29,9 +28,6 @@ from sayd_env.stability import (
     grid_sensitivity,
     thinned_grids,
 )
-
-NEW_SPEEDS, WORN_SPEEDS = load_reproduction().speeds("new"), load_reproduction().speeds("worn")
-"""Speed grids of figures 8 and 10 of the paper, on new and on worn wheels, m/s."""
 
 Selection: TypeAlias = slice | npt.NDArray[np.int64]
 """Of seeds by their places, with repetitions in a bootstrap."""

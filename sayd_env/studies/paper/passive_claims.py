@@ -81,7 +81,7 @@ class PassiveMeasures:
 def passive_claims(
     new: Sweep, worn: Sweep, limits: Limits, assessment: AssessmentConfig | None = None
 ) -> list[Claim]:
-    """Judge rows P1 to P10, from the passive vehicle on `NEW_SPEEDS` and `WORN_SPEEDS`, on the same seeds.
+    """Judge rows P1 to P10, from the passive vehicle on new and on worn wheels, on the same seeds.
 
     The assessment says what is sensitive to the grid of speeds; the packaged one does by default.
     """

@@ -37,8 +37,12 @@ FREQUENCY = "frequency_new_hz"
 MPPT1_400, MPPT2_300 = "mppt1_400_settled_percent", "mppt2_300_settled_percent"
 
 
-def passive_residuals(new: Sweep, worn: Sweep, limits: Limits) -> tuple[Residuals, Measures]:
-    """Residual of each row P1 to P10, and the numbers behind them."""
+def passive_residuals(new: Sweep, worn: Sweep, limits: Limits, held: Array) -> tuple[Residuals, Measures]:
+    """Residual of each row P1 to P10, and the numbers behind them.
+
+    `held`, shape (seeds,), is the largest acceleration over its limit at 400 km/h where semi-active dampers
+    with the better of some fixed commands replace the passive ones: what M1, M5 and S1 can hold.
+    """
     m = PassiveMeasures(new, worn, limits)
     spread = np.max(m.frequency_spread(m.all)[m.high])
     scatter = m.frequency_spread(m.all)[m.low]
@@ -56,6 +60,7 @@ def passive_residuals(new: Sweep, worn: Sweep, limits: Limits) -> tuple[Residual
         "P8": (critical[2] - 361.0) / 5.0,
         "P9": below(m.trailing_ratio(), 1.2, 0.05),
         "P10": above(spread, 0.2, 0.1) + below(rise, 0.05, 0.05) + below(scatter - spread, 0.2, 0.1),
+        "M1, M5, S1": above(held, 0.4, 0.03),
     }
     measures = {
         NEW: critical[0],
@@ -70,6 +75,7 @@ def passive_residuals(new: Sweep, worn: Sweep, limits: Limits) -> tuple[Residual
         "spread_350_hz": float(spread),
         "spread_320_hz": float(scatter),
         "frequency_rise_hz": rise,
+        "held_ratio": float(np.median(held)),
     }
     return residuals, measures
 

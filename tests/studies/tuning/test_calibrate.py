@@ -185,7 +185,7 @@ def rows(synthetic: Callable[..., Sweep], limits: Limits) -> Callable[..., tuple
             frequency=lambda v: 4 + 0.01 * v,
             scatter=lambda v: 1.0 if v < 350 else 0.1,
         )
-        return passive_residuals(first, second, limits)
+        return passive_residuals(first, second, limits, np.array([0.35, 0.4]))
 
     return rows
 
@@ -195,11 +195,11 @@ Rows = Callable[..., tuple[dict[str, float], ...]]
 
 def test_a_vehicle_like_the_papers_has_small_residuals(rows: Rows):
     residuals, measures = rows(new=374.0)
-    assert list(residuals) == [f"P{i}" for i in range(1, 11)]
+    assert list(residuals) == [*(f"P{i}" for i in range(1, 11)), "M1, M5, S1"]
     ratio_320 = 1 + (320 - 331) / 200
     assert residuals["P4"] == pytest.approx((ratio_320 - 0.85) / 0.05)
     others = [value for row, value in residuals.items() if row != "P4"]
-    assert others == pytest.approx([0.0] * 9, abs=1e-9)
+    assert others == pytest.approx([0.0] * 10, abs=1e-9)
     assert measures["critical_worn_kmh"] == pytest.approx(331.0)
     assert measures["critical_worn_force_kmh"] == pytest.approx(361.0)
     assert measures["trailing_ratio"] == pytest.approx(1.25)
