@@ -1,7 +1,7 @@
 """What the paper leaves open, found within sourced ranges from its statements.
 
 First the vehicle from rows P1 to P10, and so that semi-active dampers can hold it at 400 km/h; then damper,
-valve and controllers from rows M1 to M9 and S1 to S6. In each stage a search by response surfaces looks over
+valve and controllers from rows M1 to M9 and S1 to S5. In each stage a search by response surfaces looks over
 the whole ranges with few tracks and short runs; others go on from its best place with more of them, in boxes
 that become smaller. Residuals are those of `sayd_env.studies.tuning.targets`; crossings are extrapolated
 beyond the grid of speeds, so that a search can start anywhere.
@@ -410,7 +410,7 @@ class _SemiActive:
     context: RunContext
 
     def outcomes(self, places: Sequence[Place], seeds: int, length: float) -> list[Outcome]:
-        """Residuals of rows M1 to M9 and S1 to S6 at each place."""
+        """Residuals of rows M1 to M9 and S1 to S5 at each place."""
         values = [self.config.semi_active.values(place) for place in places]
         pairs = [(self.vehicle, each) for each in values]
         return _each(
@@ -475,7 +475,7 @@ class _SemiActive:
 
 
 P_ROWS = (*(f"P{i}" for i in range(1, 11)), "M1, M5, S1")
-CONTROLLED_ROWS = (*(f"M{i}" for i in range(1, 10)), "S1", *(f"S{i}" for i in range(3, 7)))
+CONTROLLED_ROWS = (*(f"M{i}" for i in range(1, 10)), "S1", "S3", "S4", "S5")
 
 
 def vehicle_of(

@@ -80,7 +80,7 @@ def part_files(
     semi_active : bool
         Which of the two stages it is.
     """
-    rows = "M1 to M9 and S1 to S6" if semi_active else "P1 to P10"
+    rows = "M1 to M9 and S1 to S5" if semi_active else "P1 to P10"
     lines: dict[_Part, list[str]] = {}
     parts = SEMI_ACTIVE if semi_active else PASSIVE
     for key, number in stage.assignments(values).items():

