@@ -83,8 +83,8 @@ def passive_residuals(new: Sweep, worn: Sweep, limits: Limits, held: Array) -> t
 def controlled_residuals(m: ControlledMeasures) -> tuple[Residuals, Measures]:
     """Residual of each row M1 to M9, S1, and S3 to S5, and the numbers behind them.
 
-    S2 is the on-off law itself, and C1 follows from M1, M5, S1 and S4. S6 is measured and not aimed at: with one
-    estimator for both skyhooks no numbers within the ranges give it, and a search for it spoils the others.
+    S2 is the on-off law itself, and C1 follows from M1, M5, S1 and S4. S6 is measured and not aimed at: with
+    one estimator for both skyhooks no numbers within the ranges give it.
     """
     settled1, settled2 = m.each(settled_command, MPPT1, 400), m.each(settled_command, MPPT2, 300)
     at_5 = m.each(command_after_5_s, MPPT2, 300)
