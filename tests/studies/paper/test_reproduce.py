@@ -100,7 +100,7 @@ def test_an_interrupted_study_goes_on_without_repeating_runs(
     assert (len(made), reused) == (PASSIVE - finished, finished)
     assert second.claims == result.claims
     _, reused = again(short_scenario)
-    assert (len(made), reused) == (PASSIVE - finished, RUNS)
+    assert (len(made), reused) == (PASSIVE - finished, RUNS + len(second.histories))
     _, reused = again(short_scenario.model_copy(update={"friction": 0.3}))
     assert (len(made), reused) == (2 * PASSIVE - finished, 0)
 
