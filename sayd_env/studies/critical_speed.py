@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sayd_env.config import ConfigError
-from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.environment import load_environment
-from sayd_env.config.palette import wheelset_style
+from sayd_env.config.palette import GREY, wheelset_style
 from sayd_env.config.reproduction import load_reproduction
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
@@ -22,7 +21,7 @@ from sayd_env.physics.contact.creep import LAWS
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, panels, with_band
-from sayd_env.runs.context import RunContext
+from sayd_env.runs.context import RunContext, silent
 from sayd_env.runs.controlled import controlled_runs
 from sayd_env.runs.passive import (
     Criterion,
@@ -34,10 +33,11 @@ from sayd_env.runs.passive import (
 )
 from sayd_env.runs.policies import PolicySpec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
-from sayd_env.stability import CriticalSpeed, Crossing, Limits, assess, band_pass
+from sayd_env.stability import CriticalSpeed, Crossing, Limits, assess, band_pass, distance_run
 from sayd_env.studies.assess import draw_assessed
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
@@ -46,14 +46,23 @@ HALF_WORN = 0.5
 
 @dataclass(frozen=True)
 class History:
-    """Filtered signal of one run, as in figure 8 (a)."""
+    """Acceleration of the bogie frame in one run, at the wheelset where it is worst, as in figure 8 (a)."""
 
     speed: float
+    """m/s."""
+    seed: int
     wheelset: str
-    time: Array
+    """Its name."""
+    frequency: float
+    """Dominant frequency, Hz."""
+    distance: Array
+    """(t,) m, run-in included."""
     filtered: Array
+    """(t,) band-passed acceleration, m/s2."""
     position: Array
+    """(n,) centres of the windows, m."""
     rms: Array
+    """(n,) sliding RMS, m/s2."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +73,7 @@ class CriticalSpeedResult:
     sweep: Sweep
     limits: Limits
     wheelsets: tuple[str, ...]
-    history: History
+    histories: tuple[History, ...]
     laws: CreepLawComparison | None = None
     """The same by other creep laws, if asked for."""
 
@@ -133,7 +142,7 @@ class CriticalSpeedResult:
 
     def plots(self) -> dict[str, Plot]:
         """Counterparts of figure 10 (trends over speed) and figure 8 (a) (time history)."""
-        return {"critical_speed": self._draw_trends, "time_history": self._draw_history}
+        return {"critical_speed": self._draw_trends, "time_history": self._draw_histories}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the trends over speed and the critical speed."""
@@ -172,17 +181,8 @@ class CriticalSpeedResult:
         title = f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}"
         draw_trends(figure, self.sweep, self.limits, self.wheelsets, title)
 
-    def _draw_history(self, figure: Figure) -> None:
-        h = self.history
-        (axes,) = panels(figure, 1, size=(8.0, 4.5))
-        draw_assessed(axes, h.time, h.filtered, h.position / h.speed, h.rms, self.limits.acceleration)
-        limit_line(axes, -self.limits.acceleration)
-        axes.set(
-            xlabel="time (s)",
-            ylabel="lateral acceleration (m/s²)",
-            title=f"{h.wheelset} at {h.speed * KMH:.0f} km/h",
-        )
-        legend_below(figure, axes)
+    def _draw_histories(self, figure: Figure) -> None:
+        draw_histories(figure, self.histories, self.limits)
 
 
 TRENDS = (
@@ -197,6 +197,18 @@ TRENDS = (
 """Of the printed table."""
 
 
+def draw_histories(figure: Figure, histories: Sequence[History], bounds: Limits) -> None:
+    """Draw band-passed accelerations, their sliding RMS and its limit, one below the other (figure 8 a)."""
+    axes = panels(figure, len(histories), size=(8.0, 3.0), sharex=True)
+    for axis, h in zip(axes, histories, strict=True):
+        draw_assessed(axis, h.distance, h.filtered, h.position, h.rms, bounds.acceleration)
+        where = f"{h.wheelset} wheelset at {h.speed * KMH:.0f} km/h, seed {h.seed}"
+        axis.set(title=f"{where}: f0 = {h.frequency:.1f} Hz", ylabel="acceleration (m/s²)")
+        axis.set_xlim(h.position[0], h.position[-1])
+    axes[-1].set_xlabel("distance (m)")
+    legend_below(figure, axes[0])
+
+
 def draw_trends(
     figure: Figure,
     sweep: Sweep,
@@ -205,31 +217,49 @@ def draw_trends(
     title: str,
     *,
     track_shift: bool = True,
+    scatter: tuple[float, float] | None = None,
 ) -> None:
     """Draw dominant frequency, track shift force and acceleration over speed, with the limits of EN 14363.
 
-    As figure 10 of the paper; without the track shift force as its figure 11.
+    As figure 10 of the paper; without the track shift force as its figure 11, and with the frequencies (Hz)
+    between which those of a vehicle that does not hunt `scatter`.
     """
     shown = [
-        (sweep.frequency, 1.0, "dominant frequency (Hz)", None),
         (sweep.track_shift, 1e-3, "track shift force, RMS (kN)", bounds.track_shift_force * 1e-3),
         (sweep.acceleration, 1.0, "acceleration, RMS (m/s²)", bounds.acceleration),
     ]
     if not track_shift:
-        del shown[1]
-    axes = panels(figure, len(shown), size=(8.0, 3.0), sharex=True)
-    axes[0].set_title(f"{title}: medians and range of the seeds")
+        del shown[0]
+    top, *axes = panels(figure, 1 + len(shown), size=(8.0, 3.0), sharex=True)
+    top.set_title(f"{title}: every seed, medians and range")
+    _draw_frequencies(top, sweep, scatter)
     for axis, (values, scale, quantity, limit) in zip(axes, shown, strict=True):
         for k, name in enumerate(wheelsets):
             with_band(
                 axis, sweep.speeds * KMH, values[..., k] * scale, wheelset_style(k), f"WS{k + 1} {name}"
             )
-        if limit is not None:
-            limit_line(axis, limit, "limit")
-            axis.set_ylim(bottom=0.0)  # so that the margin to the limit is seen
+        limit_line(axis, limit, "limit")
+        axis.set_ylim(bottom=0.0)  # so that the margin to the limit is seen
         axis.set_ylabel(quantity)
     axes[-1].set_xlabel("speed (km/h)")
     legend_below(figure, axes[-1], columns=5)
+
+
+def _draw_frequencies(axes: Axes, sweep: Sweep, scatter: tuple[float, float] | None) -> None:
+    """Draw a point for each wheelset and seed, and a larger one for their median."""
+    kmh = sweep.speeds * KMH
+    beside = 0.1 * np.diff(kmh).min(initial=30.0)  # so that the wheelsets do not hide each other
+    for k in range(sweep.frequency.shape[-1]):
+        found, style = sweep.frequency[..., k], wheelset_style(k)
+        point: dict[str, Any] = {"color": style.colour, "marker": style.marker, "linestyle": "none"}
+        x = kmh + beside * (k - (sweep.frequency.shape[-1] - 1) / 2.0)
+        axes.plot(np.repeat(x, found.shape[1]), found.ravel(), **point, markersize=3, alpha=0.3)
+        axes.plot(x, np.median(found, axis=1), **point, markersize=5)
+    if scatter is not None:
+        name = f"{scatter[0]:g} to {scatter[1]:g} Hz"
+        axes.axhspan(*scatter, color=GREY, alpha=0.12, linewidth=0.0, label=name)
+        axes.legend(loc="lower right", fontsize="small")
+    axes.set(ylabel="dominant frequency (Hz)", ylim=(0.0, max(1.0, 1.1 * axes.dataLim.y1)))
 
 
 @dataclass(frozen=True)
@@ -354,7 +384,7 @@ def _found(
 ) -> CriticalSpeedResult:
     if policy is None:
         found = sweep(scenario, speeds, seeds, context)
-        ((acceleration, _),) = simulated([PassiveRun(scenario, speeds[0], seeds[0])])
+        shown = histories(scenario, found, model_limits(VehicleModel(scenario)), context)
     else:
         scenario, name = for_policy(scenario, policy), policy.title
         environment = environment_of(scenario, load_environment())
@@ -363,10 +393,25 @@ def _found(
         found = runs.sweep(name)
         (rollout,) = roll_out_runs([Run(policy, scenario, environment, speeds[0], seeds[0])])
         acceleration = rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]
+        shown = (history(acceleration, PassiveRun(scenario, speeds[0], seeds[0])),)
     model = VehicleModel(scenario)
-    names = wheelset_names(model)
-    history = _history(acceleration, speeds[0], scenario.assessment, names)
-    return CriticalSpeedResult(scenario, found, model_limits(model), names, history)
+    return CriticalSpeedResult(scenario, found, model_limits(model), wheelset_names(model), shown)
+
+
+def histories(scenario: Scenario, found: Sweep, bounds: Limits, context: RunContext) -> tuple[History, ...]:
+    """Make the histories of figure 8 on the first seed's track: they count as no step of the progress.
+
+    One at the lowest speed, and one at the first speed whose median acceleration is above its limit.
+    """
+    above = found.criteria(bounds)["acceleration"].medians() > bounds.acceleration
+    places = dict.fromkeys([0, *np.flatnonzero(above)[:1].tolist()])
+    runs = [PassiveRun(scenario, float(found.speeds[i]), found.seeds[0]) for i in places]
+    return tuple(replace(context, progress=silent).records(recorded, runs, History))
+
+
+def recorded(runs: list[PassiveRun]) -> list[History]:
+    """Make runs that are companions, and keep their histories."""
+    return [history(signals, run) for run, (signals, _) in zip(runs, simulated(runs), strict=True)]
 
 
 def wheelset_names(model: VehicleModel) -> tuple[str, ...]:
@@ -374,13 +419,17 @@ def wheelset_names(model: VehicleModel) -> tuple[str, ...]:
     return tuple(name.removeprefix("wheelset.") for name, _ in model.multibody.measuring_points)
 
 
-def _history(acceleration: Array, speed: float, settings: AssessmentConfig, names: Sequence[str]) -> History:
-    found = assess(acceleration, settings.sample_rate, speed, settings)
+def history(acceleration: Array, run: PassiveRun) -> History:
+    """Assess the accelerations of a run, shape (t, w) in m/s2, and keep those of its worst wheelset."""
+    settings = run.scenario.assessment
+    rate, names = settings.sample_rate, wheelset_names(VehicleModel(run.scenario))
+    found = assess(acceleration, rate, run.speed, settings)
     worst = int(np.argmax(found.maximum))
     frequency = found.dominant_frequency[[worst]]
-    filtered = band_pass(acceleration[:, [worst]], settings.sample_rate, frequency, settings)[:, 0]
-    time = np.arange(1, len(filtered) + 1) / settings.sample_rate
-    return History(speed, names[worst], time, filtered, found.position, found.rms[:, worst])
+    filtered = band_pass(acceleration[:, [worst]], rate, frequency, settings)[:, 0]
+    distance = distance_run(run.speed, rate, len(filtered))
+    signals = distance, filtered, found.position, found.rms[:, worst]
+    return History(run.speed, run.seed, names[worst], float(frequency[0]), *signals)
 
 
 def check_laws(laws: Sequence[str], option: str) -> None:

@@ -24,14 +24,13 @@ from sayd_env.runs.policies import policy_spec
 from sayd_env.stability import Limits
 from sayd_env.studies.critical_speed import (
     CriticalSpeedResult,
-    History,
     default_speeds,
     find_critical_speed,
+    histories,
 )
 
 KMH = [320.0, 350.0, 370.0, 395.0, 420.0, 445.0]
 NAMES = ("front.leading", "front.trailing", "rear.leading", "rear.trailing")
-NONE = np.zeros(0)
 
 
 @pytest.fixture
@@ -42,8 +41,7 @@ def result(
 
     def result(acceleration: list[float], force: list[float]) -> CriticalSpeedResult:
         grid = synthetic(KMH, acceleration, force)
-        history = History(KMH[0] / 3.6, NAMES[0], NONE, NONE, NONE, NONE)
-        return CriticalSpeedResult(short_scenario, grid, limits, NAMES, history)
+        return CriticalSpeedResult(short_scenario, grid, limits, NAMES, ())
 
     return result
 
@@ -144,7 +142,8 @@ def test_a_policy_commands_semi_active_dampers(short_scenario: Scenario):
         for name in ("constant:0", "skyhook-onoff")
     )
     assert found.scenario.damper.type == other.scenario.damper.type == "sayd"
-    assert found.history.rms.max() == pytest.approx(found.sweep.acceleration[0, 0].max(), rel=1e-9)
+    (history,) = found.histories
+    assert history.rms.max() == pytest.approx(found.sweep.acceleration[0, 0].max(), rel=1e-9)
     assert found.sweep.acceleration.shape == (2, 1, 4)
     (run,) = controlled_runs(
         short_scenario, load_environment(), [3], [("constant:0", 100.0, 0.0)], RunContext()
@@ -168,10 +167,20 @@ def test_progress_counts_every_run_once(short_scenario: Scenario):
     )
     result = find_critical_speed(short_scenario, SPEEDS, (0, 1), context=context)
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    # The history shows the wheelset with the highest RMS of the first speed and seed.
-    worst = int(np.argmax(result.sweep.acceleration[0, 0]))
-    assert result.history.wheelset == result.wheelsets[worst]
-    assert result.history.rms.max() == pytest.approx(result.sweep.acceleration[0, 0, worst], rel=1e-12)
+    # A history shows the wheelset with the highest RMS, of the first seed.
+    for history in result.histories:
+        shown = result.sweep.acceleration[SPEEDS.index(history.speed), 0]
+        assert history.wheelset == result.wheelsets[int(np.argmax(shown))]
+        assert history.rms.max() == pytest.approx(shown.max(), rel=1e-12)
+
+
+def test_a_history_is_shown_below_and_above_the_critical_speed(short_scenario: Scenario):
+    """At the lowest speed, and at the first one whose median is above the limit."""
+    grid = sweep(short_scenario, SPEEDS, (0, 1))
+    peaks = np.median(grid.acceleration.max(axis=-1), axis=1)
+    for limit, speeds in ((0.5 * peaks.sum(), SPEEDS), (2.0 * peaks.max(), SPEEDS[:1])):
+        shown = histories(short_scenario, grid, Limits(1.0, float(limit)), RunContext())
+        assert [(h.speed, h.seed) for h in shown] == [(v, 0) for v in speeds]
 
 
 def test_a_speed_out_of_range_is_refused_before_any_work(

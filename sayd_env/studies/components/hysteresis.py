@@ -17,7 +17,7 @@ from sayd_env.config.units import Array
 from sayd_env.physics.rig import Cycle, steady_cycle, steady_sayd_cycles
 from sayd_env.physics.sayd import steady_force
 from sayd_env.report.columns import Column, Table, csv_table, print_table
-from sayd_env.report.figures import Plot, legend_below, panels
+from sayd_env.report.figures import Plot, legend_below, limit_line, log_axis, panels
 from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
@@ -52,6 +52,11 @@ class Loop:
     cycle: Cycle
     force_limit: float
     """Force of the quasi-static force-velocity curve at the cycle's peak velocity, N."""
+
+    @property
+    def velocity(self) -> float:
+        """Peak velocity of the rig, m/s."""
+        return 2.0 * math.pi * self.frequency * self.amplitude
 
     @property
     def force_peak(self) -> float:
@@ -191,27 +196,60 @@ class HysteresisResult:
                     x, force = loop.cycle
                     style = cycled(frequencies.index(loop.frequency)).plain
                     panel.plot(x * _MILLI, force * _KILO, label=f"{loop.frequency:g} Hz", **style)
+            for knee in self._knees[:, 1]:
+                for side in (-knee, knee):
+                    limit_line(panel, side * _KILO, "knee of the curve")
             valve = "" if current is None else f", current {current:g}"
             panel.set_title(f"{amplitude * _MILLI:g} mm{valve}", fontsize="small")
         for panel in axes[::across]:
             panel.set_ylabel("force (kN)")
         for panel in axes[-across:]:
             panel.set_xlabel("displacement (mm)")
-        legend_below(figure, axes[0], columns=6)
+        legend_below(figure, axes[0], columns=7)
+
+    @property
+    def _knees(self) -> Array:
+        """Inner points of a passive damper's curve, shape (knees, 2): m/s and N."""
+        curve = self.damper.curve[1:-1] if isinstance(self.damper, PassiveDamperConfig) else ()
+        return np.array(curve).reshape(-1, 2)
 
     def _draw_curve(self, figure: Figure) -> None:
+        if self.field is None:
+            self._draw_passive(figure)
+            return
         (axes,) = panels(figure, 1, size=(8.0, 4.5))
-        if isinstance(self.damper, PassiveDamperConfig):
-            right = np.array(self.damper.curve)
-            both = np.vstack([-right[:0:-1], right])
-            axes.plot(both[:, 0], both[:, 1] * _KILO, markersize=3, **policy_style("passive").drawn)
-        if self.field is not None:
-            v = np.r_[-self.field.velocity[:0:-1], self.field.velocity]
-            for i, (current, force) in enumerate(zip(self.field.current, self.field.force, strict=True)):
-                curve = np.r_[-force[:0:-1], force] * _KILO
-                axes.plot(v, curve, label=f"current {current:g}", **cycled(i).plain)
-            axes.legend()
+        v = np.r_[-self.field.velocity[:0:-1], self.field.velocity]
+        for i, (current, force) in enumerate(zip(self.field.current, self.field.force, strict=True)):
+            curve = np.r_[-force[:0:-1], force] * _KILO
+            axes.plot(v, curve, label=f"current {current:g}", **cycled(i).plain)
+        axes.legend()
         axes.set(xlabel="velocity (m/s)", ylabel="force (kN)", title=f"damper {self.damper.name}")
+
+    def _draw_passive(self, figure: Figure) -> None:
+        """Draw the curve whole, and from rest on with its knees and what the loops reach of it."""
+        assert isinstance(self.damper, PassiveDamperConfig)
+        reached = np.array([(loop.amplitude, loop.velocity, loop.force_peak * _KILO) for loop in self.loops])
+        knees, slowest = self._knees, 0.3 * min(reached[:, 1].min(), self.damper.curve[1][0])
+        v = np.union1d(
+            np.geomspace(slowest, max(reached[:, 1].max(), self.damper.curve[-1][0]), 200), knees[:, 0]
+        )
+        force = np.array([curve_force(self.damper, x) for x in v]) * _KILO
+        whole, detail = panels(figure, 2, 2, (5.0, 4.0), width_ratios=(2, 3))
+        curve = policy_style("passive").plain
+        whole.plot(np.r_[-v[::-1], 0.0, v] * _MILLI, np.r_[-force[::-1], 0.0, force], **curve)
+        detail.plot(v * _MILLI, force, label="curve", **curve)
+        for i, amplitude in enumerate(np.unique(reached[:, 0])):
+            x, y = reached[reached[:, 0] == amplitude, 1:].T
+            style = cycled(i).drawn | {"linestyle": "none"}
+            detail.plot(x * _MILLI, y, label=f"loops of {amplitude * _MILLI:g} mm", markersize=5, **style)
+        for x, y in knees:
+            limit_line(
+                detail, x * _MILLI, f"knee at {x * _MILLI:.3g} mm/s, {y * _KILO:.3g} kN", vertical=True
+            )
+        log_axis(detail, "x")
+        whole.set(xlabel="velocity (mm/s)", ylabel="force (kN)", title=f"damper {self.damper.name}")
+        detail.set(xlabel="velocity (mm/s)", ylabel="force (kN)", title="peaks of the loops")
+        legend_below(figure, detail, columns=5)
 
 
 def hysteresis(

@@ -38,19 +38,20 @@ FIGURES = {
         "Passive yaw damper: force over velocity",
         "The piecewise characteristic of the damper model.",
         "A steep start, a knee and a flat end. The text gives no values; force and velocity of the knee are "
-        "calibrated.",
+        "calibrated. Beside it stands how far along the curve each loop of figure 3 goes.",
     ),
     3: PaperFigure(
         "Passive yaw damper: loops on a test rig",
         "Measured and simulated force over displacement at 1, 2 and 4 mm and 1 to 10 Hz.",
-        "Loops that lean with the series stiffness, widen with amplitude and frequency, and are cut off at "
-        "the force of the characteristic.",
+        "Loops that lean with the series stiffness, widen with amplitude and frequency, and are flattened "
+        "beyond the knee of the characteristic.",
         ("P11",),
     ),
     8: PaperFigure(
         "Passive vehicle on new wheels",
         "A filtered history at 280 km/h with its sliding RMS, and the largest RMS over speed.",
-        "The level at 280 km/h, where the acceleration crosses its limit, and the frequency there.",
+        "The level at 280 km/h, where the acceleration crosses its limit, and the frequency there. The first "
+        "speed above the limit has its history, too.",
         ("P1", "P2", "P3"),
     ),
     10: PaperFigure(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,15 @@ from sayd_env.runs.context import RunContext
 from sayd_env.runs.passive import Sweep, runs_table
 from sayd_env.runs.policies import PAPER, PolicySpec, policy_spec
 from sayd_env.studies.components.conicity import conicity, plot_conicity
-from sayd_env.studies.critical_speed import CreepLawComparison, check_laws, compare_laws, draw_trends
+from sayd_env.studies.critical_speed import (
+    CreepLawComparison,
+    History,
+    check_laws,
+    compare_laws,
+    draw_histories,
+    draw_trends,
+    histories,
+)
 from sayd_env.studies.paper import assumptions as other
 from sayd_env.studies.paper import control_periods as periods
 from sayd_env.studies.paper.claims import claim_columns, claim_rows, claims_document
@@ -50,6 +59,8 @@ class ReproduceResult(Judged):
     """Track realisations that a verdict needs."""
     by_period: periods.PeriodClaims = field(default_factory=dict)
     """Rows S1 to S6 at other control periods."""
+    histories: tuple[History, ...] = ()
+    """Of the passive vehicle on new wheels."""
     creep_laws: Mapping[str, CreepLawComparison] = field(default_factory=dict)
     """Critical speeds on new and on worn wheels by creep law."""
     assumptions: Mapping[str, Judged] = field(default_factory=dict)
@@ -97,6 +108,7 @@ class ReproduceResult(Judged):
         return {
             "figure_01_conicity": self._draw_conicity,
             **{f"figure_{'02' if name == 'curve' else '03'}_{name}": draw for name, draw in loops.items()},
+            "figure_08_history": partial(draw_histories, histories=self.histories, bounds=self.limits),
             "figure_08_new_wheels": self._trends(self.new, "new wheels"),
             "figure_10_worn_wheels": self._trends(self.worn, "worn wheels"),
             **controlled_plots(self.controlled, self.limits, self.wheelsets),
@@ -212,6 +224,7 @@ def reproduce(
         for name, wear, part in (("new", 0.0, new_laws), ("worn", 1.0, worn_laws))
         if creep_laws
     }
+    shown = histories(vehicle.worn(0.0), judged.new, judged.limits, own)
     by_assumption = {
         a.name: judge(replace(vehicle, scenario=a.applied(scenario)), study, seeds[: a.seeds], part)
         for a, part in zip(judged_again, again, strict=True)
@@ -220,6 +233,7 @@ def reproduce(
         **vars(judged),
         least_seeds=study.least_seeds,
         by_period=by_period,
+        histories=shown,
         creep_laws=compared,
         assumptions=by_assumption,
     )

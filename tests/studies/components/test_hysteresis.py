@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 from sayd_env.cli import main
@@ -95,6 +96,23 @@ def test_loops_have_the_shape_of_figure_3(result: HysteresisResult) -> None:
         assert loop.force_peak <= loop.force_limit
         # Without force the viscous part rests, so the spring takes the whole motion.
         assert loop.zero_force_slope == pytest.approx(STIFFNESS, rel=0.02)
+
+
+def test_figure_3_goes_beyond_the_knee_of_figure_2(result: HysteresisResult) -> None:
+    """A panel for each amplitude in one row, all frequencies in it, and the knee's force on both sides."""
+    loops, curve = Figure(), Figure()
+    for name, figure in (("loops", loops), ("curve", curve)):
+        result.plots()[name](figure)
+    knees = len(CURVE) - 2
+    for panel in loops.axes:
+        assert len(panel.lines) == len(FREQUENCIES) + 2 * knees
+        assert panel.get_subplotspec().is_first_row()
+    low, high = loops.axes[-1].get_ylim()
+    assert low < -CURVE[1][1] / 1e3 < CURVE[1][1] / 1e3 < high
+    whole, detail = curve.axes
+    assert whole.lines[0].get_xdata()[-1] == pytest.approx(1e3 * CURVE[-1][0])
+    points = [line for line in detail.lines if line.get_linestyle() == "None"]
+    assert [len(line.get_xdata()) for line in points] == [len(FREQUENCIES)] * len(AMPLITUDES)
 
 
 def test_limit_is_the_curve_at_the_peak_velocity() -> None:

@@ -100,7 +100,7 @@ def test_an_interrupted_study_goes_on_without_repeating_runs(
     assert (len(made), reused) == (PASSIVE - finished, finished)
     assert second.claims == result.claims
     _, reused = again(short_scenario)
-    assert (len(made), reused) == (PASSIVE - finished, RUNS)
+    assert (len(made), reused) == (PASSIVE - finished, RUNS + len(second.histories))
     _, reused = again(short_scenario.model_copy(update={"friction": 0.3}))
     assert (len(made), reused) == (2 * PASSIVE - finished, 0)
 
@@ -142,7 +142,10 @@ def test_the_command_writes_claims_and_figures(tmp_path: Path, capsys: pytest.Ca
     assert page.count('src="data:image/png;base64,') == len([f for f in files if f.endswith(".png")])
     assert "<td>damper</td>" not in page  # the estimates are not calibrated
     assert main(["reproduce", *SHORT, "--seeds", "1", "--out", str(tmp_path)]) == 0
-    assert f"{RUNS} runs had been finished by an earlier start" in capsys.readouterr().out
+    kept = (
+        RUNS + 1
+    )  # the history of figure 8; these wheels stay below the limit, so that there is no second one
+    assert f"{kept} runs had been finished by an earlier start" in capsys.readouterr().out
 
 
 def test_runs_with_controllers_go_on_after_an_interruption(
