@@ -21,9 +21,9 @@ FOREIGN = {"trust-pickles", "trained-period", "vec-normalize"}
 GRID = {*VEHICLE, "damper", "speeds", "environment", "reward", "policies", *FOREIGN}
 
 OFFERED = {
-    "critical-speed": {*VEHICLE, *RUNS, *SHOWN, "speeds", "damper", "creep-laws", "seed", "seeds"},
+    "critical-speed": {*VEHICLE, *RUNS, *SHOWN, "speeds", "damper", "policy", "creep-laws", "seed", "seeds"},
     "reproduce": {*CONFIG, *RUNS, *SHOWN, "friction", "track", "strict", "allow", "control-periods"}
-    | {"creep-laws", "quick", "seed", "seeds"},
+    | {"damper", "sayd", "controllers", "assumptions", "creep-laws", "quick", "seed", "seeds"},
     "calibrate": {*CONFIG, *RUNS, *SHOWN, "seed"},
     "modes": {*VEHICLE, *SHOWN, "speeds", "amplitude"},
     "assess": {*CONFIG, *SHOWN, "speed", "sample-rate", "column", "run-in"},

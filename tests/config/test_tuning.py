@@ -30,6 +30,8 @@ def test_a_share_becomes_a_value_and_back():
 
 def test_gains_outside_come_to_the_end_of_their_range():
     tuning = load_tuning().of("constant")
+    gain = tuning.gains["current"].model_copy(update={"low": 0.3, "high": 0.6})
+    tuning = tuning.model_copy(update={"gains": {"current": gain}})
     assert tuning.place({"current": 0.05}) == [0.3]
     assert tuning.place({"current": 1.0}) == [0.6]
 

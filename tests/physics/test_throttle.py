@@ -15,6 +15,7 @@ from sayd_env.config.damper import (
     SaydDamperConfig,
     SpringValve,
     TableThrottle,
+    Throttle,
     load_sayd,
 )
 from sayd_env.config.scenario import load_scenario
@@ -37,20 +38,45 @@ from sayd_env.physics.throttle import (
 CHECK = SpringValve(opening=0.2e5, full=0.5e5, nominal_flow=6.667e-4, nominal_drop=5e5)
 
 
-def orifice(current: float) -> float:
-    """Q / sqrt(dp) of the packaged throttle, C_d a sqrt(2 / rho)."""
-    throttle = load_sayd("sayd").throttle
-    assert isinstance(throttle, OrificeThrottle)
-    travel = max(0.0, (current - throttle.overlap) / (1.0 - throttle.overlap))
-    area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * travel**throttle.exponent
+ORIFICE = OrificeThrottle(
+    type="orifice",
+    discharge=0.65,
+    density=860.0,
+    closed_area=1e-7,
+    open_area=7.5e-6,
+    overlap=0.37,
+    exponent=0.9,
+)
+
+
+def with_throttle(kind: str) -> SaydDamperConfig:
+    """The packaged damper, its throttle equal-percentage, or the same damper with an orifice throttle."""
+    damper = load_sayd("sayd")
+    return damper.model_copy(update={"throttle": ORIFICE}) if kind == "orifice" else damper
+
+
+def conductance(throttle: Throttle, current: float) -> float:
+    """Q / sqrt(dp) by formula, C_d a sqrt(2 / rho)."""
+    if isinstance(throttle, EqualPercentageThrottle):
+        area = throttle.closed_area * throttle.ratio**current
+    else:
+        assert isinstance(throttle, OrificeThrottle)
+        travel = max(0.0, (current - throttle.overlap) / (1.0 - throttle.overlap))
+        area = throttle.closed_area + (throttle.open_area - throttle.closed_area) * travel**throttle.exponent
     return throttle.discharge * area * math.sqrt(2.0 / throttle.density)
 
 
+KINDS = ["orifice", "equal_percentage"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("current", [0.0, 0.25, 0.5, 1.0])
-def test_field_is_the_orifice_equation(current: float) -> None:
+def test_field_is_the_orifice_equation(current: float, kind: str) -> None:
+    throttle = with_throttle(kind).throttle
+    assert throttle.type == kind
     drop = np.array([1e3, 1e5, 3e6, 2e7])
-    flow = throttle_field(load_sayd("sayd").throttle).at(current, drop)
-    np.testing.assert_allclose(flow, orifice(current) * np.sqrt(drop), rtol=1e-9)
+    flow = throttle_field(throttle).at(current, drop)
+    np.testing.assert_allclose(flow, conductance(throttle, current) * np.sqrt(drop), rtol=1e-9)
 
 
 def test_spring_valve_has_the_three_branches_of_equation_24() -> None:
@@ -62,9 +88,7 @@ def test_spring_valve_has_the_three_branches_of_equation_24() -> None:
 
 
 def test_the_overlap_ends_where_the_flow_begins_to_rise(tmp_path: Path) -> None:
-    throttle = load_sayd("sayd").throttle
-    assert isinstance(throttle, OrificeThrottle)
-    assert overlap(throttle) == throttle.overlap
+    assert overlap(ORIFICE) == 0.37
     for rows, end in (
         ("0,0.2,0.6,1\n0,0,0,0,0\n1e5,1,1,2,3\n2e5,2,2,3,4\n", 0.2),
         ("0,1\n0,0,0\n1e5,1,2\n", 0.0),
@@ -86,7 +110,7 @@ def test_an_equal_percentage_throttle_opens_by_equal_shares() -> None:
 
 
 def test_the_series_table_solves_the_series() -> None:
-    """At each node the drops over throttle and check valves add up, for a formula and a table."""
+    """At each node the drops over throttle and check valves add up, for two formulas and a table."""
     check = load_sayd("sayd").rectifier
     bent = ThrottleField(
         np.array([0.0, 0.4, 1.0]),
@@ -94,19 +118,21 @@ def test_the_series_table_solves_the_series() -> None:
         np.array([[0.0, 1e-6, 5e-6, 4e-5], [0.0, 1e-6, 5e-5, 2e-4], [0.0, 3e-5, 4e-4, 2e-3]]),
     )
     over = (DROP_ROOT + ROOT_STEP * np.arange(ROOTS)) ** 2 - DROP_SCALE
-    for field in (throttle_field(load_sayd("sayd").throttle), bent):
+    for field in (*(throttle_field(with_throttle(kind).throttle) for kind in KINDS), bent):
         for current in field.current:
             flow = _series_table(field, np.array([current] * 2), check)[0]
             rest = over - 2.0 * (spring_valve_drop(check, flow) - check.opening)
             np.testing.assert_allclose(field.at(current, np.maximum(rest, 0.0)), flow, rtol=1e-6, atol=1e-13)
 
 
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("current", [0.0, 0.1, 0.5, 1.0])
-def test_rectifier_adds_two_check_valves_in_series(current: float) -> None:
-    """At a given flow the drops of orifice and check valves add up; the flow is odd in the whole drop."""
-    config = load_sayd("sayd")
-    flow = orifice(current) * np.sqrt(np.array([2e4, 1e5, 1e6, 5e6]))
-    drop = (flow / orifice(current)) ** 2 + 2.0 * spring_valve_drop(config.rectifier, flow)
+def test_rectifier_adds_two_check_valves_in_series(current: float, kind: str) -> None:
+    """At a given flow the drops of throttle and check valves add up; the flow is odd in the whole drop."""
+    config = with_throttle(kind)
+    throttle_drop = np.array([2e4, 1e5, 1e6, 5e6])
+    flow = conductance(config.throttle, current) * np.sqrt(throttle_drop)
+    drop = throttle_drop + 2.0 * spring_valve_drop(config.rectifier, flow)
     table = series_table(config.throttle, config.rectifier).ravel()
     np.testing.assert_allclose(rectified_flow(config, table, drop, current), flow, rtol=2e-3)
     np.testing.assert_allclose(
@@ -122,11 +148,12 @@ def write_table(path: Path, currents: np.ndarray, drops: np.ndarray, flows: np.n
     return path
 
 
-def test_a_measured_table_takes_the_formulas_place(tmp_path: Path) -> None:
-    """The orifice written out as a table gives the orifice's forces."""
-    config = load_sayd("sayd")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_measured_table_takes_the_formulas_place(kind: str, tmp_path: Path) -> None:
+    """The formula written out as a table gives the formula's forces."""
+    config = with_throttle(kind)
     currents, drops = np.linspace(0.0, 1.0, 129), np.linspace(0.0, 1.2e7, 40)
-    flows = np.sqrt(drops)[:, None] * np.array([orifice(i) for i in currents])
+    flows = np.sqrt(drops)[:, None] * np.array([conductance(config.throttle, i) for i in currents])
     path = write_table(tmp_path / "throttle.csv", currents, drops, flows)
     throttle = TableThrottle(type="table", file=str(path))
     measured = config.model_copy(update={"throttle": throttle})
@@ -141,8 +168,7 @@ def test_a_table_is_looked_for_beside_the_file_that_names_it(tmp_path: Path) -> 
     write_table(tmp_path / "throttle.csv", np.array([0.0, 1.0]), np.array([0.0, 1e7]), flows)
     packaged = Path("configs/damper/sayd-estimate.yaml")
     text = (Path(__file__).parents[2] / packaged).read_text()
-    head, tail = text.split("throttle:\n  type: orifice\n")
-    tail = tail[tail.index("rectifier:") :]
+    head, tail = text[: text.index("\nthrottle:") + 1], text[text.index("\nrectifier:") + 1 :]
     (tmp_path / "mine.yaml").write_text(head + "throttle: {type: table, file: throttle.csv}\n" + tail)
     damper = load_scenario(overrides=[f"damper={tmp_path / 'mine.yaml'}"]).damper
     assert isinstance(damper, SaydDamperConfig)
@@ -174,7 +200,13 @@ def test_bad_tables_are_refused(text: str, message: str, tmp_path: Path) -> None
     ("assignment", "message"),
     [
         ("damper.cylinder.area=-1e-4", "damper.cylinder.area: found -0.0001"),
-        ("damper.throttle.open_area=1e-9", "open_area 1e-09 m2 must not be below closed_area 1e-07 m2"),
+        (
+            "damper.throttle={type: orifice, discharge: 0.65, density: 860, closed_area: 1e-7, "
+            "open_area: 1e-9, overlap: 0.37, exponent: 0.9}",
+            "open_area 1e-09 m2 must not be below closed_area 1e-07 m2",
+        ),
+        ("damper.throttle.ratio=0.5", "damper.throttle.ratio: found 0.5"),
+        ("damper.throttle.closed_area=0", "damper.throttle.closed_area: found 0"),
         ("damper.current=1.5", "damper.current: found 1.5"),
         ("damper.current=.nan", "damper.current: found nan"),
         ("damper.relief.full=1e6", r"full 1e\+06 Pa must be above opening 6e\+06 Pa"),
@@ -187,6 +219,7 @@ def test_bad_tables_are_refused(text: str, message: str, tmp_path: Path) -> None
     ],
 )
 def test_bad_dampers_are_refused(assignment: str, message: str) -> None:
+    """In the estimated damper: its numbers are set by hand, so that messages may quote them."""
     with pytest.raises(ConfigError, match=message) as caught:
-        load_scenario(overrides=["damper=sayd", assignment])
+        load_scenario(overrides=["damper=sayd-estimate", assignment])
     assert "\n" not in str(caught.value)

@@ -188,7 +188,7 @@ def test_j_is_that_of_rollouts_of_the_scenarios():
 
 
 def test_a_tuning_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Two evaluations, golden sections of 0.3 to 0.6 from either end: the better one wins and can be used."""
+    """Two evaluations, golden sections of 0 to 1 from either end: the better one wins and can be used."""
     arguments = [text for change in TINY for text in ("--set", change)]
     out = tmp_path / "out"
     assert main(["tune", "constant", *arguments, "--out", str(out), "--json", "--workers", "1"]) == 0
@@ -204,8 +204,8 @@ def test_a_tuning_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFi
     assert content["evaluations"] == 2
     golden = (3.0 - 5.0**0.5) / 2.0
     assert content["gains"]["current"] in (
-        pytest.approx(0.3 + 0.3 * golden, abs=1e-4),
-        pytest.approx(0.6 - 0.3 * golden, abs=1e-4),
+        pytest.approx(golden, abs=1e-4),
+        pytest.approx(1.0 - golden, abs=1e-4),
     )
     with (out / "evaluations.csv").open() as stream:
         tried = [row for row in csv.DictReader(stream) if row["policy"] == "constant-tuned"]
