@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 AMPLITUDE = 3e-3
 SPEED = 250.0 / 3.6
 
-# A vehicle that hunts on worn wheels, frozen for this test: joints and yaw dampers are softer than the study's.
+# A vehicle that hunts on worn wheels, frozen for this test: its arm joints and yaw dampers are soft.
 HUNTS = (
     "vehicle.elements.arm_joint.stiffness.0=50e6",
     "vehicle.elements.arm_joint.stiffness.1=6e6",

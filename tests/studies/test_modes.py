@@ -14,13 +14,14 @@ from sayd_env.config.scenario import load_scenario
 from sayd_env.physics.linear import modes as modes_at
 from sayd_env.physics.simulator import VehicleModel
 
-# A vehicle that hunts on worn wheels, frozen for this test: joints and yaw dampers are softer than the study's.
+# A vehicle that hunts on worn wheels, frozen for this test: its arm joints and yaw dampers are soft.
 HUNTS = (
     "vehicle.elements.arm_joint.stiffness.0=50e6",
     "vehicle.elements.arm_joint.stiffness.1=6e6",
     "damper.curve=[[0.0, 0.0], [0.12, 12.0e3], [1.0, 15.0e3]]",
     "damper.series_stiffness=5.0e6",
 )
+
 
 def test_command_gives_the_modes_at_each_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (

@@ -33,7 +33,7 @@ DISTURBANCE = 1e-6
 LONGEST = 3.0
 LARGEST_GROWTH = 30.0
 
-# A vehicle that hunts on worn wheels, frozen for this test: joints and yaw dampers are softer than the study's.
+# A vehicle that hunts on worn wheels, frozen for this test: its arm joints and yaw dampers are soft.
 HUNTS = (
     "track.irregularity={type: none}",
     "vehicle.elements.arm_joint.stiffness.0=50e6",

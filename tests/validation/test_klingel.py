@@ -9,7 +9,7 @@ that), and inertia, which at 2 m/s does not matter. No part that a calibration m
 
 The simulation begins in kinematic motion, where no wheel slips and both are loaded alike: a wheelset that is
 displaced by y rolls by 2 lambda y / e, the difference of its rolling radii over the distance of its contacts,
-and yaws at -(2 lambda y / e) V / r_0. Begun upright, it would fall on one wheel and lose 6 % of y to that.
+and yaws at -(2 lambda y / e) V / r_0. Begun upright, it falls on one wheel and loses up to 7 % of y to that.
 """
 
 from __future__ import annotations
