@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
@@ -38,12 +37,6 @@ class Parameter(Model):
         else:
             value = self.low + (self.high - self.low) * unit
         return float(f"{value:.5g}")
-
-    def place(self, value: float) -> float:
-        """Place of a value in the unit interval."""
-        if self.scale == "log":
-            return math.log(value / self.low) / math.log(self.high / self.low)
-        return (value - self.low) / (self.high - self.low)
 
 
 class Search(Model):
