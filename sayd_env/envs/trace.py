@@ -5,8 +5,8 @@ from __future__ import annotations
 from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
+from sayd_env.physics.line import speed_of
 from sayd_env.physics.plant import LANES, Index, Plant, State, Work
-from sayd_env.physics.plant import SPEED as PLANT_SPEED
 from sayd_env.physics.rows import Lanes
 from sayd_env.physics.step import largest_shift, measure, record, record_wheels, steps
 
@@ -77,7 +77,7 @@ def _write(lanes: Lanes, k: int, plant: Plant, state: State, work: Work, row: Ar
         row[LONGITUDINAL + j] = work.measured[(POINTS + j) * w + k]
     row[CLIMB] = largest_shift(lanes, k, plant, work)
     row[PULSE] = state.v[k]
-    row[SPEED] = plant.number[PLANT_SPEED * w + k]
+    row[SPEED] = speed_of(lanes, k, plant, work)
     if state.sayd.shape[0] == 0:
         for j in range(DAMPERS):
             row[STROKE + j] = state.elongation[j * w + k]

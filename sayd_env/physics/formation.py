@@ -37,7 +37,9 @@ FEWEST = 5
 
 SHARED = ("start", "column")
 """Ends of the names of fields that are the same for all vehicles of a group."""
-_OF_ANY_LENGTH = ("table", "sayd_table", "irregularity")
+_ALONG_THE_WAY = {"irregularity": at.RAIL_BASE, "line": at.LINE_BASE}
+"""What is too long to be copied, and the row that says where a vehicle's begins."""
+_OF_ANY_LENGTH = ("table", "sayd_table", *_ALONG_THE_WAY)
 
 
 def interleaved(vehicles: Sequence[Array]) -> Array:
@@ -51,16 +53,16 @@ def interleaved(vehicles: Sequence[Array]) -> Array:
 def side_by_side(plants: Sequence[Plant]) -> Plant:
     """Constants of vehicles of one kind side by side, made of those of one vehicle each.
 
-    Tracks are too long to be copied: the group reads all of them from the address of the first one in memory
-    on, and so the vehicles have to keep them alive.
+    Tracks and lines are too long to be copied: the group reads all of them from the address of the first one
+    in memory on, and so the vehicles have to keep them alive.
     """
     fields: dict[str, Any] = {}
     for name in Plant._fields:
         values = [getattr(plant, name) for plant in plants]
         if name.endswith(SHARED) or name == "creep":
             fields[name] = values[0]
-        elif name == "irregularity":
-            fields[name] = min(values, key=lambda track: track.ctypes.data)
+        elif name in _ALONG_THE_WAY:
+            fields[name] = min(values, key=lambda way: way.ctypes.data)
         elif name.endswith("_value") and all(np.array_equal(values[0], other) for other in values[1:]):
             fields[name] = values[0]
         elif name in ("table", "sayd_table"):
@@ -69,10 +71,11 @@ def side_by_side(plants: Sequence[Plant]) -> Plant:
         else:
             fields[name] = interleaved(values)
     width = len(plants)
-    fields["number"].reshape(at.NUMBERS, width)[at.RAIL_BASE] = [
-        (plant.irregularity.ctypes.data - fields["irregularity"].ctypes.data) // plant.irregularity.itemsize
-        for plant in plants
-    ]
+    for name, row in _ALONG_THE_WAY.items():
+        first = fields[name].ctypes.data
+        fields["number"].reshape(at.NUMBERS, width)[row] = [
+            (way.ctypes.data - first) // way.itemsize for way in (getattr(plant, name) for plant in plants)
+        ]
     fields["wheel"].reshape(at.WHEEL_ROWS, LANES, width)[at.TABLE_BASE] = fields.pop("table offsets")
     offsets = fields.pop("sayd_table offsets")
     if fields["sayd_constant"].size:
@@ -95,6 +98,7 @@ def kind(plant: Plant) -> tuple[Any, ...]:
     structure = (value.tobytes() for name, value in fields.items() if name.endswith(SHARED))
     lengths = (value.shape for name, value in fields.items() if name not in _OF_ANY_LENGTH)
     common = (*plant.number[[at.STEP, at.SUBSTEPS, at.CREEP_LAW]], plant.wheel[at.SHEAR_MODULUS * LANES])
+    common = (*common, plant.line.size > 0)
     return *common, _digest(plant.creep), *lengths, *structure
 
 

@@ -35,8 +35,12 @@ WHEELSETS = 4
     RAIL_BASE,  # place of the vehicle's first coefficient, counted from `Plant.irregularity`
     WIDEST,  # lateral shift at the end of the contact table, m
     CREEP_LAW,  # place of the creep law in `contact.creep.LAWS`; the same for vehicles side by side
+    LINE_START,  # position of the first node of the line, m
+    PER_LINE_STEP,  # 1 / distance of nodes, 1/m
+    LINE_COUNT,  # number of nodes
+    LINE_BASE,  # place of the vehicle's first node, counted from `Plant.line`
     NUMBERS,
-) = range(10)
+) = range(14)
 
 # Rows of `Plant.wheel`, one number for each wheel.
 (
@@ -110,6 +114,14 @@ class Plant(NamedTuple):
     """(nodes * 4,) spline coefficients of alignment, vertical, cross-level angle, gauge, node by node."""
     creep: Array
     """What the creep law reads as its table."""
+    line: Array
+    """(nodes * columns,) the line, node by node, as in `sayd_env.physics.line`; empty: straight, and as the
+    other constants have it."""
+    body: Array
+    """(`line.BODY_ROWS` * bodies * W,) places, carried loads and spin of the bodies, wheelsets first; empty
+    without a line."""
+    body_column: Column
+    """(4 * bodies,) their y, z, roll and yaw among the unknowns."""
 
     @property
     def speed(self) -> float:
@@ -170,6 +182,12 @@ class Work(NamedTuple):
     """Its scratch memory."""
     measured: Array
     """(measuring points * W,) accelerations, m/s2."""
+    wheel: Array
+    """`Plant.wheel` at present places on a line; empty without one."""
+    line: Array
+    """Of a line at present places: loads (n * W), offsets of the unknowns' frames and their rates (n * W
+    each), accelerations of these frames against free fall (n * W), and what to add to the kinematics of the
+    wheelsets (MOTIONS * 4 * W); empty without a line."""
 
     @property
     def lane_out(self) -> Array:

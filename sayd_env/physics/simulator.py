@@ -23,6 +23,7 @@ from sayd_env.physics.aligned import aligned, zeros
 from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.geometry import ContactTable, cached_contact_table
 from sayd_env.physics.layout import Arrangement
+from sayd_env.physics.line import LineTable, body_arrays
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
 from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
@@ -180,6 +181,7 @@ class VehicleModel:
         track: TrackRealisation,
         table: ContactTable | None = None,
         points: Array | None = None,
+        line: LineTable | None = None,
     ) -> Plant:
         """Constants of the compiled step.
 
@@ -193,6 +195,8 @@ class VehicleModel:
             A contact table in place of the model's.
         points : ndarray, shape (p, n), optional
             Rows of further measuring points, behind those of the bogie frames.
+        line : LineTable, optional
+            Curves and changing conditions; `speed` is then the lowest on it.
         """
         h, _ = self.step(speed)
         b, table = self.multibody, table or self.table
@@ -206,8 +210,13 @@ class VehicleModel:
         frames = np.array([g for _, g in b.measuring_points]).reshape(-1, b.n)
         measure = sparse_rows(frames if points is None else np.vstack([frames, points]))
         shift, stop = _curves(b.stops)
+        number = self._numbers(speed, track, table, 0 if sayds is None else sayds.substeps)
+        body, body_column = (np.zeros(0), np.zeros(0, dtype=np.uint32)) if line is None else body_arrays(b)
+        if line is not None:
+            number[at.LINE_START], number[at.PER_LINE_STEP] = line.start, 1.0 / line.step
+            number[at.LINE_COUNT] = len(line.values)
         return Plant(
-            number=self._numbers(speed, track, table, 0 if sayds is None else sayds.substeps),
+            number=number,
             wheel=aligned(self._wheels(speed, table)),
             mass=b.mass,
             damping_diagonal=diagonal,
@@ -235,6 +244,9 @@ class VehicleModel:
             sayd_table=np.zeros(0) if sayds is None else sayds.table,
             irregularity=track.coefficients.ravel(),
             creep=self.creep_table,
+            line=np.zeros(0) if line is None else line.values.ravel(),
+            body=body,
+            body_column=body_column,
         )
 
     def _numbers(self, speed: float, track: TrackRealisation, table: ContactTable, substeps: int) -> Array:
@@ -331,8 +343,8 @@ class VehicleModel:
             clock=aligned(np.array([0.0, -float(np.max(self.multibody.wheelset_x))])),
         )
 
-    def work(self, points: int = 0) -> Work:
-        """Scratch memory for one vehicle, with room for further measuring points."""
+    def work(self, points: int = 0, line: LineTable | None = None) -> Work:
+        """Scratch memory for one vehicle, with room for further measuring points and for a line."""
         b = self.multibody
         n, m, s, w = b.n, len(self.dampers), len(b.stops), len(b.wheelset_x)
         semi_active = self._semi_active
@@ -340,6 +352,8 @@ class VehicleModel:
         y = at.MOTIONS * WHEELSETS + m + s + (sayd.INPUTS * LANES if semi_active else 0)
         law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
         sizes = (n, x, y, 8 * WHEELSETS, at.ROWS_IN * LANES, at.PATCH_ROWS * LANES, *law, w + points)
+        on_line = (at.WHEEL_ROWS * LANES, 4 * n + at.MOTIONS * WHEELSETS)
+        sizes += (0, 0) if line is None else on_line
         return Work(*(zeros(size) for size in sizes))
 
 
@@ -391,6 +405,8 @@ class Simulator:
         A track in place of the seed's.
     table : ContactTable, optional
         A contact table in place of the model's, such as its harmonic linearisation.
+    line : LineTable, optional
+        Curves and changing conditions; its speeds are those at which the vehicle runs.
 
     Examples
     --------
@@ -409,13 +425,14 @@ class Simulator:
         *,
         track: TrackRealisation | None = None,
         table: ContactTable | None = None,
+        line: LineTable | None = None,
     ) -> None:
         self.model = model
-        self.speed = speed
+        self.speed = speed if line is None else line.slowest
         self.track = model.realisation(seed) if track is None else track
-        self.plant = model.plant(speed, self.track, table)
-        self.state = model.state(speed)
-        self.work = model.work()
+        self.plant = model.plant(self.speed, self.track, table, line=line)
+        self.state = model.state(self.speed)
+        self.work = model.work(line=line)
 
     @property
     def channels(self) -> int:

@@ -29,6 +29,7 @@ from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.kernel import kernel
+from sayd_env.physics.line import follow, speed_of, turn
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
 from sayd_env.physics.rows import SINGLE, Lanes, add_product, multiply
 from sayd_env.physics.track.spline import CHANNELS, spline_weights, weighted_rows
@@ -60,6 +61,16 @@ def _predict(
         displacement[i] = moved
         predicted[i] = v[i] + h * a[i]
         present[i] = v[i]
+
+
+@kernel(inline=True, distinct=True, allocates=False)
+def _shift(line: Array, displacement: Array, predicted: Array, present: Array) -> None:
+    """Add the offsets of the unknowns' frames on a line, and their rates, to the motion."""
+    n = displacement.shape[0]
+    for i in range(n):
+        displacement[i] += line[n + i]
+        predicted[i] += line[2 * n + i]
+        present[i] += line[2 * n + i]
 
 
 @kernel(inline=True, distinct=True, allocates=False)
@@ -411,12 +422,13 @@ def wheels(lanes: Lanes, plant: Plant, work: Work) -> None:
     n = LANES * len(lanes)
     first = 3 * work.f.shape[0]
     out = work.x[first : first + at.ROWS_OUT * n]
-    wheel_kinematics(lanes, plant.wheel, work.y, work.rail, work.lane_in)
-    _touch(lanes, plant.wheel, work.lane_in, plant.table, work.creep_in, work.patch, out)
+    wheel = work.wheel if plant.line.shape[0] > 0 else plant.wheel
+    wheel_kinematics(lanes, wheel, work.y, work.rail, work.lane_in)
+    _touch(lanes, wheel, work.lane_in, plant.table, work.creep_in, work.patch, out)
     scratch = work.creep_scratch[: creep.SCRATCH_ROWS * n + creep.WIDTH]
-    which, shear_modulus = int(plant.number[at.CREEP_LAW * len(lanes)]), plant.wheel[at.SHEAR_MODULUS * n]
+    which, shear_modulus = int(plant.number[at.CREEP_LAW * len(lanes)]), wheel[at.SHEAR_MODULUS * n]
     _creep(which, work.creep_in, work.creep_out, scratch, plant.creep, shear_modulus)
-    _resultants(lanes, plant.wheel, work.lane_in, work.patch, work.creep_out, out)
+    _resultants(lanes, wheel, work.lane_in, work.patch, work.creep_out, out)
 
 
 @kernel(inline=True, allocates=False)
@@ -430,6 +442,8 @@ def contact(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
 def motions(lanes: Lanes, plant: Plant, work: Work) -> None:
     """Kinematics of wheelsets, dampers and stops in `Work.y`, from the motion in `Work.x`."""
     multiply(lanes, plant.motion_start, plant.motion_column, plant.motion_value, work.x, work.y)
+    if plant.line.shape[0] > 0:
+        turn(lanes, plant, work)
 
 
 @kernel(inline=True, allocates=False)
@@ -500,21 +514,25 @@ def predict(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
         state.q,
         state.v,
         state.a,
-        plant.load,
+        work.line[:n] if plant.line.shape[0] > 0 else plant.load,
         plant.damping_diagonal,
         work.x[:n],
         work.x[n : 2 * n],
         work.x[2 * n : 3 * n],
         work.f,
     )
+    if plant.line.shape[0] > 0:
+        _shift(work.line, work.x[:n], work.x[n : 2 * n], work.x[2 * n : 3 * n])
     for k in range(w):
         state.clock[k] += h
-        state.clock[w + k] += h * plant.number[at.SPEED * w + k]
+        state.clock[w + k] += h * speed_of(lanes, k, plant, work)
 
 
 @kernel(inline=True, allocates=False)
 def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int) -> None:
-    """Advance vehicles by a number of the plant's time steps."""
+    """Advance vehicles by a number of the plant's time steps, in which the conditions of a line hold."""
+    if plant.line.shape[0] > 0:
+        follow(lanes, plant, state.clock, work)
     for _ in range(count):
         predict(lanes, plant, state, work)
         motions(lanes, plant, work)
@@ -594,8 +612,19 @@ def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work:
 
 @kernel(inline=True, allocates=False)
 def measure(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
-    """Accelerations of the measuring points at this instant, into `Work.measured`."""
-    multiply(lanes, plant.measure_start, plant.measure_column, plant.measure_value, state.a, work.measured)
+    """Accelerations of the measuring points at this instant, on a line against free fall: `Work.measured`."""
+    if plant.line.shape[0] > 0:
+        n = state.a.shape[0]
+        for i in range(n):
+            work.f[i] = state.a[i] + work.line[3 * n + i]
+    multiply(
+        lanes,
+        plant.measure_start,
+        plant.measure_column,
+        plant.measure_value,
+        work.f if plant.line.shape[0] > 0 else state.a,
+        work.measured,
+    )
 
 
 @kernel(inline=True, allocates=False)

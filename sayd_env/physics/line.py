@@ -1,0 +1,328 @@
+"""A line under a running vehicle: curvature, cant, speed, friction and rail shape over distance.
+
+Every body stands at its own place along the line, and its unknowns are measured from the curved and canted
+centre line there. So contact and track know nothing of a curve but the turning of the wheelsets; what a curve
+does to the vehicle comes in twice:
+
+- the frames of the bodies are accelerated and gravity leans in them: forces of inertia on the bodies;
+- the frames of two bodies that a connection joins stand at different places: the connection sees the bodies'
+  motion against one common frame, that of the vehicle's centre, which is their own motion and the offset of
+  their frames.
+
+With curvature kappa (1/m, positive in a left curve), cant angle phi (rad, the frame's roll about the direction
+of travel, negative where the right rail is higher) and speed V, a body at x from the vehicle's centre and
+height z has
+
+    y'' + V^2 kappa + g phi - z V^2 phi''     laterally,
+    z'' - V^2 kappa phi - g phi^2 / 2         vertically,
+    phi'' V^2 in roll and V^2 kappa' in yaw
+
+for its acceleration against free fall, and its frame lies at Theta(x) - Theta(0) - Theta'(0) x - z (phi(x) -
+phi(0)) from the centre's, with Theta'' = kappa. A wheelset spins: I_y (V / r) V kappa in roll and -I_y (V / r)
+V phi' in yaw (Wickens 2003, chapter 2; Garg and Dukkipati 1984, chapter 3, from which the signs are derived for
+these axes).
+
+Conditions hold over a sample (1 ms, at most 0.15 m) and are those of its beginning. The speed changes so
+slowly that its own forces are left out: no traction, no pitch from braking, no lag of the wheels' rotation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline, PPoly
+
+from sayd_env.config.errors import ConfigError
+from sayd_env.config.units import Array
+from sayd_env.physics import plant as at
+from sayd_env.physics.kernel import kernel
+from sayd_env.physics.multibody import GRAVITY, Multibody
+from sayd_env.physics.plant import LANES, WHEELSETS, Plant, Work
+from sayd_env.physics.rows import Lanes
+
+GRID_STEP = 10.0
+"""Distance of the table's nodes (m): kinks of curvature and cant are rounded over two of them on each side."""
+MARGIN = 30.0
+"""Line before and behind the run (m) that its first and last bodies need."""
+
+# Columns of a line's table: polynomials over the distance from each node, lowest power first.
+THETA = 0  # twice integrated curvature, m; six coefficients
+CANT = THETA + 6  # cant angle, rad; four
+SQUARE = CANT + 4  # square of the speed, m2/s2; two
+FRICTION = SQUARE + 2  # coefficient of friction; two
+BLEND = FRICTION + 2  # place between the vehicle's rail shapes, from 0; two
+CURVED = BLEND + 2  # 1 where a body within `MARGIN` stands in a curve or on a cant, else 0
+COLUMNS = CURVED + 1
+
+# Rows of `Plant.body`, one number for each body.
+X, HEIGHT, CARRIED, SPIN, BODY_ROWS = range(5)
+
+
+@dataclass(frozen=True)
+class LineTable:
+    """A line as the compiled step reads it."""
+
+    start: float
+    """Position of the first node on the run (m)."""
+    step: float
+    """Distance of the nodes (m)."""
+    values: Array
+    """(nodes, COLUMNS), C-contiguous."""
+    slowest: float
+    """Lowest speed on it, m/s."""
+
+    def speed(self, position: float) -> float:
+        """Speed at a position on the run (m/s)."""
+        i, t = self._place(position)
+        return math.sqrt(self.values[i, SQUARE] + t * self.values[i, SQUARE + 1])
+
+    def _place(self, position: float) -> tuple[int, float]:
+        i = min(max(int((position - self.start) / self.step), 0), len(self.values) - 1)
+        return i, min(max(position - self.start - i * self.step, 0.0), self.step)
+
+
+def tabulated(
+    start: float,
+    curvature: Array,
+    cant: Array,
+    square: Array,
+    friction: Array,
+    blend: Array,
+    step: float = GRID_STEP,
+) -> LineTable:
+    """Table of a line from values at equidistant nodes.
+
+    Parameters
+    ----------
+    start : float
+        Position of the first node on the run (m).
+    curvature, cant : ndarray, shape (n,)
+        1/m and rad: control points of cubic B-splines, which round kinks and never overshoot.
+    square, friction, blend : ndarray, shape (n,)
+        m2/s2, -, -: linear between the nodes.
+    step : float
+        Distance of the nodes (m).
+
+    Raises
+    ------
+    ConfigError
+        A speed that is not above 0.
+    """
+    if not np.min(square) > 0.0:
+        raise ConfigError(f"line: a speed of {math.sqrt(max(0.0, float(np.min(square)))):g} m/s")
+    x = step * np.arange(len(curvature))
+    values = np.zeros((len(x), COLUMNS))
+    for column, points, order in ((THETA, curvature, 2), (CANT, cant, 0)):
+        piecewise = _rounded(points, step)
+        if order:
+            piecewise = piecewise.antiderivative(order)
+        powers = piecewise.c[::-1]
+        values[:, column : column + len(powers)] = powers.T
+    for column, points in ((SQUARE, square), (FRICTION, friction), (BLEND, blend)):
+        values[:, column] = points
+        values[:-1, column + 1] = np.diff(points) / step
+    bent = np.any(values[:, THETA + 2 : THETA + 6] != 0.0, axis=1) | np.any(
+        values[:, CANT : CANT + 4] != 0.0, axis=1
+    )
+    near = math.ceil(MARGIN / step)
+    values[:, CURVED] = np.convolve(bent, np.ones(2 * near + 1), mode="same") > 0.0
+    return LineTable(start, step, values, math.sqrt(float(np.min(square))))
+
+
+def _rounded(points: Array, step: float) -> PPoly:
+    """Cubic B-spline with control points at equidistant nodes, as polynomials between these nodes."""
+    padded = np.pad(points, (3, 3), mode="edge")
+    knots = step * np.arange(-5.0, len(points) + 5.0)
+    spline = BSpline(knots, padded, 3)
+    whole = PPoly.from_spline(spline)
+    first, last = np.searchsorted(whole.x, [-0.5 * step, (len(points) - 0.5) * step])
+    return PPoly(whole.c[:, first:last], whole.x[first : last + 1])
+
+
+def body_arrays(body: Multibody) -> tuple[Array, Array]:
+    """What a line needs to know of the bodies, wheelsets first: `Plant.body` and `Plant.body_column`.
+
+    Returns
+    -------
+    ndarray, shape (BODY_ROWS * bodies,), and ndarray of uint32, shape (4 * bodies,)
+        Columns of y, z, roll and yaw of each body.
+
+    Raises
+    ------
+    ConfigError
+        A body that cannot move laterally, vertically, in roll and in yaw.
+    """
+    wheelsets = [i for i in body.instances.values() if i.body.role == "wheelset"]
+    wheelsets.sort(key=lambda i: int(np.argmin(np.abs(body.wheelset_x - i.position[0]))))
+    others = [i for i in body.instances.values() if i.body.role not in ("wheelset", "hinged")]
+    found, columns = np.zeros((BODY_ROWS, len(wheelsets) + len(others))), []
+    rigid = np.zeros(body.n)
+    for each in (*wheelsets, *others):
+        if not {"y", "z", "roll", "yaw"} <= each.columns.keys():
+            raise ConfigError(
+                f"body '{each.body.name}': a line needs its lateral, vertical, roll and yaw motion"
+            )
+        columns += [each.columns[name] for name in ("y", "z", "roll", "yaw")]
+        rigid[each.columns["y"]], rigid[each.columns["roll"]] = -each.position[2], 1.0
+    # Static forces of the springs lean with the body's frame: what the stiffness has for a roll of the whole.
+    leaning = body.stiffness @ rigid
+    for k, each in enumerate((*wheelsets, *others)):
+        spin = each.body.inertia[1] if k < len(wheelsets) else 0.0
+        found[:, k] = each.position[0], each.position[2], leaning[each.columns["y"]], spin
+    return found.ravel(), np.array(columns, dtype=np.uint32)
+
+
+@kernel(inline=True, allocates=False)
+def speed_of(lanes: Lanes, k: int, plant: Plant, work: Work) -> float:
+    """Present speed of vehicle k (m/s)."""
+    if plant.line.shape[0] > 0:
+        return float(work.wheel[at.WHEEL_SPEED * LANES * len(lanes) + k])
+    return float(plant.number[at.SPEED * len(lanes) + k])
+
+
+@kernel(inline=True, allocates=False)
+def _node(number: Array, w: int, k: int, s: float) -> tuple[int, float]:
+    """Place of the first number of a position's node in `Plant.line`, and distance from the node (m)."""
+    count = number[at.LINE_COUNT * w + k]
+    u = (s - number[at.LINE_START * w + k]) * number[at.PER_LINE_STEP * w + k]
+    u = u if u > 0.0 else 0.0
+    u = u if u < count else count
+    i = min(int(u), int(count) - 1)
+    return int(number[at.LINE_BASE * w + k]) + COLUMNS * i, (u - i) / number[at.PER_LINE_STEP * w + k]
+
+
+@kernel(inline=True, allocates=False)
+def _bend(line: Array, p: int, t: float) -> tuple[float, float, float, float]:
+    """Theta, Theta', Theta'' = kappa and kappa' of a node's polynomial."""
+    c0, c1, c2 = line[p + THETA], line[p + THETA + 1], line[p + THETA + 2]
+    c3, c4, c5 = line[p + THETA + 3], line[p + THETA + 4], line[p + THETA + 5]
+    return (
+        c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
+        c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
+        2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
+        6.0 * c3 + t * (24.0 * c4 + t * 60.0 * c5),
+    )
+
+
+@kernel(inline=True, allocates=False)
+def _lean(line: Array, p: int, t: float) -> tuple[float, float, float]:
+    """Cant angle and its two derivatives over distance."""
+    c0, c1, c2, c3 = line[p + CANT], line[p + CANT + 1], line[p + CANT + 2], line[p + CANT + 3]
+    return (
+        c0 + t * (c1 + t * (c2 + t * c3)),
+        c1 + t * (2.0 * c2 + t * 3.0 * c3),
+        2.0 * c2 + t * 6.0 * c3,
+    )
+
+
+@kernel(allocates=False)
+def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
+    """Take speed, friction, loads and offsets at the vehicles' places on their lines."""
+    w = len(lanes)
+    n = plant.load.shape[0]
+    rows = LANES * w
+    for i in range(plant.wheel.shape[0]):
+        work.wheel[i] = plant.wheel[i]
+    for i in range(n):
+        work.line[i] = plant.load[i]
+    for i in range(n, work.line.shape[0]):
+        work.line[i] = 0.0
+    for k in range(w):
+        s = clock[w + k]
+        p, t = _node(plant.number, w, k, s)
+        speed = math.sqrt(plant.line[p + SQUARE] + t * plant.line[p + SQUARE + 1])
+        for i in range(LANES):
+            work.wheel[at.WHEEL_SPEED * rows + i * w + k] = speed
+            work.wheel[at.PER_SPEED * rows + i * w + k] = 1.0 / speed
+        for j in range(plant.wheelset_x.shape[0] // w):
+            q, u = _node(plant.number, w, k, s + plant.wheelset_x[j * w + k])
+            friction = plant.line[q + FRICTION] + u * plant.line[q + FRICTION + 1]
+            work.wheel[at.FRICTION * rows + j * w + k] = friction
+            work.wheel[at.FRICTION * rows + (WHEELSETS + j) * w + k] = friction
+        if plant.line[p + CURVED] != 0.0:
+            _enter(lanes, k, plant, s, speed, work)
+
+
+@kernel(allocates=False)
+def _enter(lanes: Lanes, k: int, plant: Plant, s: float, speed: float, work: Work) -> None:
+    """Loads and offsets of the bodies of vehicle k whose centre is at a position s (m)."""
+    w = len(lanes)
+    n, bodies = plant.load.shape[0], plant.body.shape[0] // (BODY_ROWS * w)
+    offset, rate, accelerated, contact = n, 2 * n, 3 * n, 4 * n
+    wheelsets = plant.wheelset_x.shape[0] // w
+    square = speed * speed
+    spin = speed * plant.wheel[at.PER_RADIUS * LANES * w + k]
+    radius = plant.wheel[at.RADIUS * LANES * w + k]
+    p, t = _node(plant.number, w, k, s)
+    theta_0, angle_0, kappa_0, _ = _bend(plant.line, p, t)
+    cant_0, twist_0, _ = _lean(plant.line, p, t)
+    for b in range(bodies):
+        x = plant.body[(X * bodies + b) * w + k]
+        z = plant.body[(HEIGHT * bodies + b) * w + k]
+        p, t = _node(plant.number, w, k, s + x)
+        theta, angle, kappa, kappa_slope = _bend(plant.line, p, t)
+        cant, twist, twist_slope = _lean(plant.line, p, t)
+        y = int(plant.body_column[4 * b]) * w + k
+        vertical = int(plant.body_column[4 * b + 1]) * w + k
+        roll = int(plant.body_column[4 * b + 2]) * w + k
+        yaw = int(plant.body_column[4 * b + 3]) * w + k
+        rolled, turned = cant - cant_0, angle - angle_0
+        roll_rate, yaw_rate = speed * (twist - twist_0), speed * (kappa - kappa_0)
+        work.line[offset + y] = theta - theta_0 - angle_0 * x - z * rolled
+        work.line[offset + roll] = rolled
+        work.line[offset + yaw] = turned
+        work.line[rate + y] = speed * (turned - kappa_0 * x) - z * roll_rate
+        work.line[rate + roll] = roll_rate
+        work.line[rate + yaw] = yaw_rate
+        work.line[accelerated + y] = (
+            square * kappa * (1.0 - 0.5 * cant * cant)
+            + GRAVITY * cant * (1.0 - cant * cant / 6.0)
+            - z * square * twist_slope
+        )
+        work.line[accelerated + vertical] = -square * kappa * cant - 0.5 * GRAVITY * cant * cant
+        work.line[accelerated + roll] = square * twist_slope
+        work.line[accelerated + yaw] = square * kappa_slope
+        work.line[y] += plant.body[(CARRIED * bodies + b) * w + k] * rolled
+        momentum = plant.body[(SPIN * bodies + b) * w + k] * spin
+        work.line[roll] += momentum * speed * kappa_0
+        work.line[yaw] -= momentum * speed * twist_0
+        work.line[y] -= plant.mass[y] * work.line[accelerated + y]
+        work.line[y] -= plant.damping_diagonal[y] * work.line[rate + y]
+        work.line[vertical] -= plant.mass[vertical] * work.line[accelerated + vertical]
+        work.line[roll] -= plant.mass[roll] * work.line[accelerated + roll]
+        work.line[roll] -= plant.damping_diagonal[roll] * roll_rate
+        work.line[yaw] -= plant.mass[yaw] * work.line[accelerated + yaw]
+        work.line[yaw] -= plant.damping_diagonal[yaw] * yaw_rate
+        if b < wheelsets:
+            block = WHEELSETS * w
+            place = contact + b * w + k
+            work.line[place + at.M_OFFSET * block] = -(work.line[offset + y] + radius * rolled)
+            work.line[place + at.M_ROLL * block] = -rolled
+            work.line[place + at.M_YAW * block] = -turned
+            work.line[place + at.M_BOTTOM * block] = -(work.line[rate + y] + radius * roll_rate)
+            work.line[place + at.M_ROLL_RATE * block] = -roll_rate
+            work.line[place + at.M_YAW_RATE * block] = speed * kappa_0
+
+
+@kernel(inline=True, allocates=False)
+def turn(lanes: Lanes, plant: Plant, work: Work) -> None:
+    """Give the contacts the wheelsets' motion against their own places on the line, in `Work.y`.
+
+    What the spin of the wheelsets does at another speed than the plant's is added to the forces: their matrix
+    is that of the plant's speed.
+    """
+    w = len(lanes)
+    n, bodies = plant.load.shape[0], plant.body.shape[0] // (BODY_ROWS * w)
+    block = WHEELSETS * w
+    for j in range(plant.wheelset_x.shape[0] // w):
+        for k in range(w):
+            faster = work.wheel[at.WHEEL_SPEED * LANES * w + k] - plant.number[at.SPEED * w + k]
+            momentum = plant.body[(SPIN * bodies + j) * w + k] * faster
+            momentum *= plant.wheel[at.PER_RADIUS * LANES * w + k]
+            roll, yaw = int(plant.body_column[4 * j + 2]) * w + k, int(plant.body_column[4 * j + 3]) * w + k
+            work.f[roll] += momentum * work.y[at.M_YAW_RATE * block + j * w + k]
+            work.f[yaw] -= momentum * work.y[at.M_ROLL_RATE * block + j * w + k]
+    for i in range(at.MOTIONS * block):
+        work.y[i] += work.line[4 * n + i]
