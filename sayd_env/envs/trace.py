@@ -60,7 +60,7 @@ def trace_period(
         Receives the members' rows.
     """
     for t in range(trace.shape[1]):
-        steps(lanes, plant, state, work, substeps)
+        steps(lanes, plant, state, work, substeps, t == 0)
         measure(lanes, plant, state, work)
         for k in range(len(lanes)):
             if members[k] >= 0:

@@ -56,7 +56,7 @@ def _advance(
         running += 1 if members[k] >= 0 else 0
     for t in range(signals.shape[1]):
         if running > 0:
-            steps(lanes, plant, together, work, substeps)
+            steps(lanes, plant, together, work, substeps, t == 0)
             measure(lanes, plant, together, work)
         for k in range(len(lanes)):
             i = members[k]

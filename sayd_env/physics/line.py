@@ -40,10 +40,10 @@ from sayd_env.physics import plant as at
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.multibody import GRAVITY, Multibody
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, Work
-from sayd_env.physics.rows import Lanes
+from sayd_env.physics.rows import Column, Lanes
 
 GRID_STEP = 10.0
-"""Distance of the table's nodes (m): kinks of curvature and cant are rounded over two of them on each side."""
+"""Distance of the table's nodes (m): kinks of curvature and cant are rounded over two of them to each side."""
 MARGIN = 30.0
 """Line before and behind the run (m) that its first and last bodies need."""
 
@@ -53,11 +53,15 @@ CANT = THETA + 6  # cant angle, rad; four
 SQUARE = CANT + 4  # square of the speed, m2/s2; two
 FRICTION = SQUARE + 2  # coefficient of friction; two
 BLEND = FRICTION + 2  # place between the vehicle's rail shapes, from 0; two
-CURVED = BLEND + 2  # 1 where a body within `MARGIN` stands in a curve or on a cant, else 0
-COLUMNS = CURVED + 1
+CURVED = BLEND + 2  # 1 where there is a curve or a cant within `MARGIN`, else 0
+CHANGING = CURVED + 1  # 1 where anything changes within `MARGIN`, else 0
+COLUMNS = CHANGING + 1
 
 # Rows of `Plant.body`, one number for each body.
 X, HEIGHT, CARRIED, SPIN, BODY_ROWS = range(5)
+
+CENTRE_ROWS = 6
+"""What is kept of the line at a vehicle's centre: Theta and two derivatives, cant and its slope, whether bent."""
 
 
 @dataclass(frozen=True)
@@ -123,12 +127,17 @@ def tabulated(
     for column, points in ((SQUARE, square), (FRICTION, friction), (BLEND, blend)):
         values[:, column] = points
         values[:-1, column + 1] = np.diff(points) / step
-    bent = np.any(values[:, THETA + 2 : THETA + 6] != 0.0, axis=1) | np.any(
-        values[:, CANT : CANT + 4] != 0.0, axis=1
-    )
-    near = math.ceil(MARGIN / step)
-    values[:, CURVED] = np.convolve(bent, np.ones(2 * near + 1), mode="same") > 0.0
+    values[:, CURVED] = _near(values[:, [*range(THETA + 2, THETA + 6), *range(CANT, CANT + 4)]], step)
+    slopes = [*range(THETA + 3, THETA + 6), *range(CANT + 1, CANT + 4), SQUARE + 1, FRICTION + 1, BLEND + 1]
+    values[:, CHANGING] = _near(values[:, slopes], step)
     return LineTable(start, step, values, math.sqrt(float(np.min(square))))
+
+
+def _near(values: Array, step: float) -> Array:
+    """1 for nodes (rows) within `MARGIN` of one where any value is not 0, else 0."""
+    near = math.ceil(MARGIN / step)
+    found = np.any(values != 0.0, axis=1)
+    return np.asarray(np.convolve(np.pad(found, near), np.ones(2 * near + 1), mode="valid") > 0.0)
 
 
 def _rounded(points: Array, step: float) -> PPoly:
@@ -217,12 +226,40 @@ def _lean(line: Array, p: int, t: float) -> tuple[float, float, float]:
     )
 
 
+@kernel(inline=True, allocates=False)
+def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work, first: bool) -> None:
+    """Take speed, friction, loads and offsets at the vehicles' places on their lines.
+
+    Where nothing changes they are those of the sample before, unless this is the first one of a call.
+    """
+    w = len(lanes)
+    changing = first
+    for k in range(w):
+        p, _ = _node(plant.number, w, k, clock[w + k])
+        changing = changing or plant.line[p + CHANGING] != 0.0
+    if changing:
+        _look_up(lanes, plant, clock, work)
+
+
+@kernel(inline=True, allocates=False)
+def curved(lanes: Lanes, work: Work) -> bool:
+    """Whether any of the vehicles is in a curve or on a cant."""
+    return bool(work.line[work.line.shape[0] - 2 * len(lanes)] != 0.0)
+
+
+@kernel(inline=True, allocates=False)
+def faster(lanes: Lanes, work: Work) -> bool:
+    """Whether any of the vehicles runs at another speed than its plant's."""
+    return bool(work.line[work.line.shape[0] - len(lanes)] != 0.0)
+
+
 @kernel(allocates=False)
-def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
-    """Take speed, friction, loads and offsets at the vehicles' places on their lines."""
+def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
+    """Fill `Work.wheel` and `Work.line`."""
     w = len(lanes)
     n = plant.load.shape[0]
     rows = LANES * w
+    bent, other = work.line.shape[0] - 2 * w, work.line.shape[0] - w
     for i in range(plant.wheel.shape[0]):
         work.wheel[i] = plant.wheel[i]
     for i in range(n):
@@ -233,6 +270,8 @@ def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
         s = clock[w + k]
         p, t = _node(plant.number, w, k, s)
         speed = math.sqrt(plant.line[p + SQUARE] + t * plant.line[p + SQUARE + 1])
+        work.line[other] = 1.0 if speed != plant.number[at.SPEED * w + k] else work.line[other]
+        work.line[bent] = 1.0 if plant.line[p + CURVED] != 0.0 else work.line[bent]
         for i in range(LANES):
             work.wheel[at.WHEEL_SPEED * rows + i * w + k] = speed
             work.wheel[at.PER_SPEED * rows + i * w + k] = 1.0 / speed
@@ -241,69 +280,113 @@ def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
             friction = plant.line[q + FRICTION] + u * plant.line[q + FRICTION + 1]
             work.wheel[at.FRICTION * rows + j * w + k] = friction
             work.wheel[at.FRICTION * rows + (WHEELSETS + j) * w + k] = friction
-        if plant.line[p + CURVED] != 0.0:
-            _enter(lanes, k, plant, s, speed, work)
-
-
-@kernel(allocates=False)
-def _enter(lanes: Lanes, k: int, plant: Plant, s: float, speed: float, work: Work) -> None:
-    """Loads and offsets of the bodies of vehicle k whose centre is at a position s (m)."""
-    w = len(lanes)
-    n, bodies = plant.load.shape[0], plant.body.shape[0] // (BODY_ROWS * w)
-    offset, rate, accelerated, contact = n, 2 * n, 3 * n, 4 * n
-    wheelsets = plant.wheelset_x.shape[0] // w
-    square = speed * speed
-    spin = speed * plant.wheel[at.PER_RADIUS * LANES * w + k]
-    radius = plant.wheel[at.RADIUS * LANES * w + k]
-    p, t = _node(plant.number, w, k, s)
-    theta_0, angle_0, kappa_0, _ = _bend(plant.line, p, t)
-    cant_0, twist_0, _ = _lean(plant.line, p, t)
-    for b in range(bodies):
-        x = plant.body[(X * bodies + b) * w + k]
-        z = plant.body[(HEIGHT * bodies + b) * w + k]
-        p, t = _node(plant.number, w, k, s + x)
-        theta, angle, kappa, kappa_slope = _bend(plant.line, p, t)
-        cant, twist, twist_slope = _lean(plant.line, p, t)
-        y = int(plant.body_column[4 * b]) * w + k
-        vertical = int(plant.body_column[4 * b + 1]) * w + k
-        roll = int(plant.body_column[4 * b + 2]) * w + k
-        yaw = int(plant.body_column[4 * b + 3]) * w + k
-        rolled, turned = cant - cant_0, angle - angle_0
-        roll_rate, yaw_rate = speed * (twist - twist_0), speed * (kappa - kappa_0)
-        work.line[offset + y] = theta - theta_0 - angle_0 * x - z * rolled
-        work.line[offset + roll] = rolled
-        work.line[offset + yaw] = turned
-        work.line[rate + y] = speed * (turned - kappa_0 * x) - z * roll_rate
-        work.line[rate + roll] = roll_rate
-        work.line[rate + yaw] = yaw_rate
-        work.line[accelerated + y] = (
-            square * kappa * (1.0 - 0.5 * cant * cant)
-            + GRAVITY * cant * (1.0 - cant * cant / 6.0)
-            - z * square * twist_slope
+    if work.line[bent] != 0.0:
+        _enter(
+            lanes,
+            plant.number,
+            plant.line,
+            plant.body,
+            plant.body_column,
+            plant.mass,
+            plant.damping_diagonal,
+            plant.wheelset_x,
+            clock,
+            work.wheel,
+            work.line,
         )
-        work.line[accelerated + vertical] = -square * kappa * cant - 0.5 * GRAVITY * cant * cant
-        work.line[accelerated + roll] = square * twist_slope
-        work.line[accelerated + yaw] = square * kappa_slope
-        work.line[y] += plant.body[(CARRIED * bodies + b) * w + k] * rolled
-        momentum = plant.body[(SPIN * bodies + b) * w + k] * spin
-        work.line[roll] += momentum * speed * kappa_0
-        work.line[yaw] -= momentum * speed * twist_0
-        work.line[y] -= plant.mass[y] * work.line[accelerated + y]
-        work.line[y] -= plant.damping_diagonal[y] * work.line[rate + y]
-        work.line[vertical] -= plant.mass[vertical] * work.line[accelerated + vertical]
-        work.line[roll] -= plant.mass[roll] * work.line[accelerated + roll]
-        work.line[roll] -= plant.damping_diagonal[roll] * roll_rate
-        work.line[yaw] -= plant.mass[yaw] * work.line[accelerated + yaw]
-        work.line[yaw] -= plant.damping_diagonal[yaw] * yaw_rate
-        if b < wheelsets:
-            block = WHEELSETS * w
+
+
+@kernel(distinct=True, allocates=False)
+def _enter(  # noqa: PLR0915 - one loop body, as the physics reads
+    lanes: Lanes,
+    number: Array,
+    line: Array,
+    body: Array,
+    column: Column,
+    mass: Array,
+    diagonal: Array,
+    wheelset_x: Array,
+    clock: Array,
+    wheel: Array,
+    out: Array,
+) -> None:
+    """Loads and offsets of all bodies of all vehicles, into `Work.line`."""
+    w = len(lanes)
+    n, rows, block = mass.shape[0], LANES * w, WHEELSETS * w
+    bodies, wheelsets = body.shape[0] // (BODY_ROWS * w), wheelset_x.shape[0] // w
+    offset, rate, accelerated, contact = n, 2 * n, 3 * n, 4 * n
+    centre = out.shape[0] - (2 + CENTRE_ROWS) * w
+    for k in range(clock.shape[0] // 2):  # W: a length that the compiler does not know
+        p, t = _node(number, w, k, clock[w + k])
+        theta, angle, kappa, _ = _bend(line, p, t)
+        cant, twist, _ = _lean(line, p, t)
+        out[centre + k], out[centre + w + k], out[centre + 2 * w + k] = theta, angle, kappa
+        out[centre + 3 * w + k], out[centre + 4 * w + k] = cant, twist
+        out[centre + 5 * w + k] = line[p + CURVED]  # 0 on the straight, where rounding shall leave nothing
+    for b in range(bodies):
+        y, vertical = int(column[4 * b]) * w, int(column[4 * b + 1]) * w
+        roll, yaw = int(column[4 * b + 2]) * w, int(column[4 * b + 3]) * w
+        for k in range(clock.shape[0] // 2):
+            speed = wheel[at.WHEEL_SPEED * rows + k]
+            square, spin = speed * speed, speed * wheel[at.PER_RADIUS * rows + k]
+            x, z = body[(X * bodies + b) * w + k], body[(HEIGHT * bodies + b) * w + k]
+            theta_0, angle_0, kappa_0 = out[centre + k], out[centre + w + k], out[centre + 2 * w + k]
+            cant_0, twist_0, inside = (
+                out[centre + 3 * w + k],
+                out[centre + 4 * w + k],
+                out[centre + 5 * w + k],
+            )
+            p, t = _node(number, w, k, clock[w + k] + x)
+            theta, angle, kappa, kappa_slope = _bend(line, p, t)
+            cant, twist, twist_slope = _lean(line, p, t)
+            aside, turned, rolled = theta - theta_0 - angle_0 * x, angle - angle_0, cant - cant_0
+            aside, turned, rolled = inside * aside, inside * turned, inside * rolled
+            roll_rate, yaw_rate = speed * (twist - twist_0), speed * (kappa - kappa_0)
+            aside_rate = speed * (turned - kappa_0 * x)
+            accelerated_y = (
+                square * kappa * (1.0 - 0.5 * cant * cant)
+                + GRAVITY * cant * (1.0 - cant * cant / 6.0)
+                - z * square * twist_slope
+            )
+            accelerated_z = -square * kappa * cant - 0.5 * GRAVITY * cant * cant
+            momentum = body[(SPIN * bodies + b) * w + k] * spin
+            out[offset + y + k] = aside - z * rolled
+            out[offset + roll + k] = rolled
+            out[offset + yaw + k] = turned
+            out[rate + y + k] = aside_rate - z * roll_rate
+            out[rate + roll + k] = roll_rate
+            out[rate + yaw + k] = yaw_rate
+            out[accelerated + y + k] = accelerated_y
+            out[accelerated + vertical + k] = accelerated_z
+            out[accelerated + roll + k] = square * twist_slope
+            out[accelerated + yaw + k] = square * kappa_slope
+            out[y + k] += (
+                body[(CARRIED * bodies + b) * w + k] * rolled
+                - mass[y + k] * accelerated_y
+                - diagonal[y + k] * (aside_rate - z * roll_rate)
+            )
+            out[vertical + k] -= mass[vertical + k] * accelerated_z
+            out[roll + k] += (
+                momentum * speed * kappa_0
+                - mass[roll + k] * square * twist_slope
+                - diagonal[roll + k] * roll_rate
+            )
+            out[yaw + k] -= (
+                momentum * speed * twist_0
+                + mass[yaw + k] * square * kappa_slope
+                + diagonal[yaw + k] * yaw_rate
+            )
+    for b in range(wheelsets):
+        y, roll, yaw = int(column[4 * b]) * w, int(column[4 * b + 2]) * w, int(column[4 * b + 3]) * w
+        for k in range(clock.shape[0] // 2):
+            radius, speed = wheel[at.RADIUS * rows + k], wheel[at.WHEEL_SPEED * rows + k]
             place = contact + b * w + k
-            work.line[place + at.M_OFFSET * block] = -(work.line[offset + y] + radius * rolled)
-            work.line[place + at.M_ROLL * block] = -rolled
-            work.line[place + at.M_YAW * block] = -turned
-            work.line[place + at.M_BOTTOM * block] = -(work.line[rate + y] + radius * roll_rate)
-            work.line[place + at.M_ROLL_RATE * block] = -roll_rate
-            work.line[place + at.M_YAW_RATE * block] = speed * kappa_0
+            out[place + at.M_OFFSET * block] = -(out[offset + y + k] + radius * out[offset + roll + k])
+            out[place + at.M_ROLL * block] = -out[offset + roll + k]
+            out[place + at.M_YAW * block] = -out[offset + yaw + k]
+            out[place + at.M_BOTTOM * block] = -(out[rate + y + k] + radius * out[rate + roll + k])
+            out[place + at.M_ROLL_RATE * block] = -out[rate + roll + k]
+            out[place + at.M_YAW_RATE * block] = speed * out[centre + 2 * w + k]
 
 
 @kernel(inline=True, allocates=False)
@@ -316,13 +399,19 @@ def turn(lanes: Lanes, plant: Plant, work: Work) -> None:
     w = len(lanes)
     n, bodies = plant.load.shape[0], plant.body.shape[0] // (BODY_ROWS * w)
     block = WHEELSETS * w
-    for j in range(plant.wheelset_x.shape[0] // w):
+    for j in range(plant.wheelset_x.shape[0] // w if faster(lanes, work) else 0):
         for k in range(w):
-            faster = work.wheel[at.WHEEL_SPEED * LANES * w + k] - plant.number[at.SPEED * w + k]
-            momentum = plant.body[(SPIN * bodies + j) * w + k] * faster
+            over = work.wheel[at.WHEEL_SPEED * LANES * w + k] - plant.number[at.SPEED * w + k]
+            momentum = plant.body[(SPIN * bodies + j) * w + k] * over
             momentum *= plant.wheel[at.PER_RADIUS * LANES * w + k]
             roll, yaw = int(plant.body_column[4 * j + 2]) * w + k, int(plant.body_column[4 * j + 3]) * w + k
             work.f[roll] += momentum * work.y[at.M_YAW_RATE * block + j * w + k]
             work.f[yaw] -= momentum * work.y[at.M_ROLL_RATE * block + j * w + k]
-    for i in range(at.MOTIONS * block):
-        work.y[i] += work.line[4 * n + i]
+    if curved(lanes, work):
+        _add(work.line[4 * n : 4 * n + at.MOTIONS * block], work.y)
+
+
+@kernel(inline=True, distinct=True, allocates=False)
+def _add(more: Array, values: Array) -> None:
+    for i in range(more.shape[0]):
+        values[i] += more[i]

@@ -23,7 +23,7 @@ from sayd_env.physics.aligned import aligned, zeros
 from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.geometry import ContactTable, cached_contact_table
 from sayd_env.physics.layout import Arrangement
-from sayd_env.physics.line import LineTable, body_arrays
+from sayd_env.physics.line import CENTRE_ROWS, LineTable, body_arrays
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
 from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
@@ -352,7 +352,7 @@ class VehicleModel:
         y = at.MOTIONS * WHEELSETS + m + s + (sayd.INPUTS * LANES if semi_active else 0)
         law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
         sizes = (n, x, y, 8 * WHEELSETS, at.ROWS_IN * LANES, at.PATCH_ROWS * LANES, *law, w + points)
-        on_line = (at.WHEEL_ROWS * LANES, 4 * n + at.MOTIONS * WHEELSETS)
+        on_line = (at.WHEEL_ROWS * LANES, 4 * n + at.MOTIONS * WHEELSETS + CENTRE_ROWS + 2)
         sizes += (0, 0) if line is None else on_line
         return Work(*(zeros(size) for size in sizes))
 

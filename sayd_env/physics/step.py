@@ -29,7 +29,7 @@ from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.line import follow, speed_of, turn
+from sayd_env.physics.line import curved, follow, speed_of, turn
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
 from sayd_env.physics.rows import SINGLE, Lanes, add_product, multiply
 from sayd_env.physics.track.spline import CHANNELS, spline_weights, weighted_rows
@@ -71,6 +71,12 @@ def _shift(line: Array, displacement: Array, predicted: Array, present: Array) -
         displacement[i] += line[n + i]
         predicted[i] += line[2 * n + i]
         present[i] += line[2 * n + i]
+
+
+@kernel(inline=True, distinct=True, allocates=False)
+def _sum(a: Array, b: Array, out: Array) -> None:
+    for i in range(out.shape[0]):
+        out[i] = a[i] + b[i]
 
 
 @kernel(inline=True, distinct=True, allocates=False)
@@ -521,7 +527,7 @@ def predict(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
         work.x[2 * n : 3 * n],
         work.f,
     )
-    if plant.line.shape[0] > 0:
+    if plant.line.shape[0] > 0 and curved(lanes, work):
         _shift(work.line, work.x[:n], work.x[n : 2 * n], work.x[2 * n : 3 * n])
     for k in range(w):
         state.clock[k] += h
@@ -529,10 +535,13 @@ def predict(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
 
 
 @kernel(inline=True, allocates=False)
-def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int) -> None:
-    """Advance vehicles by a number of the plant's time steps, in which the conditions of a line hold."""
+def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int, first: bool) -> None:
+    """Advance vehicles by a number of the plant's time steps, in which the conditions of a line hold.
+
+    `first` says that `Work` is not from the steps before.
+    """
     if plant.line.shape[0] > 0:
-        follow(lanes, plant, state.clock, work)
+        follow(lanes, plant, state.clock, work, first)
     for _ in range(count):
         predict(lanes, plant, state, work)
         motions(lanes, plant, work)
@@ -548,7 +557,7 @@ def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int) -> N
 @kernel(allocates=False)
 def step(plant: Plant, state: State, work: Work) -> None:
     """Advance one vehicle by the plant's time step."""
-    steps(SINGLE, plant, state, work, 1)
+    steps(SINGLE, plant, state, work, 1, True)
 
 
 @kernel(allocates=False)
@@ -613,18 +622,12 @@ def rates(plant: Plant, position: float, q: Array, v: Array, force: Array, work:
 @kernel(inline=True, allocates=False)
 def measure(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
     """Accelerations of the measuring points at this instant, on a line against free fall: `Work.measured`."""
-    if plant.line.shape[0] > 0:
-        n = state.a.shape[0]
-        for i in range(n):
-            work.f[i] = state.a[i] + work.line[3 * n + i]
-    multiply(
-        lanes,
-        plant.measure_start,
-        plant.measure_column,
-        plant.measure_value,
-        work.f if plant.line.shape[0] > 0 else state.a,
-        work.measured,
-    )
+    n = state.a.shape[0]
+    moved = plant.line.shape[0] > 0 and curved(lanes, work)
+    if moved:
+        _sum(state.a, work.line[3 * n : 4 * n], work.f)
+    a = work.f if moved else state.a
+    multiply(lanes, plant.measure_start, plant.measure_column, plant.measure_value, a, work.measured)
 
 
 @kernel(inline=True, allocates=False)
@@ -714,7 +717,7 @@ def advance(
         the contact table.
     """
     for t in range(signals.shape[0]):
-        steps(SINGLE, plant, state, work, substeps)
+        steps(SINGLE, plant, state, work, substeps, t == 0)
         measure(SINGLE, plant, state, work)
         record(SINGLE, 0, plant, state, work, signals[t])
         if wheels.shape[0] > 0:
