@@ -13,10 +13,9 @@ from typing import Annotated
 from pydantic import Field, field_validator, model_validator
 
 from sayd_env.config.base import Model, Number, quantity
-from sayd_env.config.environment import LIMITS, scalable
-from sayd_env.config.errors import ConfigError
+from sayd_env.config.limits import LIMITS
 from sayd_env.config.loader import read_study
-from sayd_env.config.track import IrregularityConfig, read_track
+from sayd_env.config.track import IrregularityConfig, check_track, read_irregularity
 
 HELD_OUT = "heldout"
 """Name of the packaged comparison."""
@@ -56,18 +55,13 @@ class ComparedTrack(Model):
 
     @model_validator(mode="after")
     def _known(self) -> ComparedTrack:
-        try:
-            irregularity = read_track(self.name).irregularity
-        except ConfigError as error:
-            raise ValueError(f"name: {error}") from None
-        if self.scale is not None:
-            scalable(irregularity, self.name)
+        check_track(self.name, scaled=self.scale is not None)
         return self
 
     @property
     def irregularity(self) -> IrregularityConfig:
         """The irregularities at this scale."""
-        own = read_track(self.name).irregularity
+        own = read_irregularity(self.name)
         return own if self.scale is None else own.model_copy(update={"scale": self.scale})
 
 

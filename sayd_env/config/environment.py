@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from collections.abc import Iterable
+from typing import Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -14,10 +13,11 @@ from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
 from sayd_env.config.fault import FaultsConfig
 from sayd_env.config.layers import Kind, read_layered
+from sayd_env.config.limits import within
 from sayd_env.config.profile import load_wheel
 from sayd_env.config.scenario import CostConfig
 from sayd_env.config.sensors import SAMPLE, SENSORS, SensorsConfig
-from sayd_env.config.track import IrregularityConfig, NoIrregularityConfig, read_track
+from sayd_env.config.track import TrackClass
 
 ENVIRONMENT = Kind(
     "env",
@@ -49,70 +49,8 @@ def whole_period(period: float) -> float:
     return period
 
 
-class Limits(NamedTuple):
-    """Values that a quantity of an episode may have."""
-
-    low: float
-    high: float
-    unit: str
-
-    def __str__(self) -> str:
-        return f"{self.low:g} to {self.high:g} {self.unit}".removesuffix(" -")
-
-
-LIMITS: Mapping[str, Limits] = MappingProxyType(
-    {
-        "speed_kmh": Limits(30.0, 500.0, "km/h"),
-        "wear": Limits(0.0, 1.0, "-"),
-        "gauge": Limits(0.9, 1.7, "m"),
-        "friction": Limits(0.05, 1.0, "-"),
-        "payload": Limits(-0.5, 0.5, "-"),
-        "initial_current": Limits(0.0, 1.0, "-"),
-        "track_scale": Limits(0.0, 5.0, "-"),
-        "sensor_bias": Limits(-10.0, 10.0, "-"),
-        "sensor_noise": Limits(0.0, 100.0, "-"),
-        "factor": Limits(0.1, 10.0, "-"),
-    }
-)
-"""For options of an episode and for what it draws alike. (The vehicle's speeds may reach less far.)"""
-
 TOLERANT = ("vehicle", "track", "contact_damping", "sayd", "passive")
 """First parts of keys that tolerances may scale: sections of a scenario, or one of its kinds of damper."""
-
-
-def within(distribution: Distribution, name: str) -> Distribution:
-    """Return a distribution of a quantity of `LIMITS`.
-
-    Raises
-    ------
-    ValueError
-        The distribution reaches beyond what is allowed.
-    """
-    (low, high), allowed = distribution.bounds, LIMITS[name]
-    if low < allowed.low or high > allowed.high:
-        raise ValueError(f"the distribution reaches from {low:g} to {high:g}; allowed are {allowed}")
-    return distribution
-
-
-class TrackClass(Model):
-    """A track whose irregularities an episode may have; section and gauge stay those of the scenario."""
-
-    name: str = Field(min_length=1, description="Name of a track, or a path to its YAML file")
-    weight: float = quantity("-", "Relative frequency", default=1.0, ge=0.0, le=1e9)
-    scale: Distribution | None = Field(
-        None, description="Factor on all amplitudes (-), in place of the track's own; null: its own"
-    )
-
-    @model_validator(mode="after")
-    def _known(self) -> TrackClass:
-        try:
-            irregularity = read_track(self.name).irregularity
-        except ConfigError as error:
-            raise ValueError(f"name: {error}") from None
-        if self.scale is not None:
-            within(self.scale, "track_scale")
-            scalable(irregularity, self.name)
-        return self
 
 
 class ProfileClass(Model):
@@ -140,18 +78,6 @@ class ProfileClass(Model):
             except ConfigError as error:
                 raise ValueError(f"name: {error}") from None
         return self
-
-
-def scalable(irregularity: IrregularityConfig, name: str) -> None:
-    """Check that irregularities have an amplitude.
-
-    Raises
-    ------
-    ValueError
-        An even track.
-    """
-    if isinstance(irregularity, NoIrregularityConfig):
-        raise ValueError(f"track '{name}' is even: it has nothing to scale")
 
 
 class ToleranceConfig(Model):

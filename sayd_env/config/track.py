@@ -8,13 +8,18 @@ direction of travel, positive when the left rail is higher (rad); `gauge` the wi
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, StrictFloat, model_validator
 
 from sayd_env.config.base import Model, Part, quantity
+from sayd_env.config.distribution import Distribution
+from sayd_env.config.errors import ConfigError
 from sayd_env.config.layers import Kind, read_layered
+from sayd_env.config.limits import within
+from sayd_env.config.loader import is_path
 
 TRACK = Kind("track", parts={"section": Kind("section")}, data=("irregularity.path",))
 
@@ -130,14 +135,19 @@ class SineConfig(_Irregularity):
     wavelength: float = quantity("m", "wavelength", gt=0)
 
 
-class DefectConfig(_Irregularity):
+class Defect(Model):
     """A single defect: amplitude (1 - cos(2 pi (x - position) / length)) / 2."""
 
-    type: Literal["defect"]
     channel: Channel = Field(description="channel that carries the defect")
     amplitude: float = quantity("m, or rad for cross_level", "height of the defect")
     length: float = quantity("m", "length of the defect", gt=0)
     position: float = quantity("m", "where the defect begins", ge=0)
+
+
+class DefectConfig(Defect, _Irregularity):
+    """A track that is even but for a single defect."""
+
+    type: Literal["defect"]
 
 
 class FileConfig(_Irregularity):
@@ -192,3 +202,59 @@ def read_track(name_or_path: str, overrides: Iterable[str] = ()) -> TrackConfig:
         Unknown name, unreadable file, unknown key, or value out of its range.
     """
     return read_layered(TrackConfig, TRACK, name_or_path, overrides)
+
+
+def read_irregularity(name_or_path: str) -> IrregularityConfig:
+    """Read the irregularities of a track, a packaged one once only; see `read_track`."""
+    # A packaged track stays as it is, a user's file may be edited between episodes.
+    return _packaged(name_or_path) if not is_path(name_or_path) else read_track(name_or_path).irregularity
+
+
+@lru_cache(maxsize=64)
+def _packaged(name: str) -> IrregularityConfig:
+    return read_track(name).irregularity
+
+
+def scalable(irregularity: IrregularityConfig, name: str) -> None:
+    """Check that irregularities have an amplitude.
+
+    Raises
+    ------
+    ValueError
+        An even track.
+    """
+    if isinstance(irregularity, NoIrregularityConfig):
+        raise ValueError(f"track '{name}' is even: it has nothing to scale")
+
+
+def check_track(name: str, *, scaled: bool) -> None:
+    """Check that a track can be read and, if it is to be scaled, has irregularities.
+
+    Raises
+    ------
+    ValueError
+        It cannot, or has none.
+    """
+    try:
+        irregularity = read_irregularity(name)
+    except ConfigError as error:
+        raise ValueError(str(error)) from None
+    if scaled:
+        scalable(irregularity, name)
+
+
+class TrackClass(Model):
+    """A track whose irregularities an episode may have; section and gauge stay those of the scenario."""
+
+    name: str = Field(min_length=1, description="Name of a track, or a path to its YAML file")
+    weight: float = quantity("-", "Relative frequency", default=1.0, ge=0.0, le=1e9)
+    scale: Distribution | None = Field(
+        None, description="Factor on all amplitudes (-), in place of the track's own; null: its own"
+    )
+
+    @model_validator(mode="after")
+    def _known(self) -> TrackClass:
+        check_track(self.name, scaled=self.scale is not None)
+        if self.scale is not None:
+            within(self.scale, "track_scale")
+        return self

@@ -1,4 +1,4 @@
-"""The array type and the one unit that is not SI: speeds are given and printed in km/h."""
+"""The array type, gravity, and the one unit that is not SI: speeds are given and printed in km/h."""
 
 from __future__ import annotations
 
@@ -11,3 +11,6 @@ Array: TypeAlias = NDArray[np.float64]
 
 KMH = 3.6
 """km/h in 1 m/s."""
+
+GRAVITY = 9.81
+"""Acceleration of gravity (m/s2), the value behind the paper's axle load."""

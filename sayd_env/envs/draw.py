@@ -21,7 +21,7 @@ import numpy as np
 
 from sayd_env.config import ConfigError, validate
 from sayd_env.config.distribution import chosen
-from sayd_env.config.environment import EnvironmentConfig, ProfileClass, TrackClass, scalable
+from sayd_env.config.environment import EnvironmentConfig, ProfileClass
 from sayd_env.config.fault import (
     MOST_FAULTS,
     DamperFaultClass,
@@ -36,7 +36,7 @@ from sayd_env.config.profile import WheelProfileConfig, load_wheel
 from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS, SIGNALS, SensorConfig, SensorsConfig
-from sayd_env.config.track import IrregularityConfig, read_track
+from sayd_env.config.track import IrregularityConfig, TrackClass, read_irregularity, scalable
 from sayd_env.config.units import Array
 from sayd_env.envs.options import NUMBERS, PROFILES, EpisodeOptions, checked_options, whole_number
 
@@ -268,7 +268,7 @@ def _drawn_track(classes: tuple[TrackClass, ...], fixed: EpisodeOptions, uniform
         drawn, name = classes[place], classes[place].name
     if scale is None and drawn is not None and drawn.scale is not None:
         scale = float(drawn.scale.at(uniform("track_scale")))
-    irregularity = None if name is None else _irregularity(name)
+    irregularity = None if name is None else read_irregularity(name)
     if irregularity is not None and scale is not None:
         _check_scalable(irregularity, name)
     return _Track(name, irregularity, scale)
@@ -321,16 +321,6 @@ def _check_scalable(irregularity: IrregularityConfig, name: str | None) -> None:
         scalable(irregularity, name or "of the study")
     except ValueError as error:
         raise ConfigError(f"options: track_scale: {error}") from None
-
-
-def _irregularity(name: str) -> IrregularityConfig:
-    # A packaged track stays as it is, a user's file may be edited between episodes.
-    return read_track(name).irregularity if is_path(name) else _packaged_irregularity(name)
-
-
-@lru_cache(maxsize=64)
-def _packaged_irregularity(name: str) -> IrregularityConfig:
-    return read_track(name).irregularity
 
 
 def _sensor_errors(config: EnvironmentConfig, sequence: np.random.SeedSequence) -> tuple[Array, Array]:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from sayd_env.config import ConfigError, nearest
-from sayd_env.config.environment import LIMITS
 from sayd_env.config.explain import shown
 from sayd_env.config.fault import Fault, parse_faults
+from sayd_env.config.limits import LIMITS
 from sayd_env.config.loader import is_path, packaged_names
 from sayd_env.config.units import Array
 

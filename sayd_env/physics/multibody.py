@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from sayd_env.config import ConfigError
 from sayd_env.config.track import SectionConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import GRAVITY, Array
 from sayd_env.config.vehicle import Bush, Damper, Stop, Torsion, VehicleConfig
 from sayd_env.physics.layout import (
     Arrangement,
@@ -32,8 +32,6 @@ from sayd_env.physics.layout import (
 )
 
 Index = npt.NDArray[np.int64]
-GRAVITY = 9.81
-"""Acceleration of gravity (m/s2), the value behind the paper's axle load."""
 _ROUNDING = 1e-14  # of a matrix's largest entry
 
 

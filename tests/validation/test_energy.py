@@ -16,9 +16,9 @@ from scipy.linalg import eigh
 
 from sayd_env.config import validate
 from sayd_env.config.scenario import NumericsConfig, Scenario, load_scenario
+from sayd_env.config.units import GRAVITY
 from sayd_env.config.vehicle import VehicleConfig
 from sayd_env.physics import step as kernels
-from sayd_env.physics.multibody import GRAVITY
 from sayd_env.physics.plant import (
     APPROACH,
     FORCE_X,

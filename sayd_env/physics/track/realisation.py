@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sayd_env.config.conditions import smooth_step
 from sayd_env.config.errors import ConfigError, DataError
 from sayd_env.config.track import (
     CHANNELS,
@@ -110,7 +111,7 @@ def realise(
         points = min(points, math.ceil(length / grid_step) + 1 + 2 * _MARGIN + _SETTLED)
         x, samples = x[:points], samples[:points]
     if fade_in > 0.0 and not isinstance(config, DefectConfig):
-        samples *= _smooth_step(x / fade_in)[:, None]
+        samples *= smooth_step(x / fade_in)[:, None]
     return TrackRealisation(float(x[0]), grid_step, length, interpolation_coefficients(samples))
 
 
@@ -141,7 +142,7 @@ def _measured(config: FileConfig, x: Array, length: float) -> Array:
     first, last = measured.x[0] + config.offset, measured.x[-1] + config.offset
     values = measured.at(x - config.offset)
     if config.ramp is not None:
-        window = _smooth_step((x - first) / config.ramp) * _smooth_step((last - x) / config.ramp)
+        window = smooth_step((x - first) / config.ramp) * smooth_step((last - x) / config.ramp)
         return values * window[:, None]
     if first > 0.0 or last < length:
         raise DataError(
@@ -149,12 +150,6 @@ def _measured(config: FileConfig, x: Array, length: float) -> Array:
             f"shorten the run, change 'offset', or give 'ramp' (m) to run on even track outside the file"
         )
     return values
-
-
-def _smooth_step(t: Array) -> Array:
-    """0 below t = 0, 1 above 1, between them 6 t^5 - 15 t^4 + 10 t^3 with two continuous derivatives."""
-    t = np.clip(t, 0.0, 1.0)
-    return np.asarray(t**3 * (10.0 + t * (6.0 * t - 15.0)))
 
 
 def _check(config: IrregularityConfig, length: float, seed: int, fade_in: float, grid_step: float) -> None:

@@ -1,0 +1,51 @@
+"""What the quantities of an episode may be: for its options and for what it draws alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+from sayd_env.config.distribution import Distribution
+
+
+class Limits(NamedTuple):
+    """Values that a quantity of an episode may have."""
+
+    low: float
+    high: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g} {self.unit}".removesuffix(" -")
+
+
+LIMITS: Mapping[str, Limits] = MappingProxyType(
+    {
+        "speed_kmh": Limits(30.0, 500.0, "km/h"),
+        "wear": Limits(0.0, 1.0, "-"),
+        "gauge": Limits(0.9, 1.7, "m"),
+        "friction": Limits(0.05, 1.0, "-"),
+        "payload": Limits(-0.5, 0.5, "-"),
+        "initial_current": Limits(0.0, 1.0, "-"),
+        "track_scale": Limits(0.0, 5.0, "-"),
+        "sensor_bias": Limits(-10.0, 10.0, "-"),
+        "sensor_noise": Limits(0.0, 100.0, "-"),
+        "factor": Limits(0.1, 10.0, "-"),
+    }
+)
+"""For options of an episode and for what it draws alike. (The vehicle's speeds may reach less far.)"""
+
+
+def within(distribution: Distribution, name: str) -> Distribution:
+    """Return a distribution of a quantity of `LIMITS`.
+
+    Raises
+    ------
+    ValueError
+        The distribution reaches beyond what is allowed.
+    """
+    (low, high), allowed = distribution.bounds, LIMITS[name]
+    if low < allowed.low or high > allowed.high:
+        raise ValueError(f"the distribution reaches from {low:g} to {high:g}; allowed are {allowed}")
+    return distribution
