@@ -98,7 +98,7 @@ def kind(plant: Plant) -> tuple[Any, ...]:
     structure = (value.tobytes() for name, value in fields.items() if name.endswith(SHARED))
     lengths = (value.shape for name, value in fields.items() if name not in _OF_ANY_LENGTH)
     common = (*plant.number[[at.STEP, at.SUBSTEPS, at.CREEP_LAW]], plant.wheel[at.SHEAR_MODULUS * LANES])
-    common = (*common, plant.line.size > 0)
+    common = (*common, plant.line.size > 0, plant.number[at.SHAPES] > 1.0)
     return *common, _digest(plant.creep), *lengths, *structure
 
 

@@ -34,11 +34,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline, PPoly
 
+from sayd_env.config.conditions import Line
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.units import Array
+from sayd_env.config.units import GRAVITY, Array
 from sayd_env.physics import plant as at
+from sayd_env.physics.contact import geometry
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.multibody import GRAVITY, Multibody
+from sayd_env.physics.multibody import Multibody
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, Work
 from sayd_env.physics.rows import Column, Lanes
 
@@ -85,6 +87,43 @@ class LineTable:
     def _place(self, position: float) -> tuple[int, float]:
         i = min(max(int((position - self.start) / self.step), 0), len(self.values) - 1)
         return i, min(max(position - self.start - i * self.step, 0.0), self.step)
+
+
+def changes(line: Line) -> bool:
+    """Whether a vehicle on a line needs a table of it: whether anything changes but gauge and irregularities."""
+    knots = (line.speed_squared, line.friction, line.rail_blend)
+    return line.curved or any(each is not None and not each.constant for each in knots)
+
+
+def line_table(
+    line: Line, origin: float, distance: float, speed: float, friction: float, step: float = GRID_STEP
+) -> LineTable:
+    """Table of a line for a run.
+
+    Parameters
+    ----------
+    line : Line
+    origin : float
+        Position on the run of the line's s = 0 (m).
+    distance : float
+        How far the run goes beyond it (m).
+    speed, friction : float
+        What holds where the line leaves them out: m/s, -.
+    step : float
+        Distance of the nodes (m).
+    """
+    before = math.ceil((origin + 2.0 * MARGIN) / step)
+    s = step * np.arange(-before, math.ceil((distance + 2.0 * MARGIN) / step) + 1)
+    even = np.ones(len(s))
+    return tabulated(
+        origin + float(s[0]),
+        line.curvature.at(s),
+        line.roll.at(s),
+        even * speed**2 if line.speed_squared is None else line.speed_squared.at(s),
+        even * friction if line.friction is None else line.friction.at(s),
+        0.0 * even if line.rail_blend is None else line.rail_blend.at(s),
+        step,
+    )
 
 
 def tabulated(
@@ -278,8 +317,11 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
         for j in range(plant.wheelset_x.shape[0] // w):
             q, u = _node(plant.number, w, k, s + plant.wheelset_x[j * w + k])
             friction = plant.line[q + FRICTION] + u * plant.line[q + FRICTION + 1]
-            work.wheel[at.FRICTION * rows + j * w + k] = friction
-            work.wheel[at.FRICTION * rows + (WHEELSETS + j) * w + k] = friction
+            shape = plant.line[q + BLEND] + u * plant.line[q + BLEND + 1]
+            shape *= plant.number[at.SHAPES * w + k] - 1.0
+            for i in (j * w + k, (WHEELSETS + j) * w + k):
+                work.wheel[at.FRICTION * rows + i] = friction
+                work.wheel[at.SHAPE * rows + i] = shape
     if work.line[bent] != 0.0:
         _enter(
             lanes,
@@ -409,6 +451,34 @@ def turn(lanes: Lanes, plant: Plant, work: Work) -> None:
             work.f[yaw] -= momentum * work.y[at.M_ROLL_RATE * block + j * w + k]
     if curved(lanes, work):
         _add(work.line[4 * n : 4 * n + at.MOTIONS * block], work.y)
+
+
+@kernel(inline=True, allocates=False)
+def blend(lanes: Lanes, plant: Plant, work: Work) -> None:
+    """Make the two nodes of the contact table between which each wheel stands, for the shape of its rail.
+
+    `Work.wheel` then points to them, so that the contact reads them as it reads a table.
+    """
+    w = len(lanes)
+    rows, width = LANES * w, geometry.WIDTH
+    for i in range(rows):
+        k = i % w
+        last = plant.wheel[at.TABLE_LAST * rows + i]
+        start, per_step = plant.wheel[at.TABLE_START * rows + i], plant.wheel[at.PER_TABLE_STEP * rows + i]
+        place = (work.lane_in[at.SHIFT * rows + i] - start) * per_step
+        place = place if place > 0.0 else 0.0
+        node = int(place if place < last else last)
+        shape = work.wheel[at.SHAPE * rows + i]
+        lower = min(int(shape), max(int(plant.number[at.SHAPES * w + k]) - 2, 0))
+        share = shape - lower
+        size = (int(last) + 2) * width
+        p = int(plant.wheel[at.TABLE_BASE * rows + i]) + lower * size + node * width
+        q, target = p + size, 2 * width * i
+        for c in range(2 * width):
+            work.shape[target + c] = (1.0 - share) * plant.table[p + c] + share * plant.table[q + c]
+        work.wheel[at.TABLE_BASE * rows + i] = target
+        work.wheel[at.TABLE_LAST * rows + i] = 0.0
+        work.wheel[at.TABLE_START * rows + i] = start + node / per_step
 
 
 @kernel(inline=True, distinct=True, allocates=False)

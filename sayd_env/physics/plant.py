@@ -39,8 +39,9 @@ WHEELSETS = 4
     PER_LINE_STEP,  # 1 / distance of nodes, 1/m
     LINE_COUNT,  # number of nodes
     LINE_BASE,  # place of the vehicle's first node, counted from `Plant.line`
+    SHAPES,  # contact tables between which a line blends, behind one another; 1: no blend
     NUMBERS,
-) = range(14)
+) = range(15)
 
 # Rows of `Plant.wheel`, one number for each wheel.
 (
@@ -57,8 +58,9 @@ WHEELSETS = 4
     SHEAR_MODULUS,  # G of wheel and rail, N/m2; the same for vehicles side by side
     APPROACH,  # vertical approach under the static load at zero shift, m; -1 for a wheel that there is not
     LOAD_FACTOR,  # Hunt-Crossley factor of the normal force, s/m
+    SHAPE,  # place between the contact tables, from 0 to `SHAPES` - 1
     WHEEL_ROWS,
-) = range(14)
+) = range(15)
 
 
 class Plant(NamedTuple):
@@ -184,6 +186,8 @@ class Work(NamedTuple):
     """(measuring points * W,) accelerations, m/s2."""
     wheel: Array
     """`Plant.wheel` at present places on a line; empty without one."""
+    shape: Array
+    """(8 * W * 2 * columns,) two nodes of the blended contact table for each wheel; empty without a blend."""
     line: Array
     """Of a line at present places: loads (n * W), offsets of the unknowns' frames and their rates (n * W
     each), accelerations of these frames against free fall (n * W), what to add to the kinematics of the

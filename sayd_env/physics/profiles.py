@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import Akima1DInterpolator, CubicSpline
+from scipy.interpolate import Akima1DInterpolator, CubicSpline, make_interp_spline
 from scipy.optimize import brentq
 from scipy.signal import savgol_filter
 
@@ -127,6 +127,36 @@ def rail_profile(config: RailProfileConfig) -> Profile:
     z = z - float(curve(crown))
     _check_reach(config.name, y, RAIL_REACH, "the crown")
     profile = Profile(config.name, "rail", y, z, gauge_depth=config.gauge_depth)
+    gauge_point(profile)
+    return profile
+
+
+def blended(first: Profile, second: Profile, share: float) -> Profile:
+    """Rail between two: heights blended about their crowns.
+
+    Where one of them ends before the other it goes on as steeply as it ends: by tenths of a millimetre at the
+    foot of the gauge face.
+
+    Parameters
+    ----------
+    first, second : Profile
+        Rails.
+    share : float
+        Of the second one, 0 to 1.
+
+    Raises
+    ------
+    DataError
+        The inner side does not reach down to the gauge depth.
+    """
+    if share in (0.0, 1.0):
+        return second if share else first
+    ends = min(first.y[0], second.y[0]), max(first.y[-1], second.y[-1])
+    y = SAMPLING * np.arange(round(ends[0] / SAMPLING), round(ends[1] / SAMPLING) + 1)
+    heights = [make_interp_spline(rail.y, rail.z, k=1)(y) for rail in (first, second)]
+    name = f"{share:g} of the way from {first.name} to {second.name}"
+    depth = (1.0 - share) * first.gauge_depth + share * second.gauge_depth
+    profile = Profile(name, "rail", y, (1.0 - share) * heights[0] + share * heights[1], gauge_depth=depth)
     gauge_point(profile)
     return profile
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.conditions import Rails
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
@@ -20,13 +21,13 @@ from sayd_env.config.units import Array
 from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.aligned import aligned, zeros
-from sayd_env.physics.contact import creep
+from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.contact.geometry import ContactTable, cached_contact_table
 from sayd_env.physics.layout import Arrangement
 from sayd_env.physics.line import CENTRE_ROWS, LineTable, body_arrays
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
-from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
+from sayd_env.physics.profiles import Profile, blended, rail_profile, wheel_profile
 from sayd_env.physics.rows import Rows, sparse_rows
 from sayd_env.physics.step import advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
@@ -40,6 +41,9 @@ LOAD_STEP = 5e3
 Half a step off, at 60 kN, the regularisation is that of a penetration 3 % off: contacts move by 0.03 mm
 (RMS over 7 mm of shift; 0.26 mm in the middle of a worn wheel's jump).
 """
+
+BLENDS = 5
+"""Contact tables of rails between two profiles, from the first to the second."""
 
 RUN_OUT = 150.0
 """Track behind the assessed length (m): room for half a second of signal that settles the filter."""
@@ -182,6 +186,7 @@ class VehicleModel:
         table: ContactTable | None = None,
         points: Array | None = None,
         line: LineTable | None = None,
+        rails: Rails | None = None,
     ) -> Plant:
         """Constants of the compiled step.
 
@@ -197,6 +202,8 @@ class VehicleModel:
             Rows of further measuring points, behind those of the bogie frames.
         line : LineTable, optional
             Curves and changing conditions; `speed` is then the lowest on it.
+        rails : pair of RailProfileConfig or None, optional
+            Rail profiles between which the line blends; the first None is the scenario's.
         """
         h, _ = self.step(speed)
         b, table = self.multibody, table or self.table
@@ -215,6 +222,7 @@ class VehicleModel:
         if line is not None:
             number[at.LINE_START], number[at.PER_LINE_STEP] = line.start, 1.0 / line.step
             number[at.LINE_COUNT] = len(line.values)
+            number[at.SHAPES] = 1.0 if rails is None else BLENDS
         return Plant(
             number=number,
             wheel=aligned(self._wheels(speed, table)),
@@ -223,7 +231,7 @@ class VehicleModel:
             mobility=1.0 / (b.mass + 0.5 * h * diagonal),
             load=self._static_load(),
             wheelset_x=b.wheelset_x,
-            table=table.flat,
+            table=table.flat if rails is None else self._shapes(rails),
             motion_start=motion.start,
             motion_column=motion.column,
             motion_value=motion.value,
@@ -249,12 +257,26 @@ class VehicleModel:
             body_column=body_column,
         )
 
+    def _shapes(self, rails: Rails) -> Array:
+        """Contact tables of rails between two profiles, behind one another."""
+        s, load = self.scenario, table_load(self.multibody.wheel_load)
+        wheel = wheel_profile(s.wheel, s.wear)
+        first, second = (_rail(s.rail if rail is None else rail) for rail in rails)
+        tables = [
+            cached_contact_table(
+                wheel, blended(first, second, share), s.track.gauge, s.contact, s.vehicle.wheel_radius, load
+            )
+            for share in np.linspace(0.0, 1.0, BLENDS)
+        ]
+        return np.concatenate([table.flat for table in tables])
+
     def _numbers(self, speed: float, track: TrackRealisation, table: ContactTable, substeps: int) -> Array:
         number = np.zeros(at.NUMBERS)
         number[at.STEP], number[at.SUBSTEPS], number[at.SPEED] = self.step(speed)[0], substeps, speed
         number[at.RAIL_START], number[at.PER_RAIL_STEP] = track.x0, 1.0 / track.step
         number[at.RAIL_COUNT] = len(track.coefficients)
         number[at.WIDEST] = table.dy[-1]
+        number[at.SHAPES] = 1.0
         number[at.CREEP_LAW] = creep.LAWS.index(self.scenario.contact.creep_law)
         return number
 
@@ -343,7 +365,7 @@ class VehicleModel:
             clock=aligned(np.array([0.0, -float(np.max(self.multibody.wheelset_x))])),
         )
 
-    def work(self, points: int = 0, line: LineTable | None = None) -> Work:
+    def work(self, points: int = 0, line: LineTable | None = None, rails: Rails | None = None) -> Work:
         """Scratch memory for one vehicle, with room for further measuring points and for a line."""
         b = self.multibody
         n, m, s, w = b.n, len(self.dampers), len(b.stops), len(b.wheelset_x)
@@ -352,8 +374,9 @@ class VehicleModel:
         y = at.MOTIONS * WHEELSETS + m + s + (sayd.INPUTS * LANES if semi_active else 0)
         law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
         sizes = (n, x, y, 8 * WHEELSETS, at.ROWS_IN * LANES, at.PATCH_ROWS * LANES, *law, w + points)
-        on_line = (at.WHEEL_ROWS * LANES, 4 * n + at.MOTIONS * WHEELSETS + CENTRE_ROWS + 2)
-        sizes += (0, 0) if line is None else on_line
+        shapes = 0 if rails is None else 2 * geometry.WIDTH * LANES
+        on_line = (at.WHEEL_ROWS * LANES, shapes, 4 * n + at.MOTIONS * WHEELSETS + CENTRE_ROWS + 2)
+        sizes += (0, 0, 0) if line is None else on_line
         return Work(*(zeros(size) for size in sizes))
 
 
@@ -407,6 +430,8 @@ class Simulator:
         A contact table in place of the model's, such as its harmonic linearisation.
     line : LineTable, optional
         Curves and changing conditions; its speeds are those at which the vehicle runs.
+    rails : pair of RailProfileConfig or None, optional
+        Rail profiles between which the line blends; the first None is the scenario's.
 
     Examples
     --------
@@ -426,13 +451,14 @@ class Simulator:
         track: TrackRealisation | None = None,
         table: ContactTable | None = None,
         line: LineTable | None = None,
+        rails: Rails | None = None,
     ) -> None:
         self.model = model
         self.speed = speed if line is None else line.slowest
         self.track = model.realisation(seed) if track is None else track
-        self.plant = model.plant(self.speed, self.track, table, line=line)
+        self.plant = model.plant(self.speed, self.track, table, line=line, rails=rails)
         self.state = model.state(self.speed)
-        self.work = model.work(line=line)
+        self.work = model.work(line=line, rails=rails)
 
     @property
     def channels(self) -> int:

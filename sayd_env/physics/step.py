@@ -29,7 +29,7 @@ from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.line import curved, follow, speed_of, turn
+from sayd_env.physics.line import blend, curved, follow, speed_of, turn
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
 from sayd_env.physics.rows import SINGLE, Lanes, add_product, multiply
 from sayd_env.physics.track.spline import CHANNELS, spline_weights, weighted_rows
@@ -430,7 +430,11 @@ def wheels(lanes: Lanes, plant: Plant, work: Work) -> None:
     out = work.x[first : first + at.ROWS_OUT * n]
     wheel = work.wheel if plant.line.shape[0] > 0 else plant.wheel
     wheel_kinematics(lanes, wheel, work.y, work.rail, work.lane_in)
-    _touch(lanes, wheel, work.lane_in, plant.table, work.creep_in, work.patch, out)
+    blended = work.shape.shape[0] > 0
+    if blended:
+        blend(lanes, plant, work)
+    table = work.shape if blended else plant.table
+    _touch(lanes, wheel, work.lane_in, table, work.creep_in, work.patch, out)
     scratch = work.creep_scratch[: creep.SCRATCH_ROWS * n + creep.WIDTH]
     which, shear_modulus = int(plant.number[at.CREEP_LAW * len(lanes)]), wheel[at.SHEAR_MODULUS * n]
     _creep(which, work.creep_in, work.creep_out, scratch, plant.creep, shear_modulus)
