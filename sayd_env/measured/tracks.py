@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +9,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from sayd_env.config.errors import DataError
-from sayd_env.config.loader import nearest, read_text
 from sayd_env.config.track import CHANNELS
 from sayd_env.config.units import Array
-
-POSITION = "x_m"
-COLUMNS = tuple(f"{channel}_mm" for channel in CHANNELS)
+from sayd_env.measured.table import IRREGULARITIES, Table, read_table
 
 _MIN_ROWS = 4
 # A hole this many times wider than the usual spacing is missing data, over which a spline would swing freely.
@@ -55,12 +49,12 @@ class MeasuredTrack:
 
 
 def read_measured(path: str | Path, cross_level_base: float = 1.5) -> MeasuredTrack:
-    """Read a CSV file with header ``x_m`` and any of ``alignment_mm, vertical_mm, cross_level_mm, gauge_mm``.
+    """Read the irregularities of a CSV file: ``alignment_mm, vertical_mm, cross_level_mm, gauge_mm``.
 
     Parameters
     ----------
     path : str or Path
-        The file: commas between columns, a point in numbers, blank lines skipped.
+        The file; see `read_table`. What it says beside irregularities belongs to a line and is left alone.
     cross_level_base : float
         Distance over which the rails' difference in height is measured (m): angle = height / base.
 
@@ -69,97 +63,37 @@ def read_measured(path: str | Path, cross_level_base: float = 1.5) -> MeasuredTr
     ConfigError
         The file cannot be read.
     DataError
-        No, unknown, missing or repeated columns; cells that are not finite numbers; positions that do not
-        ascend; fewer than four rows; a gap; numbers too large to be millimetres.
+        It is none that `read_table` takes, or has fewer than four rows; a gap; numbers too large to be
+        millimetres.
     """
-    source = str(path)
-    reader = csv.reader(io.StringIO(read_text(Path(path)).removeprefix("\ufeff"), newline=""), strict=True)
-    try:
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise DataError(f"{source}: line {reader.line_num}: not a CSV file ({error})") from None
-    if not rows:
-        raise DataError(
-            f"{source}: is empty; expected a header with {POSITION} and any of {', '.join(COLUMNS)}"
-        )
-    header = _header(rows[0][1], f"{source}: line {rows[0][0]}")
-    if len(rows) - 1 < _MIN_ROWS:
-        raise DataError(f"{source}: found {len(rows) - 1} rows of numbers; at least {_MIN_ROWS} are needed")
-    lines = [line for line, _ in rows[1:]]
-    table = np.array([_numbers(row, header, f"{source}: line {line}") for line, row in rows[1:]])
-    x = table[:, header.index(POSITION)]
-    _check_positions(x, lines, source)
-    _check_size(table, header, lines, source)
-    return MeasuredTrack(source, x, _channels(table, header, cross_level_base))
+    table = read_table(path, IRREGULARITIES, _MIN_ROWS)
+    _check_gaps(table)
+    values = np.zeros((len(table.x), len(CHANNELS)))
+    for j, (channel, name) in enumerate(zip(CHANNELS, IRREGULARITIES, strict=True)):
+        if name in table.columns:
+            _check_size(table, name)
+            base = cross_level_base if channel == "cross_level" else 1.0
+            values[:, j] = 1e-3 * table.columns[name] / base
+    return MeasuredTrack(table.source, table.x, values)
 
 
-def _header(row: Iterable[str], where: str) -> list[str]:
-    names = [cell.strip() for cell in row]
-    allowed = (POSITION, *COLUMNS)
-    for name in names:
-        if name not in allowed:
-            raise DataError(
-                f"{where}: unknown column '{name}'{nearest(name, allowed)}; allowed: {', '.join(allowed)}"
-            )
-        if names.count(name) > 1:
-            raise DataError(f"{where}: column '{name}' appears twice")
-    if POSITION not in names:
-        raise DataError(f"{where}: column '{POSITION}' is missing; found {', '.join(names)}")
-    if len(names) == 1:
-        raise DataError(f"{where}: no irregularity beside '{POSITION}'; expected any of {', '.join(COLUMNS)}")
-    return names
-
-
-def _numbers(row: list[str], header: list[str], where: str) -> list[float]:
-    if len(row) != len(header):
-        raise DataError(f"{where}: found {len(row)} cells; expected {len(header)} ({', '.join(header)})")
-    return [_number(cell, f"{where}: column '{name}'") for cell, name in zip(row, header, strict=True)]
-
-
-def _number(cell: str, where: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        raise DataError(f"{where}: found '{cell.strip()[:40]}'; expected a number") from None
-    if not np.isfinite(value):
-        raise DataError(f"{where}: found '{cell.strip()}'; expected a finite number")
-    return value
-
-
-def _check_positions(x: Array, lines: list[int], source: str) -> None:
-    spacing = np.diff(x)
-    wrong = np.flatnonzero(spacing <= 0.0)
-    if wrong.size:
-        i = int(wrong[0]) + 1
-        problem = "appears twice" if spacing[i - 1] == 0.0 else f"comes after {x[i - 1]:g} m"
-        raise DataError(f"{source}: line {lines[i]}: {POSITION} {x[i]:g} {problem}; positions must ascend")
+def _check_gaps(table: Table) -> None:
+    spacing = np.diff(table.x)
     usual = float(np.median(spacing))
     gaps = np.flatnonzero(spacing > _MAX_GAP * usual)
     if gaps.size:
         i = int(gaps[0]) + 1
         raise DataError(
-            f"{source}: line {lines[i]}: a gap of {spacing[i - 1]:g} m before {POSITION} {x[i]:g}; "
+            f"{table.where(i)}: a gap of {spacing[i - 1]:g} m before {table.place(i)}; "
             f"the usual spacing is {usual:g} m, at most {_MAX_GAP:g} times that is allowed"
         )
 
 
-def _check_size(table: Array, header: list[str], lines: list[int], source: str) -> None:
-    for j, name in enumerate(header):
-        if name == POSITION:
-            continue
-        large = np.flatnonzero(np.abs(table[:, j]) > _MAX_MM)
-        if large.size:
-            i = int(large[0])
-            raise DataError(
-                f"{source}: line {lines[i]}: column '{name}': found {table[i, j]:g} mm; "
-                f"at most {_MAX_MM:g} mm is allowed (is the unit mm?)"
-            )
-
-
-def _channels(table: Array, header: list[str], cross_level_base: float) -> Array:
-    values = np.zeros((len(table), len(CHANNELS)))
-    for j, (channel, name) in enumerate(zip(CHANNELS, COLUMNS, strict=True)):
-        if name in header:
-            base = cross_level_base if channel == "cross_level" else 1.0
-            values[:, j] = 1e-3 * table[:, header.index(name)] / base
-    return values
+def _check_size(table: Table, name: str) -> None:
+    large = np.flatnonzero(np.abs(table.columns[name]) > _MAX_MM)
+    if large.size:
+        i = int(large[0])
+        raise DataError(
+            f"{table.where(i)}: column '{name}': found {table.columns[name][i]:g} mm; "
+            f"at most {_MAX_MM:g} mm is allowed (is the unit mm?)"
+        )

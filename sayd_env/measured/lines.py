@@ -1,0 +1,140 @@
+"""Lines as everything reads them: from sections, or from a measured CSV file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from sayd_env.config.conditions import Knots, Line, Section, TrackPiece, checked, joined
+from sayd_env.config.errors import DataError
+from sayd_env.config.line import LineConfig, read_line, resolve, resolve_rails
+from sayd_env.config.track import FileConfig
+from sayd_env.config.units import KMH, Array
+from sayd_env.measured.table import CONDITIONS, IRREGULARITIES, Table, read_table
+
+
+def load_line(
+    line: str | LineConfig,
+    overrides: Iterable[str] = (),
+    *,
+    speed: float | None = None,
+    gauge: float | None = None,
+    friction: float | None = None,
+) -> Line:
+    """Conditions over distance of a line.
+
+    Parameters
+    ----------
+    line : str or LineConfig
+        A packaged name (``highspeed``), a path to a YAML file or to a measured CSV file, or its content.
+    overrides : iterable of str
+        ``key=value`` assignments to a file's keys.
+    speed, gauge, friction : float, optional
+        What the episode has (m/s, m, -), for sections that leave out what others say.
+
+    Raises
+    ------
+    ConfigError
+        A file, key or value that cannot be used, or a line that is not allowed.
+    DataError
+        A measured file that cannot be used.
+    """
+    source = "line"
+    if isinstance(line, str):
+        source = line
+        line = LineConfig(file=line) if line.endswith(".csv") else read_line(line, overrides)
+    if line.file is not None:
+        return read_measured_line(line, speed)
+    return resolve(line, speed=speed, gauge=gauge, friction=friction, source=source)
+
+
+def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
+    """Conditions over distance of a measured line.
+
+    Between rows everything is linear, the speed's square too; s = 0 is the first row. Columns, beside ``x_m``
+    or ``x_km``: ``speed_kmh``; ``radius_m`` (positive in left curves, 0 where it is straight) or
+    ``curvature_1_km``; ``cant_mm`` (positive where the right rail is higher); ``nominal_gauge_mm`` (the
+    slowly changing gauge, about 1435); ``friction``; ``rail`` (share of the second of the line's rails, 0 to
+    1); and the irregularities of `read_measured`, which needs even spacing where a line does not.
+
+    Parameters
+    ----------
+    config : LineConfig
+        Names the file, its rails, the length of its sections and the blend of its irregularities at its ends.
+    speed : float, optional
+        The episode's speed (m/s), for a file without speeds.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read.
+    DataError
+        It is none that `read_table` takes; it begins in a curve; numbers beyond what is allowed.
+    """
+    assert config.file is not None
+    table = read_table(config.file, (*CONDITIONS, *IRREGULARITIES), rows=2)
+    s = table.x - table.x[0]
+    curvature = _knots(s, _curvature(table)) or Knots((0.0,), (0.0,))
+    cant = _knots(s, _column(table, "cant_mm", 1e-3)) or Knots((0.0,), (0.0,))
+    if curvature.value[0] or cant.value[0]:
+        raise DataError(
+            f"{table.where(0)}: begins with curvature or cant, but what lies before is straight: "
+            "begin where the transition does, with 0"
+        )
+    speeds = _column(table, "speed_kmh", 1.0 / KMH)
+    if "rail" in table.columns and config.rails is None:
+        raise DataError(f"{table.source}: column 'rail': the line's two rails are missing, which YAML names")
+    line = Line(
+        curvature=curvature,
+        cant=cant,
+        sections=tuple(_sections(float(s[-1]), config.section_length, curvature, cant)),
+        speed_squared=_knots(s, None if speeds is None else speeds**2),
+        gauge=_knots(s, _column(table, "nominal_gauge_mm", 1e-3)),
+        friction=_knots(s, _column(table, "friction")),
+        rail_blend=_knots(s, _column(table, "rail")),
+        rails=resolve_rails(config),
+        tracks=_tracks(table, float(s[-1]), config.blend),
+        blend=config.blend,
+    )
+    try:
+        return checked(line, speed)
+    except ValueError as error:
+        raise DataError(f"{table.source}: {error}") from None
+
+
+def _column(table: Table, name: str, factor: float = 1.0) -> Array | None:
+    return factor * table.columns[name] if name in table.columns else None
+
+
+def _curvature(table: Table) -> Array | None:
+    radius, curvature = table.columns.get("radius_m"), _column(table, "curvature_1_km", 1e-3)
+    if radius is None:
+        return curvature
+    if curvature is not None:
+        raise DataError(f"{table.source}: found radius_m and curvature_1_km; expected one of them")
+    return np.divide(1.0, radius, out=np.zeros_like(radius), where=radius != 0.0)
+
+
+def _knots(s: Array, values: Array | None) -> Knots | None:
+    return None if values is None else joined(zip(s.tolist(), values.tolist(), strict=True))
+
+
+def _tracks(table: Table, length: float, blend: float) -> tuple[TrackPiece, ...]:
+    if not set(IRREGULARITIES) & set(table.columns):
+        return ()
+    offset = -float(table.x[0])
+    irregularity = FileConfig(type="file", path=table.source, offset=offset, ramp=blend)
+    return (TrackPiece(0.0, length, irregularity, None),)
+
+
+def _sections(length: float, each: float, curvature: Knots, cant: Knots) -> Iterator[Section]:
+    """Parts of equal length, with a rest at the end."""
+    knots = np.union1d(curvature.s, cant.s)
+    bounds = [*np.arange(0.0, length, each).tolist(), length]
+    for start, end in pairwise(bounds):
+        s = np.concatenate(([start], knots[(knots > start) & (knots < end)], [end]))
+        bent = np.flatnonzero((curvature.at(s) != 0.0) | (cant.at(s) != 0.0))
+        straight = [start, *s[1:].tolist(), None][bent[-1] + 1 if bent.size else 0]
+        yield Section(f"{start:g} to {end:g} m", start, end, straight)
