@@ -14,6 +14,7 @@ from sayd_env.config.explain import nearest
 from sayd_env.config.fault import FaultsConfig
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.limits import within
+from sayd_env.config.lines import LINES, LinesConfig
 from sayd_env.config.profile import load_wheel
 from sayd_env.config.scenario import CostConfig
 from sayd_env.config.sensors import SAMPLE, SENSORS, SensorsConfig
@@ -21,8 +22,8 @@ from sayd_env.config.track import TrackClass
 
 ENVIRONMENT = Kind(
     "env",
-    parts={"sensors": SENSORS},
-    names=("study", "randomisation.tracks.*.name", "randomisation.profiles.*.name"),
+    parts={"sensors": SENSORS, "lines": LINES},
+    names=("study", "line", "randomisation.tracks.*.name", "randomisation.profiles.*.name"),
     base="nominal",
 )
 PERIODS = tuple(n for n in range(1, 1001) if 1000 % n == 0)
@@ -208,12 +209,24 @@ class EnvironmentConfig(Model):
         "-", "J_term, charged for each remaining second, at the weights k_y = 1 and k_F = 0.5", ge=0.0
     )
     randomisation: RandomisationConfig
+    line: str | None = Field(
+        None, min_length=1, description="Line of every episode: a name or a path; null: straight, or drawn"
+    )
+    lines: LinesConfig | None = Field(
+        None, description="What the lines of episodes are drawn from; null: none"
+    )
     faults: FaultsConfig | None = Field(None, description="Faults; null: none")
 
     @field_validator("control_period")
     @classmethod
     def _divides_a_second(cls, period: float) -> float:
         return whole_period(period)
+
+    @model_validator(mode="after")
+    def _one_line(self) -> EnvironmentConfig:
+        if self.line is not None and self.lines is not None:
+            raise ValueError("line and lines exclude each other: set one of them to null")
+        return self
 
     @model_validator(mode="after")
     def _whole_periods(self) -> EnvironmentConfig:

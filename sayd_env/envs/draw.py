@@ -20,6 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sayd_env.config import ConfigError, validate
+from sayd_env.config.conditions import Line
 from sayd_env.config.distribution import chosen
 from sayd_env.config.environment import EnvironmentConfig, ProfileClass
 from sayd_env.config.fault import (
@@ -31,6 +32,8 @@ from sayd_env.config.fault import (
     ValveStuckClass,
     parse_faults,
 )
+from sayd_env.config.line import LineConfig
+from sayd_env.config.lines import draw_line
 from sayd_env.config.loader import is_path
 from sayd_env.config.profile import WheelProfileConfig, load_wheel
 from sayd_env.config.scaling import scaled
@@ -77,6 +80,8 @@ class Episode:
     """These irregularities, at the scale of their file; None: the scenario's."""
     track_scale: float | None
     """Factor on their amplitudes, in place of their own; None: their own."""
+    line: str | LineConfig | Line | None = field(repr=False)
+    """What changes along the way: a name, a path, a content or a drawn line; None: nothing."""
     tolerances: Mapping[str, float] = field(repr=False)
     """Factor on each of some numbers of the scenario; keys as in `ToleranceConfig`."""
     sensor_bias: Array = field(repr=False)
@@ -115,7 +120,8 @@ def draw_episode(
         the scenario's own at wear 0 or 1; otherwise the name of a wheel profile or the path of a YAML file,
         unworn unless ``wear`` says more), ``wear`` (0 to 1; above 0 a profile is drawn that wears), ``gauge``
         (m), ``friction``, ``payload``, ``initial_current``, ``track`` (name, or path to a YAML file: its
-        irregularities) and ``track_scale``, ``faults`` (a list as for `parse_faults`).
+        irregularities) and ``track_scale``, ``line`` (name, path to a YAML or CSV file, or content: what it
+        says goes before the other quantities), ``faults`` (a list as for `parse_faults`).
 
     Raises
     ------
@@ -160,6 +166,7 @@ def draw_episode(
         track=track.name,
         irregularity=track.irregularity,
         track_scale=track.scale,
+        line=_line(config, fixed, uniform),
         tolerances={
             key: float(group.factor.at(uniform(f"tolerances.{name}")))
             for name, group in drawn_from.tolerances.items()
@@ -248,6 +255,14 @@ class _Uniform:
 def _generator(sequence: np.random.SeedSequence, component: Component) -> np.random.Generator:
     child = np.random.SeedSequence(sequence.entropy, spawn_key=(STREAMS[component],))
     return np.random.default_rng(child)
+
+
+def _line(
+    config: EnvironmentConfig, fixed: EpisodeOptions, uniform: _Uniform
+) -> str | LineConfig | Line | None:
+    if fixed.line is not None:
+        return fixed.line
+    return config.line if config.lines is None else draw_line(config.lines, uniform)
 
 
 @dataclass(frozen=True)

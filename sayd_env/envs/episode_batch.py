@@ -10,13 +10,14 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError
+from sayd_env.config.conditions import Line
 from sayd_env.config.control import OnlineConfig, load_online
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
@@ -41,11 +42,13 @@ from sayd_env.envs.vehicle import (
     make_vehicle,
     model_limits,
     on_line_band,
+    run_in_distance,
 )
 from sayd_env.envs.vehicle_batch import VehicleBatch, VehicleState
+from sayd_env.measured.lines import load_line
 from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.simulator import RUN_OUT, VehicleModel
-from sayd_env.physics.track.realisation import TrackRealisation, realise
+from sayd_env.physics.track.realisation import TrackRealisation, realise, realise_line
 from sayd_env.stability import Limits
 
 Observation = npt.NDArray[np.float32]
@@ -66,6 +69,7 @@ class EpisodeState:
     config: EnvironmentConfig
     vehicle: VehicleState
     episode: Episode | None
+    line: Line | None
     elapsed: int
     limits: Limits
     faults: FaultSchedule | None
@@ -102,6 +106,8 @@ class EpisodeBatch:
         Control periods of each vehicle's episode so far.
     episodes : list of Episode
         What each vehicle runs; None before the first reset.
+    lines : list of Line
+        What changes along each vehicle's way; None where nothing does.
     limits : list of Limits
         Each vehicle's limits of EN 14363.
     heard : RunIn or None
@@ -126,6 +132,7 @@ class EpisodeBatch:
         self.steps = round(config.episode_s / config.control_period)
         self.elapsed = np.zeros(count, dtype=np.int64)
         self.episodes: list[Episode | None] = [None] * count
+        self.lines: list[Line | None] = [None] * count
         self._model = VehicleModel(self.scenario)
         self._band = on_line_band(self._model, self.settings)
         self._num_threads = None if num_threads is None else checked_threads(num_threads)
@@ -185,9 +192,11 @@ class EpisodeBatch:
             An episode that cannot be, such as a speed beyond the vehicle's.
         """
         models = [self._model_of(episode) for episode in episodes]
+        lines = [self._line(model, episode) for model, episode in zip(models, episodes, strict=True)]
+        episodes = [_on_line(episode, line) for episode, line in zip(episodes, lines, strict=True)]
         built = [
-            self._vehicle(model, episode, whole_track)
-            for model, episode in zip(models, episodes, strict=True)
+            self._vehicle(model, episode, line, whole_track)
+            for model, episode, line in zip(models, episodes, lines, strict=True)
         ]
         if self._vehicles is None:
             if sorted(which) != list(range(self.count)):
@@ -199,8 +208,8 @@ class EpisodeBatch:
                 self._vehicles.put(i, vehicle)
         self.heard = self._prepared(self._vehicles, which) if listen else None
         logs = self._vehicles.run_in(which, log=log, hear=self._hear if listen else None)
-        for i, model, episode in zip(which, models, episodes, strict=True):
-            self.episodes[i] = episode
+        for i, model, episode, line in zip(which, models, episodes, lines, strict=True):
+            self.episodes[i], self.lines[i] = episode, line
             self.limits[i] = model_limits(model)
             self.elapsed[i] = 0
             self._faults[i] = FaultSchedule(episode.faults) if episode.faults else None
@@ -222,31 +231,57 @@ class EpisodeBatch:
         assert self.heard is not None  # the reset has made it
         self.heard.observations[period] = np.nan_to_num(self._newest())
 
-    def _vehicle(self, model: VehicleModel, episode: Episode, whole_track: bool) -> Vehicle:
+    def _vehicle(
+        self, model: VehicleModel, episode: Episode, line: Line | None, whole_track: bool
+    ) -> Vehicle:
+        distance = self._distance(episode, line)
         return make_vehicle(
             model,
             episode.speed,
-            self._track(model, episode, whole_track),
+            self._track(model, episode, line, distance, whole_track),
             self.config.sensors,
             self.settings,
             band_constants=self._band,
             current=episode.initial_current,
             errors=SensorErrors(episode.sensor_bias, episode.sensor_noise),
             noise=self._noise(episode),
+            line=line,
+            distance=distance,
         )
+
+    def _line(self, model: VehicleModel, episode: Episode) -> Line | None:
+        """What changes along an episode's way, where it leaves something out as the episode has it."""
+        if episode.line is None or isinstance(episode.line, Line):
+            return episode.line
+        scenario = model.scenario
+        line = load_line(
+            episode.line, speed=episode.speed, gauge=scenario.track.gauge, friction=scenario.friction
+        )
+        return None if line.plain else line
+
+    def _distance(self, episode: Episode, line: Line | None) -> float:
+        """How far an episode goes by its configuration (m)."""
+        time = self.config.episode_s + self.config.control_period
+        along = None if line is None else line.distance_at(time)
+        return episode.speed * time if along is None else float(along)
 
     def _model_of(self, episode: Episode) -> VehicleModel:
         scenario = episode_scenario(self.scenario, episode)
         return self._model if scenario is self.scenario else VehicleModel(scenario)
 
-    def _track(self, model: VehicleModel, episode: Episode, whole: bool) -> TrackRealisation:
+    def _track(
+        self, model: VehicleModel, episode: Episode, line: Line | None, distance: float, whole: bool
+    ) -> TrackRealisation:
         """The episode's track: of an assessed run, so that the episode's length does not change it."""
-        assessment = model.scenario.assessment
+        track, assessment = model.scenario.track, model.scenario.assessment
         assessed = assessment.run_in + (assessment.length or 0.0)
-        needed = self.config.run_in + episode.speed * (self.config.episode_s + self.config.control_period)
+        needed = self.config.run_in + distance
         length = assessed * max(1, math.ceil(needed / assessed)) + RUN_OUT
         covered = length if whole else needed + RUN_OUT
-        return realise(model.scenario.track.irregularity, length, episode.track_seed, covered=covered)
+        if line is None:
+            return realise(track.irregularity, length, episode.track_seed, covered=covered)
+        origin = run_in_distance(model, episode.speed, self.settings)
+        return realise_line(line, track, length, episode.track_seed, origin, covered=covered)
 
     def _noise(self, episode: Episode) -> np.random.Generator | None:
         """Source of the noise of an episode's sensors, if any of them has or gets some."""
@@ -330,6 +365,7 @@ class EpisodeBatch:
             config=self.config,
             vehicle=self.vehicles.get_state(i),
             episode=self.episodes[i],
+            line=self.lines[i],
             elapsed=int(self.elapsed[i]),
             limits=self.limits[i],
             faults=copy.deepcopy(self._faults[i]),
@@ -353,7 +389,7 @@ class EpisodeBatch:
             self._vehicles = VehicleBatch(self.settings, self._band, vehicles, self._num_threads)
         for i, state in enumerate(states):
             self._vehicles.set_state(i, state.vehicle)
-            self.episodes[i] = state.episode
+            self.episodes[i], self.lines[i] = state.episode, state.line
             self.elapsed[i] = state.elapsed
             self.limits[i] = state.limits
             self._faults[i] = copy.deepcopy(state.faults)
@@ -394,6 +430,12 @@ class EpisodeBatch:
         else:
             self._history[rows, :-1] = self._history[rows, 1:]
             self._history[rows, -1] = values[rows]
+
+
+def _on_line(episode: Episode, line: Line | None) -> Episode:
+    """The episode, at the speed that its line begins with."""
+    speed = None if line is None else line.speed_at(0.0)
+    return episode if speed is None else replace(episode, speed=float(speed))
 
 
 def environment_scenario(

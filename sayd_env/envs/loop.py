@@ -25,8 +25,8 @@ from sayd_env.physics.kernel import kernel, named
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.ragged import Matrix, vehicle_from
 from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
-from sayd_env.stability.online import Band, BandState, push, replay, retune
-from sayd_env.stability.sliding import slide
+from sayd_env.stability.online import Band, BandState, follow_speed, push, replay, retune
+from sayd_env.stability.sliding import add_up, slide
 
 Index = npt.NDArray[np.int64]
 
@@ -100,7 +100,7 @@ class Loop(NamedTuple):
     quotient_limit: float
     """Mean Y/Q beyond which a wheel is about to climb."""
     averaging: float
-    """Samples over which forces on the rails are averaged, at least 1; the last one may count in part."""
+    """Distance over which forces on the rails are averaged, m."""
     features: float
     """1 if the features are computed, else 0."""
     low: Array
@@ -136,6 +136,8 @@ class LoopState(NamedTuple):
     """(SIGNALS,) 1 for a sensor that repeats its last reading, else 0."""
     squares: Matrix
     """(periods in a second, POINTS + DAMPERS) sums of squares of each period, for the features."""
+    averaging: Array
+    """(1,) samples over this distance, at least 1; the last one may count in part."""
     rail: Array
     """(RAIL_FORCES,) this sample's Y/Q and track shift forces."""
     rail_mean: Array
@@ -143,9 +145,9 @@ class LoopState(NamedTuple):
     rail_sum: Array
     """(RAIL_FORCES,) sums over the whole samples of this distance."""
     rail_ring: Matrix
-    """(whole samples of this distance + 1, RAIL_FORCES) their last values."""
+    """(whole samples of this distance at the lowest speed + 1, RAIL_FORCES) their last values."""
     rail_place: Index
-    """(1,) row of the oldest ones."""
+    """(1,) row that the next ones take."""
     true: Array
     """(SIGNALS,) scratch: true values."""
     passed: Array
@@ -296,7 +298,14 @@ def average_rail_forces(row: Array, loop: Loop, memory: LoopState, terms: Array)
         memory.rail[RAIL_QUOTIENT + i] = lateral / vertical if vertical > 0.0 else 0.0
     for k in range(POINTS):
         memory.rail[RAIL_TRACK_SHIFT + k] = row[trace.TRACK_SHIFT + k]
-    slide(memory.rail, loop.averaging, memory.rail_place, memory.rail_ring, memory.rail_sum, memory.rail_mean)
+    slide(
+        memory.rail,
+        memory.averaging[0],
+        memory.rail_place,
+        memory.rail_ring,
+        memory.rail_sum,
+        memory.rail_mean,
+    )
     for i in range(2 * POINTS):
         terms[PEAK_QUOTIENT] = max(terms[PEAK_QUOTIENT], memory.rail_mean[RAIL_QUOTIENT + i])
     for k in range(POINTS):
@@ -318,15 +327,28 @@ def judge(row: Array, loop: Loop, memory: LoopState, terms: Array) -> int:
 
 @kernel(allocates=False)
 def begin_second(
-    band: Band, passed: BandState, felt: BandState, loop: Loop, memory: LoopState, samples: int
+    band: Band,
+    passed: BandState,
+    felt: BandState,
+    loop: Loop,
+    memory: LoopState,
+    samples: int,
+    per_second: int,
+    speed: float,
 ) -> None:
-    """Look for f_0 at the end of the run-in and of each second.
+    """Look for f_0 at the end of the run-in and of each second, and take distances at the present speed.
 
     At step 0 the features' RMS of the last second is taken anew, in the band that the run-in has shown: that
     of a train which has been running.
     """
+    averaging = max(1.0, loop.averaging / speed * per_second)
+    if averaging != memory.averaging[0] and averaging < memory.rail_ring.shape[0]:
+        memory.averaging[0] = averaging
+        add_up(averaging, memory.rail_place, memory.rail_ring, memory.rail_sum)
+    follow_speed(band, passed, speed)
     retune(band, passed)
     if loop.features > 0.0:
+        follow_speed(band, felt, speed)
         retune(band, felt)
         if memory.counter[0] == 0:
             replay(band, felt, samples, memory.counter[1] % memory.squares.shape[0], memory.squares)
@@ -413,7 +435,7 @@ def observe_period(
         if status != RUNNING:
             break
         if memory.counter[0] >= 0 and memory.counter[0] % per_second == 0:
-            begin_second(band, passed, felt, loop, memory, samples)
+            begin_second(band, passed, felt, loop, memory, samples, per_second, row[trace.SPEED])
     # What is reported of a run that has ended is its last sample, whatever the period went on to.
     for j in range(rows.shape[1]):
         rows[samples - 1, j] = rows[taken - 1, j]

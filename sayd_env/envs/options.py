@@ -14,7 +14,8 @@ from sayd_env.config import ConfigError, nearest
 from sayd_env.config.explain import shown
 from sayd_env.config.fault import Fault, parse_faults
 from sayd_env.config.limits import LIMITS
-from sayd_env.config.loader import is_path, packaged_names
+from sayd_env.config.line import LineConfig
+from sayd_env.config.loader import is_path, packaged_names, validate
 from sayd_env.config.units import Array
 
 PROFILES = {"new": 0.0, "worn": 1.0}
@@ -23,7 +24,7 @@ NUMBERS = ("speed_kmh", "wear", "friction", "gauge", "payload", "initial_current
 """Quantities of an episode that have a distribution of their own, and an option of the same name."""
 LARGEST = 2**63 - 1
 """No whole number of a user's is larger."""
-OPTIONS = (*NUMBERS, "profile", "track", "track_scale", "faults")
+OPTIONS = (*NUMBERS, "profile", "track", "track_scale", "line", "faults")
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class EpisodeOptions:
     """Name of a track, or a path."""
     track_scale: float | None
     """Factor on its amplitudes."""
+    line: str | LineConfig | None
+    """Name of a line, or a path, or its content."""
     faults: tuple[Fault, ...] | None
     """All faults of the episode."""
 
@@ -76,6 +79,7 @@ def checked_options(options: Mapping[str, Any] | None) -> EpisodeOptions:
         track_scale=checked_number("track_scale", given["track_scale"], "options: ")
         if "track_scale" in given
         else None,
+        line=_line(given["line"]) if "line" in given else None,
         faults=parse_faults(given["faults"], "options") if "faults" in given else None,
     )
 
@@ -160,3 +164,16 @@ def _track(value: Any) -> str:
     if not isinstance(value, str) or not value:
         raise ConfigError(f"options: track: found {shown(value)}; expected the name of a track or a path")
     return value
+
+
+def _line(value: Any) -> str | LineConfig:
+    known = packaged_names("line")
+    if isinstance(value, Mapping):
+        return validate(LineConfig, dict(value), "options: line")
+    if isinstance(value, str) and (value in known or is_path(value)):
+        return value
+    close = nearest(value, known) if isinstance(value, str) else ""
+    raise ConfigError(
+        f"options: line: found {shown(value)}{close}; expected {', '.join(known)}, a path to a YAML or CSV file, "
+        "or a line's content"
+    )

@@ -14,6 +14,7 @@ IDS = {
     f"SAYD/Nominal-v{VERSION}": "nominal",
     f"SAYD/Randomized-v{VERSION}": "randomized",
     f"SAYD/Faults-v{VERSION}": "faults",
+    "SAYD/Line-v0": "line",
 }
 """Environments by their ids; Gymnasium refuses an older version by the name of this one."""
 

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from sayd_env.config import ConfigError
+from sayd_env.config.conditions import Line
 from sayd_env.config.control import OnlineConfig
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.sensors import SIGNALS as SENSED
@@ -19,6 +20,7 @@ from sayd_env.envs.loop import RAIL_FORCES, SIGNALS, Loop, LoopState
 from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS
 from sayd_env.physics import sayd
 from sayd_env.physics.layout import Arrangement, displacement
+from sayd_env.physics.line import changes, line_table
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation
@@ -101,6 +103,8 @@ class Vehicle:
     """Command during the run-in."""
     noise: np.random.Generator | None
     """Source of the sensors' noise; None if there is none."""
+    origin: float
+    """Position on the track at step 0, m."""
 
 
 def model_limits(model: VehicleModel) -> Limits:
@@ -119,6 +123,8 @@ def make_vehicle(
     current: float | None = None,
     errors: SensorErrors | None = None,
     noise: np.random.Generator | None = None,
+    line: Line | None = None,
+    distance: float = 0.0,
 ) -> Vehicle:
     """Put a vehicle with its sensors on a track.
 
@@ -138,6 +144,10 @@ def make_vehicle(
     errors : SensorErrors, optional
     noise : Generator, optional
         Source of the sensors' noise; None for sensors without noise, and none of them will get any.
+    line : Line, optional
+        What changes along the way; `speed` is then that at its s = 0, where step 0 is.
+    distance : float
+        How far (m) the run goes beyond step 0, on a line.
 
     Raises
     ------
@@ -149,13 +159,21 @@ def make_vehicle(
     semi_active = isinstance(damper, SaydDamperConfig)
     if current is None:
         current = damper.current if isinstance(damper, SaydDamperConfig) else 0.0
-    state = model.state(speed)
+    run_in = run_in_periods(settings, speed)
+    # The lowest speed decides the time step, and with it how long the valves' delay lines are.
+    slowest = speed if line is None or line.slowest is None else line.slowest
+    state = model.state(slowest)
+    origin = run_in_distance(model, speed, settings)
+    table = None
+    if line is not None and changes(line):
+        table = line_table(line, origin, distance, speed, model.scenario.friction)
+    rails = None if table is None or line is None else line.rails
     if semi_active:
         for row in (sayd.CURRENT, sayd.COMMAND, sayd.COIL):
             state.sayd[row * LANES : (row + 1) * LANES] = current
         state.sayd_line[:] = current
-    run_in = math.ceil(settings.run_in / speed / settings.control_period - 1e-9)
     averaging = max(1.0, settings.averaging / speed * settings.sample_rate)
+    longest = max(1.0, settings.averaging / slowest * settings.sample_rate)
     each = sensors_by_signal(sensors)
     bias, spread = np.array([s.bias for s in each]), np.array([s.noise for s in each])
     if errors is not None:
@@ -164,24 +182,42 @@ def make_vehicle(
 
     def filters() -> BandState:
         return band_state(
-            band_constants, settings.sample_rate, assessment, speed, channels=POINTS, groups=places.BOGIES
+            band_constants,
+            settings.sample_rate,
+            assessment,
+            speed,
+            channels=POINTS,
+            groups=places.BOGIES,
+            slowest=min(speed, slowest),
         )
 
     points = point_rows(model.multibody.arrangement, model.scenario.vehicle.floor_height)
     return Vehicle(
         track=track,
-        plant=model.plant(speed, track, points=points),
+        plant=model.plant(slowest, track, points=points, line=table, rails=rails),
         state=state,
-        work=model.work(len(points)),
-        loop=loop_constants(model, sensors, settings, averaging)._replace(noise=spread),
-        memory=loop_state(settings, run_in, bias, averaging),
+        work=model.work(len(points), line=table, rails=rails),
+        loop=loop_constants(model, sensors, settings)._replace(noise=spread),
+        memory=loop_state(settings, run_in, bias, averaging, longest),
         passed=filters(),
         felt=filters(),
-        substeps=model.step(speed)[1],
+        substeps=model.step(slowest)[1],
         run_in=run_in,
         current=current,
         noise=noise,
+        origin=origin,
     )
+
+
+def run_in_periods(settings: LoopSettings, speed: float) -> int:
+    """Control periods before step 0 at a speed (m/s)."""
+    return math.ceil(settings.run_in / speed / settings.control_period - 1e-9)
+
+
+def run_in_distance(model: VehicleModel, speed: float, settings: LoopSettings) -> float:
+    """Position of a vehicle's centre on the track at step 0 (m), its first wheelset having begun at 0."""
+    run = run_in_periods(settings, speed) * settings.control_period * speed
+    return run - float(np.max(model.multibody.wheelset_x))
 
 
 def check_vehicle(model: VehicleModel, settings: LoopSettings) -> None:
@@ -209,10 +245,8 @@ def on_line_band(model: VehicleModel, settings: LoopSettings) -> Band:
     return band(settings.online, model.scenario.assessment, settings.sample_rate)
 
 
-def loop_constants(
-    model: VehicleModel, sensors: SensorsConfig, settings: LoopSettings, averaging: float
-) -> Loop:
-    """Constants of a vehicle's sensors, cost and limits; forces on the rails are averaged over samples."""
+def loop_constants(model: VehicleModel, sensors: SensorsConfig, settings: LoopSettings) -> Loop:
+    """Constants of a vehicle's sensors, cost and limits."""
     damper, cost = model.scenario.damper, model.scenario.cost
     dt = 1.0 / settings.sample_rate
     each = sensors_by_signal(sensors)
@@ -224,7 +258,7 @@ def loop_constants(
         acceleration_weight=cost.acceleration_weight,
         force_weight=cost.force_weight,
         quotient_limit=settings.quotient_limit if math.isfinite(settings.quotient_limit) else 1e300,
-        averaging=averaging,
+        averaging=settings.averaging,
         features=float(settings.features),
         low=np.array([s.low for s in each]),
         high=np.array([s.high for s in each]),
@@ -277,8 +311,14 @@ def body_rows(design: Arrangement, floor_height: float | None) -> Array:
     return np.vstack([displacement(carbody, np.array([x, 0.0, floor_height]), n) for x in stations])
 
 
-def loop_state(settings: LoopSettings, run_in: int, bias: Array, averaging: float) -> LoopState:
-    """Sensors and counters at the start of a run-in of so many control periods."""
+def loop_state(
+    settings: LoopSettings, run_in: int, bias: Array, averaging: float, longest: float
+) -> LoopState:
+    """Sensors and counters at the start of a run-in of so many control periods.
+
+    `averaging` is the number of samples over which forces on the rails are averaged, `longest` that at the
+    lowest speed.
+    """
     return LoopState(
         counter=np.array([-run_in * settings.samples, 0]),
         filtered=np.zeros(SIGNALS),
@@ -288,10 +328,11 @@ def loop_state(settings: LoopSettings, run_in: int, bias: Array, averaging: floa
         bias=bias.copy(),
         frozen=np.zeros(SIGNALS),
         squares=np.zeros((settings.per_second // settings.samples, POINTS + DAMPERS)),
+        averaging=np.array([averaging]),
         rail=np.zeros(RAIL_FORCES),
         rail_mean=np.zeros(RAIL_FORCES),
         rail_sum=np.zeros(RAIL_FORCES),
-        rail_ring=np.zeros((int(averaging) + 1, RAIL_FORCES)),
+        rail_ring=np.zeros((int(longest) + 1, RAIL_FORCES)),
         rail_place=np.zeros(1, dtype=np.int64),
         true=np.zeros(SIGNALS),
         passed=np.zeros(POINTS),

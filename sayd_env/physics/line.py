@@ -9,18 +9,18 @@ does to the vehicle comes in twice:
   motion against one common frame, that of the vehicle's centre, which is their own motion and the offset of
   their frames.
 
-With curvature kappa (1/m, positive in a left curve), cant angle phi (rad, the frame's roll about the direction
-of travel, negative where the right rail is higher) and speed V, a body at x from the vehicle's centre and
-height z has
+With curvature kappa (1/m, positive in a left curve), cant angle phi (rad, the frame's roll about the
+direction of travel, negative where the right rail is higher) and speed V, a body at x from the vehicle's
+centre and height z has
 
     y'' + V^2 kappa + g phi - z V^2 phi''     laterally,
     z'' - V^2 kappa phi - g phi^2 / 2         vertically,
     phi'' V^2 in roll and V^2 kappa' in yaw
 
 for its acceleration against free fall, and its frame lies at Theta(x) - Theta(0) - Theta'(0) x - z (phi(x) -
-phi(0)) from the centre's, with Theta'' = kappa. A wheelset spins: I_y (V / r) V kappa in roll and -I_y (V / r)
-V phi' in yaw (Wickens 2003, chapter 2; Garg and Dukkipati 1984, chapter 3, from which the signs are derived for
-these axes).
+phi(0)) from the centre's, with Theta'' = kappa. A spinning wheelset has the moments I_y (V / r) V kappa in roll
+and -I_y (V / r) V phi' in yaw (Wickens 2003, chapter 2; Garg and Dukkipati 1984, chapter 3, from which the
+signs are derived for these axes).
 
 Conditions hold over a sample (1 ms, at most 0.15 m) and are those of its beginning. The speed changes so
 slowly that its own forces are left out: no traction, no pitch from braking, no lag of the wheels' rotation.
@@ -45,7 +45,7 @@ from sayd_env.physics.plant import LANES, WHEELSETS, Plant, Work
 from sayd_env.physics.rows import Column, Lanes
 
 GRID_STEP = 10.0
-"""Distance of the table's nodes (m): kinks of curvature and cant are rounded over two of them to each side."""
+"""Distance of the table's nodes (m): kinks of curvature and cant are rounded over two of them each way."""
 MARGIN = 30.0
 """Line before and behind the run (m) that its first and last bodies need."""
 
@@ -63,7 +63,7 @@ COLUMNS = CHANGING + 1
 X, HEIGHT, CARRIED, SPIN, BODY_ROWS = range(5)
 
 CENTRE_ROWS = 6
-"""What is kept of the line at a vehicle's centre: Theta and two derivatives, cant and its slope, whether bent."""
+"""What is kept of the line at a vehicle's centre: Theta, two derivatives, cant, its slope, whether bent."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class LineTable:
 
 
 def changes(line: Line) -> bool:
-    """Whether a vehicle on a line needs a table of it: whether anything changes but gauge and irregularities."""
+    """Whether anything changes along a line but gauge and irregularities: its vehicles then need a table."""
     knots = (line.speed_squared, line.friction, line.rail_blend)
     return line.curved or any(each is not None and not each.constant for each in knots)
 

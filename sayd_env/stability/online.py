@@ -48,6 +48,8 @@ class Band(NamedTuple):
     """(f,) grid of f_0, Hz."""
     counts: Index
     """(3,) samples in a block, samples kept for settling, index of the start frequency."""
+    segment: Array
+    """(2,) distance behind f_0 (m) and sampling rate (Hz)."""
     phase: Array
     """(CHUNK + 1, 2, f + 2) cosine and -sine of each grid frequency's phase after so many blocks; the grid is
     longer by one step at both ends, so that a component at an end still is a peak."""
@@ -123,6 +125,7 @@ def band(online: OnlineConfig, assessment: AssessmentConfig, rate: float) -> Ban
         sections=np.stack([_sections(f, assessment, rate) for f in frequency]),
         frequency=frequency,
         counts=np.array([samples, settling, start]),
+        segment=np.array([assessment.segment_length, rate]),
         phase=_phases(frequency, online.frequency_step, samples / rate),
     )
 
@@ -285,6 +288,41 @@ def push(band: Band, state: BandState, sample: Array, out: Array) -> None:
         place[HISTORY] = row + 1 if row + 1 < state.history.shape[0] else 0
         place[MEANS] = min(place[MEANS] + 1, state.history.shape[0])
         place[STARTED] = 0
+
+
+@kernel(allocates=False)
+def follow_speed(band: Band, state: BandState, speed: float) -> None:
+    """Let the spectra reach over the segment's distance at the present speed.
+
+    Parameters
+    ----------
+    band : Band
+        The filters.
+    state : BandState
+        Changed in place, all groups alike. Below the slowest speed that it was made for its spectra stay as
+        long as at that.
+    speed : float
+        m/s.
+    """
+    blocks = band.segment[0] / speed * band.segment[1] / band.counts[0]
+    length = min(max(2, math.floor(blocks + 1e-9)), state.history.shape[0])
+    for group in range(state.choice.shape[0]):
+        if state.length[group] != length:
+            state.length[group] = length
+            _write_window(state.window, group, length)
+
+
+@kernel(allocates=False)
+def _write_window(window: Matrix, group: int, length: int) -> None:
+    """`_window` into a column."""
+    total = 0.0
+    for k in range(length):
+        window[k, group] = 0.5 - 0.5 * math.cos(2.0 * math.pi * k / length)
+        total += window[k, group]
+    for k in range(length):
+        window[k, group] *= math.sqrt(2.0) / total
+    for k in range(length, window.shape[0]):
+        window[k, group] = 0.0
 
 
 @kernel(allocates=False)

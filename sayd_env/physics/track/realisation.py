@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sayd_env.config.conditions import smooth_step
+from sayd_env.config.conditions import Line, TrackPiece, smooth_step
 from sayd_env.config.errors import ConfigError, DataError
 from sayd_env.config.track import (
     CHANNELS,
@@ -18,6 +18,7 @@ from sayd_env.config.track import (
     NoIrregularityConfig,
     SineConfig,
     SpectrumConfig,
+    TrackConfig,
 )
 from sayd_env.config.units import Array
 from sayd_env.measured.tracks import read_measured
@@ -113,6 +114,66 @@ def realise(
     if fade_in > 0.0 and not isinstance(config, DefectConfig):
         samples *= smooth_step(x / fade_in)[:, None]
     return TrackRealisation(float(x[0]), grid_step, length, interpolation_coefficients(samples))
+
+
+def realise_line(
+    line: Line,
+    base: TrackConfig,
+    length: float,
+    seed: int,
+    origin: float,
+    covered: float | None = None,
+) -> TrackRealisation:
+    """Irregularities and gauge of a line, from position 0 of a run to `length`.
+
+    Parameters
+    ----------
+    line : Line
+        Classes of track, gauge and single defects; what it leaves out is the base's.
+    base : TrackConfig
+        Track of the run; the contact tables are those of its gauge.
+    length, seed, covered
+        As of `realise`. Each class of track is the same realisation all along, so that one passes into
+        another by what each has at that place.
+    origin : float
+        Position on the run of the line's s = 0 (m).
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `realise`.
+    """
+    pieces = line.tracks or (TrackPiece(0.0, math.inf, None, None),)
+    parts: dict[IrregularityConfig, list[TrackPiece]] = {}
+    for piece in pieces:
+        parts.setdefault(_of_piece(piece, base.irregularity), []).append(piece)
+    tracks = {config: realise(config, length, seed, covered=covered) for config in parts}
+    first = next(iter(tracks.values()))
+    knots = first.x0 + first.step * np.arange(-1, len(first.coefficients) - 1)
+    s = knots - origin
+    # Weights on a spline's coefficients act on its values as long as they change slowly over its step.
+    total = np.zeros_like(first.coefficients)
+    for config, track in tracks.items():
+        share = sum(_share(piece, line, s) for piece in parts[config])
+        total += np.asarray(share)[:, None] * track.coefficients
+    if line.gauge is not None:
+        total[:, CHANNELS.index("gauge")] += line.gauge.at(s) - base.gauge
+    for defect in line.defects:
+        moved = defect.model_copy(update={"position": defect.position + origin})
+        total += realise(moved, length, seed, covered=covered).coefficients
+    return replace(first, coefficients=total)
+
+
+def _of_piece(piece: TrackPiece, base: IrregularityConfig) -> IrregularityConfig:
+    config = base if piece.irregularity is None else piece.irregularity
+    return config if piece.scale is None else config.model_copy(update={"scale": piece.scale})
+
+
+def _share(piece: TrackPiece, line: Line, s: Array) -> Array:
+    """Share of a piece of the track at distances s: 1 within it, passing into its neighbours."""
+    begun = smooth_step((s - piece.start) / line.blend + 0.5) if piece.start > 0.0 else np.ones_like(s)
+    ended = smooth_step((s - piece.end) / line.blend + 0.5) if piece.end < line.length else np.zeros_like(s)
+    return np.asarray(begun - ended)
 
 
 def _samples(config: IrregularityConfig, x: Array, length: float, seed: int) -> Array:
