@@ -21,7 +21,16 @@ from sayd_env.config.units import Array
 from sayd_env.envs.interface import Interface
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import Index
-from sayd_env.stability.online import Band, BandState, band, band_state, push, restart, retune_group
+from sayd_env.stability.online import (
+    Band,
+    BandState,
+    band,
+    band_state,
+    follow_speed,
+    push,
+    restart,
+    retune_group,
+)
 
 SECOND = 1.0
 """Time over which J is taken (s), the paper's step (section 4.1), and RMS values of features."""
@@ -293,5 +302,6 @@ def _measure(
             for k in range(2):
                 rms[i, b, k] = math.sqrt(squares[i, b, k] / period)
                 squares[i, b, k] = 0.0
+            follow_speed(constants, filters, 2 * i + b, rows[i, 0])
             retune_group(constants, filters, 2 * i + b)
     return some

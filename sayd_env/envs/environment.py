@@ -23,6 +23,7 @@ from sayd_env.envs.keywords import INFOS, RENDER_MODES, Keywords, checked_choice
 from sayd_env.envs.loop import LOG
 from sayd_env.envs.recorder import Recorder
 from sayd_env.envs.sliding_rms import SlidingRms
+from sayd_env.envs.trace import SPEED
 
 SEEDS = 2**31
 """Seeds that are drawn, where none is given, are below it."""
@@ -139,9 +140,11 @@ class Environment:
         batch, episode = self.batch, self.batch.episodes[i]
         assert episode is not None  # it has begun just now
         band, assessment = batch.vehicles.band, batch.scenario.assessment
-        sliding = SlidingRms(band, assessment, episode.speed, batch.settings.sample_rate)
+        line = batch.lines[i]
+        slowest = episode.speed if line is None or line.slowest is None else line.slowest
+        sliding = SlidingRms(band, assessment, slowest, batch.settings.sample_rate)
         if len(rows):
-            sliding.run_in(rows, batch.vehicles.choice()[i])
+            sliding.run_in(rows, batch.vehicles.choice()[i], episode.speed)
         return sliding
 
     def _advance(
@@ -156,7 +159,8 @@ class Environment:
         if self._log is not None and choice is not None:
             for i, sliding in enumerate(self._sliding):
                 if sliding is not None and not result[2][i] and (active is None or active[i]):
-                    sliding.advance(self._log[i], choice[i])
+                    speed = float(self.batch.vehicles.trace[i, -1, SPEED])
+                    sliding.advance(self._log[i], choice[i], speed)
         return result
 
     def _full_info(self, i: int) -> dict[str, Any]:

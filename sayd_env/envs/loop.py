@@ -345,10 +345,11 @@ def begin_second(
     if averaging != memory.averaging[0] and averaging < memory.rail_ring.shape[0]:
         memory.averaging[0] = averaging
         add_up(averaging, memory.rail_place, memory.rail_ring, memory.rail_sum)
-    follow_speed(band, passed, speed)
+    for group in range(BOGIES):
+        follow_speed(band, passed, group, speed)
+        follow_speed(band, felt, group, speed)
     retune(band, passed)
     if loop.features > 0.0:
-        follow_speed(band, felt, speed)
         retune(band, felt)
         if memory.counter[0] == 0:
             replay(band, felt, samples, memory.counter[1] % memory.squares.shape[0], memory.squares)

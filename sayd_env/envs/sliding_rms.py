@@ -27,22 +27,27 @@ class SlidingRms:
         Constants of the on-line filter.
     assessment : AssessmentConfig
         Length of the window.
-    speed : float
-        m/s.
+    slowest : float
+        Lowest speed of the run, m/s: it needs the most samples.
     rate : float
         Samples per second, Hz.
     """
 
-    def __init__(self, band: Band, assessment: AssessmentConfig, speed: float, rate: float) -> None:
+    def __init__(self, band: Band, assessment: AssessmentConfig, slowest: float, rate: float) -> None:
         self._sections = np.insert(band.sections, 3, 1.0, axis=2)  # with a0, as SciPy expects
         self._kept = int(band.counts[1])
-        self._window = max(1, round(assessment.window_length / speed * rate))
+        self._length = assessment.window_length * rate
+        self._most = self._samples(slowest)
+        self._window = 1
         self._choice = np.full(BOGIES, band.counts[2])
         self._filters = np.zeros((BOGIES, self._sections.shape[1], 2, POINTS // BOGIES))
         self._raw = np.zeros((0, POINTS))
         self._filtered = np.zeros((0, 2 * POINTS))
 
-    def advance(self, rows: Array, choice: Index) -> None:
+    def _samples(self, speed: float) -> int:
+        return max(1, round(self._length / speed))
+
+    def advance(self, rows: Array, choice: Index, speed: float) -> None:
         """Take the samples of a control period, or of a run-in in which f_0 did not move.
 
         Parameters
@@ -51,7 +56,10 @@ class SlidingRms:
             True signals by the columns of `sayd_env.envs.loop`.
         choice : ndarray, shape (BOGIES,)
             Index of each bogie's f_0 during them.
+        speed : float
+            At their end, m/s.
         """
+        self._window = self._samples(speed)
         shift = rows[:, LOG_TRACK_SHIFT : LOG_TRACK_SHIFT + POINTS]
         new = np.empty((len(rows), 2 * POINTS))
         new[:, :POINTS] = rows[:, LOG_FILTERED : LOG_FILTERED + POINTS]
@@ -65,9 +73,9 @@ class SlidingRms:
             new[:, target], self._filters[k] = sosfilt(sections, shift[:, own], axis=0, zi=self._filters[k])
         self._choice = choice.copy()
         self._raw = np.concatenate([self._raw, shift])[-self._kept :]
-        self._filtered = np.concatenate([self._filtered, new])[-self._window :]
+        self._filtered = np.concatenate([self._filtered, new])[-self._most :]
 
-    def run_in(self, rows: Array, choice: Index) -> None:
+    def run_in(self, rows: Array, choice: Index, speed: float) -> None:
         """Take the samples of a run-in, at whose end f_0 was found.
 
         The values are those of a train that has been running: the last seconds in the bands of this f_0.
@@ -78,9 +86,11 @@ class SlidingRms:
             True signals.
         choice : ndarray, shape (BOGIES,)
             Index of each bogie's f_0 at the end.
+        speed : float
+            m/s.
         """
         start, size = self._choice.copy(), POINTS // BOGIES
-        self.advance(rows, start)
+        self.advance(rows, start, speed)
         acceleration = rows[-self._kept :, LOG_ACCELERATION : LOG_ACCELERATION + POINTS]
         for k in np.flatnonzero(choice != start):
             sections, rest = self._sections[choice[k]], np.zeros_like(self._filters[k])
@@ -93,5 +103,5 @@ class SlidingRms:
 
     def rms(self) -> tuple[Array, Array]:
         """Sliding RMS at the measuring points: acceleration (m/s2) and track shift force (N)."""
-        values = np.sqrt(np.mean(self._filtered**2, axis=0))
+        values = np.sqrt(np.mean(self._filtered[-self._window :] ** 2, axis=0))
         return values[:POINTS], values[POINTS:]

@@ -291,25 +291,28 @@ def push(band: Band, state: BandState, sample: Array, out: Array) -> None:
 
 
 @kernel(allocates=False)
-def follow_speed(band: Band, state: BandState, speed: float) -> None:
-    """Let the spectra reach over the segment's distance at the present speed.
+def follow_speed(band: Band, state: BandState, group: int, speed: float) -> None:
+    """Let a group's spectrum reach over the segment's distance at the present speed.
+
+    It moves where it is more than one block off, so that a sensor's noise does not move it to and fro.
 
     Parameters
     ----------
     band : Band
         The filters.
     state : BandState
-        Changed in place, all groups alike. Below the slowest speed that it was made for its spectra stay as
-        long as at that.
+        Changed in place. Below the slowest speed that it was made for the spectrum stays as long as at that.
+    group : int
     speed : float
         m/s.
     """
     blocks = band.segment[0] / speed * band.segment[1] / band.counts[0]
-    length = min(max(2, math.floor(blocks + 1e-9)), state.history.shape[0])
-    for group in range(state.choice.shape[0]):
-        if state.length[group] != length:
-            state.length[group] = length
-            _write_window(state.window, group, length)
+    length = state.history.shape[0]
+    if blocks < length:  # not where a dead sensor reads 0
+        length = max(2, math.floor(blocks + 1e-9))
+    if abs(length - state.length[group]) > 1:
+        state.length[group] = length
+        _write_window(state.window, group, length)
 
 
 @kernel(allocates=False)

@@ -128,7 +128,7 @@ def test_the_hydraulics_are_vector_instructions(abreast: Lanes, machine_gathers:
 
 @kernel(allocates=False)
 def _step_vehicles(lanes: Lanes, plants: Any, states: Any, works: Any) -> None:
-    step.steps(lanes, _plant_of(plants, 0), _state_of(states, 0), _work_of(works, 0), 1)
+    step.steps(lanes, _plant_of(plants, 0), _state_of(states, 0), _work_of(works, 0), 1, True)
 
 
 _plant_of, _state_of, _work_of = vehicle_from(Plant), vehicle_from(State), vehicle_from(Work)

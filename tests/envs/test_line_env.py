@@ -1,0 +1,172 @@
+"""The environment on a line: what changes along the way, and that nothing else does."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+from sayd_env.envs.draw import draw_episode
+from sayd_env.envs.single import SaydEnv
+from sayd_env.envs.vector import SaydVectorEnv
+
+SHORT = {
+    "rails": [None, "60e1"],
+    "sections": [
+        {"length": 200.0, "speed_kmh": 250.0, "gauge": 1.435, "friction": 0.4},
+        {
+            "length": 700.0,
+            "speed_kmh": 265.0,
+            "radius": 6000.0,
+            "turn": "left",
+            "cant": 0.08,
+            "transition": 150.0,
+        }
+        | {"gauge": 1.437, "rail": 1.0, "friction": 0.3, "track": "china"},
+    ],
+}
+"""A line on which everything changes within seconds."""
+COMMAND = np.array([0.3, 0.1], dtype=np.float32)
+
+
+def made(environment: str = "nominal", **keywords: Any) -> SaydEnv:
+    return SaydEnv(environment, **keywords)
+
+
+def run(env: SaydEnv, steps: int) -> np.ndarray:
+    return np.array([env.step(COMMAND)[0] for _ in range(steps)])
+
+
+@pytest.mark.parametrize("environment", ["nominal", "randomized"])
+@pytest.mark.parametrize(
+    "line",
+    ["straight", {"sections": [{"length": 100.0}, {"length": 500.0}]}],
+    ids=["packaged", "sections that say nothing"],
+)
+def test_a_line_that_leaves_all_out_changes_no_bit(environment: str, line: Any) -> None:
+    plain, on_line = made(environment), made(environment)
+    first, _ = plain.reset(seed=7)
+    second, _ = on_line.reset(seed=7, options={"line": line})
+    assert np.array_equal(first, second)
+    assert np.array_equal(run(plain, 150), run(on_line, 150))
+
+
+def test_a_line_with_the_episodes_own_numbers_changes_no_bit() -> None:
+    plain, on_line = made(), made()
+    scenario = plain.batch.scenario
+    section = {
+        "length": 900.0,
+        "speed_kmh": 350.0,
+        "friction": scenario.friction,
+        "gauge": scenario.track.gauge,
+    }
+    plain.reset(seed=2)
+    on_line.reset(seed=2, options={"line": {"sections": [section]}})
+    assert np.array_equal(run(plain, 150), run(on_line, 150))
+
+
+def test_the_train_follows_speed_and_place_of_its_line() -> None:
+    """Distance and speed against the closed form of a uniform acceleration."""
+    env = made(episode_s=10.0)
+    env.reset(seed=0, options={"line": SHORT})
+    line, vehicles = env.batch.lines[0], env.batch.vehicles
+    assert line is not None
+    observed = run(env, 1000)[:, -1]
+    at = line.distance_at(10.0)
+    assert at is not None
+    place = vehicles.state.view(0).clock[1] - vehicles.vehicle(0).origin
+    # The speed of a sample is that of its beginning: 0.5 m/s2 over 1 ms is late by 0.25 mm/s.
+    assert place == pytest.approx(float(at), abs=0.5 * 0.5e-3 * 10.0 + 1e-3)
+    expected = line.speed_at(at)
+    assert expected is not None
+    assert observed[-1] == pytest.approx(float(expected), abs=0.01)
+    assert observed[0] == pytest.approx(250.0 / 3.6, abs=0.01)
+
+
+def test_a_batch_runs_the_same_lines_bit_for_bit() -> None:
+    lines = [SHORT, "straight", SHORT, "conditions", SHORT, SHORT, SHORT, SHORT]
+    single = []
+    for k, line in enumerate(lines):
+        env = made(episode_s=4.0)
+        env.reset(seed=k, options={"line": line})
+        single.append(run(env, 100))
+    batch = SaydVectorEnv("nominal", num_envs=len(lines), episode_s=4.0)
+    batch.reset(seed=0, options={"line": "straight"})
+    episodes = [draw_episode(batch.config, k, 0, {"line": line}) for k, line in enumerate(lines)]
+    batch.batch.reset(range(len(lines)), episodes, whole_track=False)
+    actions = np.tile(COMMAND, (len(lines), 1))
+    together = np.array([batch.batch.step(actions)[0] for _ in range(100)])
+    for k, rows in enumerate(single):
+        assert np.array_equal(rows, together[:, k])
+
+
+def test_a_saved_state_goes_on_along_the_line() -> None:
+    env = made(episode_s=8.0)
+    env.reset(seed=4, options={"line": SHORT})
+    run(env, 250)  # in the transition, the speed changing
+    state = pickle.loads(pickle.dumps(env.get_state()))  # noqa: S301 - made just now
+    expected = run(env, 200)
+    other = made(episode_s=8.0)
+    other.reset(seed=9)
+    other.set_state(state)
+    assert np.array_equal(run(other, 200), expected)
+
+
+def test_lines_are_drawn_from_the_seed_alone() -> None:
+    env, again = made("line"), made("line")
+    env.reset(seed=5)
+    again.reset(seed=1)
+    again.reset(seed=5)
+    assert env.batch.lines[0] == again.batch.lines[0]
+    env.reset()
+    assert env.batch.lines[0] != again.batch.lines[0]
+
+
+def test_the_checkers_accept_the_line_environment() -> None:
+    env = gym.make("SAYD/Line-v0", episode_s=1.0)
+    check_env(env.unwrapped, skip_render_check=True)
+    check_env_sb3(env.unwrapped, warn=False)
+
+
+SMOOTH = {
+    "length": 600.0,
+    "speed_kmh": 300.0,
+    "radius": 7000.0,
+    "turn": "right",
+    "cant": 0.09,
+    "transition": 200.0,
+}
+
+
+def test_a_smooth_curve_is_no_hunting() -> None:
+    """On even track the accelerations that count come from the curve's own slow forces alone.
+
+    On the straight an even track gives J = 0. In the curve the share of the acceleration stays below that of
+    1 % of its limit; what is left is the force of dampers that turn with their bogies.
+    """
+    env = made(episode_s=6.0, settings=("track.irregularity={type: none}", "wear=0.0"))
+    line = {"sections": [{"length": 50.0, "speed_kmh": 300.0}, SMOOTH]}
+    env.reset(seed=0, options={"line": line})
+    infos = [env.step(COMMAND)[4] for _ in range(600)]
+    assert sum(info["cost_acceleration"] for info in infos) < 6.0 * 0.01**2
+    assert max(info["cost_force"] for info in infos) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ("strait", "straight"),
+        ({"sections": [{"length": 100.0, "radius": 50.0, "turn": "left"}]}, "radius"),
+        ({"sections": [{"length": 100.0, "raduis": 900.0}]}, "raduis"),
+        (3, "line"),
+    ],
+)
+def test_a_line_that_cannot_be_is_refused_by_name(line: Any, word: str) -> None:
+    env = made()
+    with pytest.raises(Exception, match=word):
+        env.reset(seed=0, options={"line": line})
