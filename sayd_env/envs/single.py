@@ -7,13 +7,13 @@ from typing import Any, SupportsFloat, Unpack
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
 from sayd_env.envs.environment import Environment, action_box, observation_box
-from sayd_env.envs.episode_batch import checked_actions
-from sayd_env.envs.info import ending_info, episode_info, step_info
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import whole_number
+from sayd_env.envs.registration import id_of
 
 
 class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
@@ -25,6 +25,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     - ``SAYD/Randomized-v1``: speed, wear, friction, track, payload, tolerances and sensor errors drawn for
       each episode.
     - ``SAYD/Faults-v1``: also faults of valves, dampers and sensors.
+    - ``SAYD/Line-v0``: as Randomized, over 120 s of a line along which speed, curves, gauge, rail shape,
+      friction and irregularities change.
 
     **Action.** A ``Box`` of valve commands V, float32: 0 closes a valve (strongest damping), 1 opens it. The
     driver turns it into a current after a delay, and the valve's spool follows with its own dynamics and a
@@ -88,11 +90,12 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     **Episodes.** ``reset(seed=s)`` begins episode 0 of seed s, ``reset()`` the next episode of the same seed.
     Episode k is drawn from [s, k] alone: it does not depend on those before.
     ``reset(options={...})`` fixes some of ``speed_kmh, profile, wear, gauge, friction, payload,
-    initial_current, track, track_scale, faults``.
+    initial_current, track, track_scale, line, faults``.
 
-    **Info.** Each step ``cost_acceleration`` and ``cost_force`` (the two squares of the cost, unweighted,
-    means of the bogies), ``dominant_frequency`` (2, Hz); ``ending`` where the run was terminated. `reset`
-    reports ``seed, episode, speed_kmh, profile, wheel_shift, wear, gauge, friction, track, faults``. With
+    **Info.** The same keys after a reset and a step. Of the period ``cost_acceleration`` and ``cost_force``
+    (the two squares of the cost, unweighted, means of the bogies; 0 after a reset), ``dominant_frequency``
+    (2, Hz), ``distance`` (m since step 0), ``speed`` (m/s), and ``ending`` and ``error``, empty unless the run was terminated or diverged. Of the episode
+    ``seed, episode_number, speed_kmh, profile, wheel_shift, wear, gauge, friction, track, faults``. With
     ``info="full"`` also, at the end of the period: ``damper_force`` (8, N), ``track_shift_force`` (4, N),
     ``wheel_lateral_force`` and
     ``wheel_vertical_force`` (8, N, on the rails; left and right in turn), ``valve_current`` and
@@ -101,7 +104,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     ``running_acceleration`` (4, m/s2) and ``running_track_shift`` (4, N), with their limits
     ``limit_acceleration`` and ``limit_track_shift``; for safety the means over 2 m ``mean_quotient`` (8, Y/Q
     towards the flange) and ``mean_track_shift`` (4, N), with ``limit_quotient`` and
-    ``limit_mean_track_shift`` (Prud'homme).
+    ``limit_mean_track_shift`` (Prud'homme); ``line_section``, ``line_curvature`` (1/m), ``line_cant`` (m),
+    ``line_gauge`` (m) and ``line_friction`` where the vehicle is.
 
     Parameters
     ----------
@@ -136,7 +140,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     Raises
     ------
     ConfigError
-        A keyword, an option or an action that cannot be used; the message names it and what is allowed.
+        A keyword, an option or an action that cannot be used; the message names it and what is allowed. An
+        unknown keyword is also a ``TypeError``, an action also a ``gymnasium.error.InvalidAction``.
     gymnasium.error.ResetNeeded
         A step before the first reset or after the end of an episode.
     """
@@ -156,6 +161,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self.observation_space = observation_box(self.interface)
         self.action_space = action_box(self.interface)
         self._shape = (self.interface.actions,)
+        made = {"environment": environment, "info": info, "render_mode": render_mode, **keywords}
+        self.spec = EnvSpec(id_of(environment), "sayd_env.envs.single:SaydEnv", kwargs=made)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -179,7 +186,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self._begin([0], [seed], options)
         if self.render_mode == "human":
             self.render()
-        return self.batch.observations()[0], episode_info(self.batch, 0)
+        return self.batch.observations()[0], self._info(0)
 
     def step(
         self, action: npt.NDArray[np.float32]
@@ -193,30 +200,27 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
 
         Raises
         ------
-        ConfigError
-            An action of another shape, out of range or not finite.
+        InvalidAction
+            An action of another shape, out of range by more than rounding (1e-6) or not finite.
         gymnasium.error.ResetNeeded
             No episode is running.
         """
         if self._over[0]:
             raise ResetNeeded("no episode is running: call reset before step")
-        values = checked_actions(action, self._shape)
+        values = self._commands(action)
         observation, rewards, terminated, truncated = self._advance(values[None])
         ended, late = bool(terminated[0]), bool(truncated[0])
         self._over[0] = ended or late
         if self.render_mode == "human":
             self.render()
-        info = step_info(self.batch, 0)
-        if ended:
-            info |= ending_info(self.batch, 0)
-        return observation[0], float(rewards[0]), ended, late, info | self._full_info(0)
+        return observation[0], float(rewards[0]), ended, late, self._info(0)
 
     def render(self) -> Any:
         """A picture of the vehicle: an array of shape (height, width, 3), or None with ``human``."""
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: give make render_mode='rgb_array' or 'human'")
             return None
-        return self._picture()
+        return self._pictures()[0]
 
     def close(self) -> None:
         """Close the window, if there is one. Closing it again has no effect."""

@@ -33,7 +33,8 @@ COIL_CURRENT = VALVE_CURRENT + DAMPERS
 CLIMB = COIL_CURRENT + DAMPERS  # largest shift towards a flange over that at the end of the contact table
 PULSE = CLIMB + 1  # velocity of the first unknown: finite as long as all of them are
 SPEED = PULSE + 1  # V, m/s
-TRACE = SPEED + 1
+POSITION = SPEED + 1  # of the vehicle's centre along the track, m
+TRACE = POSITION + 1
 
 
 @kernel(allocates=False)
@@ -78,6 +79,7 @@ def _write(lanes: Lanes, k: int, plant: Plant, state: State, work: Work, row: Ar
     row[CLIMB] = largest_shift(lanes, k, plant, work)
     row[PULSE] = state.v[k]
     row[SPEED] = speed_of(lanes, k, plant, work)
+    row[POSITION] = state.clock[w + k]
     if state.sayd.shape[0] == 0:
         for j in range(DAMPERS):
             row[STROKE + j] = state.elongation[j * w + k]

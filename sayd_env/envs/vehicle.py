@@ -105,6 +105,10 @@ class Vehicle:
     """Source of the sensors' noise; None if there is none."""
     origin: float
     """Position on the track at step 0, m."""
+    gauge: float
+    """Of the track, m, where no line says another one."""
+    friction: float
+    """Coefficient of friction, likewise."""
 
 
 def model_limits(model: VehicleModel) -> Limits:
@@ -206,6 +210,8 @@ def make_vehicle(
         current=current,
         noise=noise,
         origin=origin,
+        gauge=model.scenario.track.gauge,
+        friction=model.scenario.friction,
     )
 
 

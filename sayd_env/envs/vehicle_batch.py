@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -35,7 +34,7 @@ from sayd_env.envs.vehicle import LoopSettings, Vehicle
 from sayd_env.physics.aligned import copied
 from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.formation import Formation
-from sayd_env.physics.kernel import specialised
+from sayd_env.physics.kernel import compiled_threads, specialised
 from sayd_env.physics.plant import State
 from sayd_env.physics.ragged import RaggedBatch
 from sayd_env.stability.online import Band, BandState
@@ -92,6 +91,8 @@ class VehicleBatch:
         Cost of the last period, by the places of `sayd_env.envs.loop`.
     rewards : ndarray, shape (v,)
         Minus the mean of the bogies' J of the last period.
+    origin : ndarray, shape (v,)
+        Each vehicle's position on its track at step 0, m.
     status : ndarray, shape (v,)
         RUNNING, or how a vehicle's run ended; it then stands still until another one takes its place.
     """
@@ -116,6 +117,7 @@ class VehicleBatch:
         self.passed = RaggedBatch(BandState, [vehicle.passed for vehicle in vehicles])
         self.felt = RaggedBatch(BandState, [vehicle.felt for vehicle in vehicles])
         self._substeps = np.array([vehicle.substeps for vehicle in vehicles])
+        self.origin = np.array([vehicle.origin for vehicle in vehicles])
         self.command = np.zeros((count, DAMPERS))
         self._noise = np.zeros((count, settings.samples, SIGNALS))
         self._silent = np.zeros((count, 0, SIGNALS))
@@ -146,7 +148,7 @@ class VehicleBatch:
 
     def _place(self, i: int, vehicle: Vehicle) -> None:
         self._vehicles[i] = vehicle
-        self._substeps[i] = vehicle.substeps
+        self._substeps[i], self.origin[i] = vehicle.substeps, vehicle.origin
         self._noisy = any(each.noise is not None for each in self._vehicles)
 
     @property
@@ -316,17 +318,8 @@ class VehicleBatch:
         )
         if self._compiled is None:
             self._compiled = self._compile(arguments)
-        if self.num_threads == 1:
+        with compiled_threads(self.num_threads):
             self._compiled(*arguments)
-            return
-        before = numba.get_num_threads()
-        numba.set_num_threads(self.num_threads)
-        try:
-            # Vehicles differ in their steps: a thread that is free takes the next one.
-            with numba.parallel_chunksize(1):
-                self._compiled(*arguments)
-        finally:
-            numba.set_num_threads(before)
 
     def _compile(self, arguments: tuple[Any, ...]) -> Any:
         """The compiled loop for these arguments' types.
