@@ -174,6 +174,6 @@ def _line(value: Any) -> str | LineConfig:
         return value
     close = nearest(value, known) if isinstance(value, str) else ""
     raise ConfigError(
-        f"options: line: found {shown(value)}{close}; expected {', '.join(known)}, a path to a YAML or CSV file, "
-        "or a line's content"
+        f"options: line: found {shown(value)}{close}; expected {', '.join(known)}, a path to a YAML or CSV "
+        "file, or a line's content"
     )

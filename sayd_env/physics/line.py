@@ -18,9 +18,9 @@ centre and height z has
     phi'' V^2 in roll and V^2 kappa' in yaw
 
 for its acceleration against free fall, and its frame lies at Theta(x) - Theta(0) - Theta'(0) x - z (phi(x) -
-phi(0)) from the centre's, with Theta'' = kappa. A spinning wheelset has the moments I_y (V / r) V kappa in roll
-and -I_y (V / r) V phi' in yaw (Wickens 2003, chapter 2; Garg and Dukkipati 1984, chapter 3, from which the
-signs are derived for these axes).
+phi(0)) from the centre's, with Theta'' = kappa. A spinning wheelset has the moments I_y (V / r) V kappa in
+roll and -I_y (V / r) V phi' in yaw (Wickens 2003, chapter 2; Garg and Dukkipati 1984, chapter 3, from which
+the signs are derived for these axes).
 
 Conditions hold over a sample (1 ms, at most 0.15 m) and are those of its beginning. The speed changes so
 slowly that its own forces are left out: no traction, no pitch from braking, no lag of the wheels' rotation.

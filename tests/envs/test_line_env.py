@@ -170,3 +170,32 @@ def test_a_line_that_cannot_be_is_refused_by_name(line: Any, word: str) -> None:
     env = made()
     with pytest.raises(Exception, match=word):
         env.reset(seed=0, options={"line": line})
+
+
+def test_info_says_what_lies_where_the_train_is() -> None:
+    env = made(info="full", episode_s=8.0)
+    _, first = env.reset(seed=0, options={"line": SHORT})
+    assert first["distance"] == pytest.approx(0.0, abs=0.01)
+    assert first["line_curvature"] == 0.0
+    for _ in range(799):
+        info = env.step(COMMAND)[4]
+    assert set(info) == set(first)
+    assert info["line_section"] == "2"
+    assert info["line_curvature"] == pytest.approx(1.0 / 6000.0)
+    assert info["line_cant"] == pytest.approx(0.08)
+    assert info["line_gauge"] == pytest.approx(1.437)
+    assert info["line_friction"] == pytest.approx(0.3)
+    assert info["speed"] * 3.6 == pytest.approx(float(env.batch.lines[0].speed_at(info["distance"])) * 3.6, abs=0.01)
+
+
+def test_the_running_values_of_a_slower_train_reach_as_far() -> None:
+    """100 m of samples at the present speed, after the speed has fallen."""
+    env = made(info="full", episode_s=8.0)
+    section = {"length": 700.0, "speed_kmh": 230.0, "acceleration": 0.7}
+    env.reset(seed=0, options={"line": {"sections": [{"length": 50.0, "speed_kmh": 250.0}, section]}})
+    for _ in range(700):
+        info = env.step(COMMAND)[4]
+    sliding = env._sliding[0]
+    assert sliding is not None
+    assert sliding._window == round(100.0 / info["speed"] * 1000.0)
+    assert len(sliding._filtered) > sliding._window
