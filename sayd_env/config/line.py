@@ -36,6 +36,7 @@ LINE = Kind("line", names=("rails.*", "sections.*.track"), data=("file",))
 
 # A change between sections, as knots: linear pieces depart from the smooth step by 0.7 % of the change.
 _STEPS = np.linspace(0.0, 1.0, 11)
+_SHARES = smooth_step(_STEPS)
 
 
 def _limited(name: str, doc: str) -> float | None:
@@ -325,7 +326,7 @@ class _Course:
         for boundary, (before, after) in zip(self._bounds[1:], pairwise(filled), strict=False):
             if before != after:
                 t = boundary + self._config.blend * (_STEPS - 0.5)
-                values_there = before + (after - before) * smooth_step(_STEPS)
+                values_there = before + (after - before) * _SHARES
                 points += zip(t.tolist(), values_there.tolist(), strict=True)
         return joined(points)
 

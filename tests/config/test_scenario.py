@@ -162,7 +162,10 @@ def test_the_file_of_a_section_is_blamed_for_what_stands_in_it(write: Write):
     [
         ("vehicle=manchestr", "unknown vehicle 'manchestr', did you mean 'manchester'?; available: emu, "),
         ("track=", "--set: track: found None; expected a name (china, "),
-        ("rail=s1002", "configs/profile/s1002.yaml: is a wheel profile; as rail are available: 60e1, 60e1_20, cn60"),
+        (
+            "rail=s1002",
+            "configs/profile/s1002.yaml: is a wheel profile; as rail are available: 60e1, 60e1_20",
+        ),
         ("wheel=cn60", "configs/profile/cn60.yaml: is a rail profile; as wheel are available: "),
         ("vehicle.bodies.carbody.mass=-1", "--set: vehicle.bodies.carbody.mass: found -1; expected a number"),
         ("damper.curve=[[0, 0], [0.2, 9], [0.1, 8]]", "velocity (m/s) must increase: 0.1 follows 0.2"),
