@@ -315,7 +315,7 @@ class _Course:
     def _rail_blend(self) -> Knots | None:
         shares = [each.rail for each in self._sections]
         if self._config.rails is None and any(share is not None for share in shares):
-            raise ValueError("rail: the line's two rails are missing, for example rails: [null, 60e1_20]")
+            raise ValueError("rail: the line's two rails are missing, for example rails: [null, 60e1_30]")
         return self._blended("rail", shares, 0.0)
 
     def _blended(self, name: str, values: list[float | None], episodes: float | None) -> Knots | None:

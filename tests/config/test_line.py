@@ -49,7 +49,7 @@ def test_a_clothoid_turns_by_the_integral_of_its_curvature() -> None:
     # Heading of a clothoid L / (2 R), of an arc its length over R.
     assert curve.integral(120.0) == pytest.approx(120.0 / (2 * 800.0))
     assert curve.integral(620.0) == pytest.approx(120.0 / (2 * 800.0) + 500.0 / 800.0)
-    # Offset of its end from the tangent: L^2 / (6 R) for small angles, and the next terms of Fresnel's series.
+    # Offset of its end from the tangent: L^2 / (6 R), and the next terms of Fresnel's series.
     s = np.linspace(0.0, 120.0, 4001)
     offset = np.trapezoid(np.sin(curve.integral(s)), s)
     angle = 120.0 / (2 * 800.0)
@@ -125,7 +125,7 @@ def test_what_a_section_leaves_out_is_the_episodes() -> None:
         {"length": 3000.0, "friction": 0.2, "gauge": 1.44, "rail": 1.0, "speed_kmh": 180.0},
         {"length": 3000.0},
     )
-    rails = [None, "60e1_20"]
+    rails = [None, "60e1_30"]
     mixed = line(*sections, rails=rails, episode={"speed": 60.0, "gauge": 1.434, "friction": 0.5})
     for knots, value in ((mixed.friction, 0.5), (mixed.gauge, 1.434), (mixed.rail_blend, 0.0)):
         assert knots is not None
@@ -133,7 +133,7 @@ def test_what_a_section_leaves_out_is_the_episodes() -> None:
     assert mixed.speed_at(6000.0) == pytest.approx(60.0)
     assert mixed.rails is not None
     assert mixed.rails[0] is None
-    assert mixed.rails[1].cant == 0.05
+    assert mixed.rails[1].cant == 0.03333
     with pytest.raises(ConfigError, match="line: speed_kmh: some sections leave it out: the episode's own"):
         line(*sections, rails=rails, episode={"gauge": 1.434, "friction": 0.5})
 

@@ -14,7 +14,7 @@ from sayd_env.measured.lines import load_line
 from sayd_env.physics.track import realise
 
 SECTIONS = """
-rails: [null, 60e1_20]
+rails: [null, 60e1_30]
 sections:
   - {length: 2000.0, speed_kmh: 252.0, gauge: 1.434, rail: 0.0, friction: 0.3}
   - {<<: &after {length: 3000.0, speed_kmh: 180.0, gauge: 1.440, rail: 1.0, friction: 0.5},
@@ -51,7 +51,7 @@ def test_a_table_of_a_line_is_the_same_line(tmp_path: Path, curvature: str) -> N
             f"{112.5 + s / 1e3!r},{speed!r},{bend!r},{1e3 * cant!r},{1e3 * gauge!r},{rail!r},{friction!r}"
         )
     write(tmp_path, "\n".join(rows))
-    measured = load_line(write(tmp_path, "file: line.csv\nrails: [null, 60e1_20]\n", "measured.yaml"))
+    measured = load_line(write(tmp_path, "file: line.csv\nrails: [null, 60e1_30]\n", "measured.yaml"))
     assert measured.length == pytest.approx(line.length)
     assert measured.rails == line.rails
     s = np.linspace(-100.0, 8500.0, 8601)
