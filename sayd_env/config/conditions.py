@@ -38,6 +38,8 @@ MOST_TWIST = 1.0 / 400.0
 Rails = tuple[RailProfileConfig | None, RailProfileConfig]
 """The two profiles that a blend goes between; the first None: the scenario's."""
 _ROUNDING = 1e-9
+_SAME_PLACE = 1e-6
+"""Knots closer than this are one (m): sums of lengths are rounded."""
 # Places within a piece where speed and curvature change together, at which their product is looked at.
 _WITHIN = np.linspace(0.0, 1.0, 9)
 
@@ -276,8 +278,8 @@ def joined(points: Iterable[tuple[float, float]]) -> Knots:
     """
     kept: list[tuple[float, float]] = []
     for point in points:
-        if kept and point[0] == kept[-1][0]:
-            if point[1] != kept[-1][1]:
+        if kept and point[0] < kept[-1][0] + _SAME_PLACE:
+            if not math.isclose(point[1], kept[-1][1], rel_tol=_ROUNDING, abs_tol=_ROUNDING):
                 raise ValueError(f"jumps from {kept[-1][1]:g} to {point[1]:g} at {point[0]:g} m")
             continue
         if len(kept) > 1 and kept[-1][1] == kept[-2][1] == point[1]:

@@ -36,6 +36,7 @@ LINE = Kind("line", names=("rails.*", "sections.*.track"), data=("file",))
 
 # A change between sections, as knots: linear pieces depart from the smooth step by 0.7 % of the change.
 _STEPS = np.linspace(0.0, 1.0, 11)
+_SHARES = smooth_step(_STEPS)
 
 
 def _limited(name: str, doc: str) -> float | None:
@@ -314,7 +315,7 @@ class _Course:
     def _rail_blend(self) -> Knots | None:
         shares = [each.rail for each in self._sections]
         if self._config.rails is None and any(share is not None for share in shares):
-            raise ValueError("rail: the line's two rails are missing, for example rails: [null, 60e1_20]")
+            raise ValueError("rail: the line's two rails are missing, for example rails: [null, 60e1_30]")
         return self._blended("rail", shares, 0.0)
 
     def _blended(self, name: str, values: list[float | None], episodes: float | None) -> Knots | None:
@@ -325,7 +326,7 @@ class _Course:
         for boundary, (before, after) in zip(self._bounds[1:], pairwise(filled), strict=False):
             if before != after:
                 t = boundary + self._config.blend * (_STEPS - 0.5)
-                values_there = before + (after - before) * smooth_step(_STEPS)
+                values_there = before + (after - before) * _SHARES
                 points += zip(t.tolist(), values_there.tolist(), strict=True)
         return joined(points)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -48,9 +49,8 @@ class CurvesConfig(Model):
     def _allowed(self) -> CurvesConfig:
         _positive("radius", self.radius, TIGHTEST)
         _positive("transition", self.transition, 1.0)
-        if isinstance(self.radius, ChoiceDistribution) and list(self.radius.values) != sorted(
-            self.radius.values
-        ):
+        radius = self.radius
+        if isinstance(radius, ChoiceDistribution) and sorted(radius.values) != list(radius.values):
             raise ValueError("radius: the values of a choice must ascend")
         if self.cant_deficiency.bounds[0] < 0.0 or self.cant_deficiency.bounds[1] > self.most_deficiency:
             raise ValueError(f"cant_deficiency reaches beyond 0 to {self.most_deficiency:g} m")
@@ -157,10 +157,10 @@ def draw_line(config: LinesConfig, uniform: Uniform) -> Line:
     if config.speed_kmh is not None:
         speeds = _speeds(config.acceleration, config.speed_kmh, draws)
         for number, content in enumerate(contents):
-            content |= {"speed_kmh": KMH * speeds[number], "acceleration": config.acceleration}
+            content.update(speed_kmh=KMH * speeds[number], acceleration=config.acceleration)
             if config.curves is not None:
                 fastest = _fastest(config.acceleration, speeds, draws, number)
-                content |= draws[number].curve(config.curves, fastest)
+                content.update(draws[number].curve(config.curves, fastest))
     sections = tuple(map(LineSectionConfig.model_validate, contents))
     return resolve(LineConfig(sections=sections, blend=config.blend, rails=config.rails))
 
@@ -235,7 +235,7 @@ def _speeds(acceleration: float, distribution: Distribution, draws: list[_Draws]
         if speeds:
             reach = 2.0 * acceleration * draw.length * (1.0 - 1e-9)
             squared = min(max(squared, speeds[-1] ** 2 - reach), speeds[-1] ** 2 + reach)
-        speeds.append(squared**0.5)
+        speeds.append(math.sqrt(squared))
     return speeds
 
 
@@ -245,11 +245,11 @@ def _fastest(acceleration: float, speeds: list[float], draws: list[_Draws], numb
     if number + 1 == len(speeds):
         return fastest
     gained = 2.0 * acceleration * draws[number + 1].transition
-    return max(fastest, min(speeds[number + 1], (speeds[number] ** 2 + gained) ** 0.5))
+    return max(fastest, min(speeds[number + 1], math.sqrt(speeds[number] ** 2 + gained)))
 
 
 def _at_least(distribution: Distribution, low: float, u: float) -> float:
-    """Number that belongs to u in a distribution cut off below a limit; the limit where nothing lies above."""
+    """Number that belongs to u in a distribution cut off below a limit; the limit where all is below."""
     smallest, largest = distribution.bounds
     if largest <= low:
         return low

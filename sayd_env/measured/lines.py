@@ -75,33 +75,38 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
     """
     assert config.file is not None
     table = read_table(config.file, (*CONDITIONS, *IRREGULARITIES), rows=2)
-    s = table.x - table.x[0]
-    curvature = _knots(s, _curvature(table)) or Knots((0.0,), (0.0,))
-    cant = _knots(s, _column(table, "cant_mm", 1e-3)) or Knots((0.0,), (0.0,))
-    if curvature.value[0] or cant.value[0]:
+    if "rail" in table.columns and config.rails is None:
+        raise DataError(f"{table.source}: column 'rail': the line's two rails are missing, which YAML names")
+    try:
+        line = checked(_line(table, config), speed)
+    except ValueError as error:
+        raise DataError(f"{table.source}: {error}") from None
+    if line.curvature.value[0] or line.cant.value[0]:
         raise DataError(
             f"{table.where(0)}: begins with curvature or cant, but what lies before is straight: "
             "begin where the transition does, with 0"
         )
+    return line
+
+
+def _line(table: Table, config: LineConfig) -> Line:
+    s = table.x - table.x[0]
+    length, none = float(s[-1]), Knots((0.0,), (0.0,))
+    curvature = _knots(s, _curvature(table)) or none
+    cant = _knots(s, _column(table, "cant_mm", 1e-3)) or none
     speeds = _column(table, "speed_kmh", 1.0 / KMH)
-    if "rail" in table.columns and config.rails is None:
-        raise DataError(f"{table.source}: column 'rail': the line's two rails are missing, which YAML names")
-    line = Line(
+    return Line(
         curvature=curvature,
         cant=cant,
-        sections=tuple(_sections(float(s[-1]), config.section_length, curvature, cant)),
+        sections=tuple(_sections(length, config.section_length, curvature, cant)),
         speed_squared=_knots(s, None if speeds is None else speeds**2),
         gauge=_knots(s, _column(table, "nominal_gauge_mm", 1e-3)),
         friction=_knots(s, _column(table, "friction")),
         rail_blend=_knots(s, _column(table, "rail")),
         rails=resolve_rails(config),
-        tracks=_tracks(table, float(s[-1]), config.blend),
+        tracks=_tracks(table, length, config.blend),
         blend=config.blend,
     )
-    try:
-        return checked(line, speed)
-    except ValueError as error:
-        raise DataError(f"{table.source}: {error}") from None
 
 
 def _column(table: Table, name: str, factor: float = 1.0) -> Array | None:

@@ -16,6 +16,8 @@ from sayd_env.config.control import CONTROLLERS, load_controller
 from sayd_env.config.damper import DAMPER, SaydDamperConfig, load_sayd
 from sayd_env.config.environment import ENVIRONMENT, load_environment
 from sayd_env.config.layers import Kind, layered
+from sayd_env.config.line import LINE
+from sayd_env.config.lines import LINES
 from sayd_env.config.profile import load_wheel
 from sayd_env.config.scenario import STUDY, load_scenario
 from sayd_env.config.sensors import SENSORS
@@ -43,6 +45,8 @@ KINDS = [
     SENSORS,
     ENVIRONMENT,
     Kind("control"),
+    LINE,
+    LINES,
 ]
 EVERY = [
     *((kind, name) for kind in KINDS for name in packaged_names(kind.folder)),

@@ -164,7 +164,7 @@ def test_the_file_of_a_section_is_blamed_for_what_stands_in_it(write: Write):
         ("track=", "--set: track: found None; expected a name (china, "),
         (
             "rail=s1002",
-            "configs/profile/s1002.yaml: is a wheel profile; as rail are available: 60e1, 60e1_20, cn60",
+            "configs/profile/s1002.yaml: is a wheel profile; as rail are available: 60e1, 60e1_30",
         ),
         ("wheel=cn60", "configs/profile/cn60.yaml: is a rail profile; as wheel are available: "),
         ("vehicle.bodies.carbody.mass=-1", "--set: vehicle.bodies.carbody.mass: found -1; expected a number"),

@@ -19,7 +19,7 @@ from sayd_env.config.profile import (
 from sayd_env.measured.profiles import read_profile_file
 from sayd_env.physics.profiles import SAMPLING, gauge_point, rail_profile, wheel_profile
 
-RAILS = ("60e1", "cn60", "en15302_rail_a")
+RAILS = ("60e1", "60e1_30", "cn60", "en15302_rail_a")
 WHEELS = tuple(name for name in packaged_names("profile") if name not in RAILS)
 
 

@@ -1,0 +1,145 @@
+"""Measured lines: the same object as of sections, and refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sayd_env.config import ConfigError, DataError
+from sayd_env.config.conditions import Line
+from sayd_env.config.track import FileConfig
+from sayd_env.measured.lines import load_line
+from sayd_env.physics.track import realise
+
+SECTIONS = """
+rails: [null, 60e1_30]
+sections:
+  - {length: 2000.0, speed_kmh: 252.0, gauge: 1.434, rail: 0.0, friction: 0.3}
+  - {<<: &after {length: 3000.0, speed_kmh: 180.0, gauge: 1.440, rail: 1.0, friction: 0.5},
+     radius: 4000.0, turn: left, cant: 0.1, transition: 300.0}
+  - {<<: *after, radius: 5000.0, turn: right, transition: 400.0}
+"""
+HEADER = "x_m,radius_m,cant_mm"
+
+
+def write(folder: Path, text: str, name: str = "line.csv") -> str:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def knots(line: Line) -> set[float]:
+    found = (line.curvature, line.cant, line.speed_squared, line.gauge, line.friction, line.rail_blend)
+    return {s for each in found if each is not None for s in each.s} | {line.length}
+
+
+@pytest.mark.parametrize("curvature", ["radius_m", "curvature_1_km"])
+def test_a_table_of_a_line_is_the_same_line(tmp_path: Path, curvature: str) -> None:
+    """Between the rows of a table with a row at each knot everything is linear, as between knots."""
+    line = load_line(write(tmp_path, SECTIONS, "sections.yaml"))
+    assert line.speed_squared is not None
+    rows = [f"x_km,speed_kmh,{curvature},cant_mm,nominal_gauge_mm,rail,friction"]
+    for s in sorted(knots(line)):
+        kappa = float(line.curvature.at(s))
+        bend = 1e3 * kappa if curvature == "curvature_1_km" else 1 / kappa if kappa else 0.0
+        found = [each.at(s) for each in (line.cant, line.gauge, line.rail_blend, line.friction) if each]
+        cant, gauge, rail, friction = map(float, found)
+        speed = 3.6 * float(line.speed_squared.at(s)) ** 0.5
+        rows.append(
+            f"{112.5 + s / 1e3!r},{speed!r},{bend!r},{1e3 * cant!r},{1e3 * gauge!r},{rail!r},{friction!r}"
+        )
+    write(tmp_path, "\n".join(rows))
+    measured = load_line(write(tmp_path, "file: line.csv\nrails: [null, 60e1_30]\n", "measured.yaml"))
+    assert measured.length == pytest.approx(line.length)
+    assert measured.rails == line.rails
+    s = np.linspace(-100.0, 8500.0, 8601)
+    for name in ("curvature", "cant", "roll", "speed_squared", "gauge", "friction", "rail_blend"):
+        one, other = getattr(line, name), getattr(measured, name)
+        np.testing.assert_allclose(other.at(s), one.at(s), rtol=1e-9, atol=1e-12, err_msg=name)
+    t = np.linspace(0.0, 120.0, 13)
+    np.testing.assert_allclose(measured.distance_at(t), line.distance_at(t), atol=1e-6)
+
+
+def test_what_a_file_lacks_is_the_episodes(tmp_path: Path) -> None:
+    path = write(tmp_path, f"{HEADER}\n10,0,0\n210,-800,-100\n510,-800,-100\n")
+    line = load_line(path)
+    assert line.speed_squared is line.gauge is line.friction is line.rail_blend is line.rails is None
+    assert line.tracks == ()
+    assert line.curvature.at([-10.0, 100.0, 200.0, 900.0]) == pytest.approx(
+        [0.0, -1 / 1600, -1 / 800, -1 / 800]
+    )
+    assert line.roll.at(300.0) == pytest.approx(0.1 / 1.5)
+    assert line.length == 500.0
+    with pytest.raises(DataError, match="cant deficiency"):
+        load_line(path, speed=50.0)
+
+
+def test_sections_are_parts_of_equal_length(tmp_path: Path) -> None:
+    rows = "0,0,0\n1200,0,0\n1300,2000,50\n1400,0,0\n2600,0,0\n"
+    write(tmp_path, f"{HEADER}\n{rows}")
+    line = load_line(write(tmp_path, "file: line.csv\nsection_length: 600.0\n", "mine.yaml"))
+    assert [each.name for each in line.sections][:2] == ["0 to 600 m", "600 to 1200 m"]
+    assert [each.end for each in line.sections] == [600.0, 1200.0, 1800.0, 2400.0, 2600.0]
+    assert [each.straight_from for each in line.sections] == [0.0, 600.0, 1400.0, 1800.0, 2400.0]
+    assert [each.straight for each in line.sections] == [True, True, False, True, True]
+    short = load_line(write(tmp_path, "file: line.csv\nsection_length: 1350.0\n", "mine.yaml"))
+    assert [each.straight_from for each in short.sections] == [None, 1400.0]
+
+
+def test_irregularities_of_a_line_are_those_of_its_file(tmp_path: Path) -> None:
+    x = np.arange(0.0, 400.5, 0.5)
+    wave = 2.0 * np.sin(2 * np.pi * x / 20)
+    rows = "\n".join(f"{1000 + a:.1f},300,{b:.9f}" for a, b in zip(x, wave, strict=True))
+    line = load_line(write(tmp_path, f"x_m,speed_kmh,alignment_mm\n{rows}"))
+    (piece,) = line.tracks
+    assert (piece.start, piece.end, piece.scale) == (0.0, 400.0, None)
+    assert isinstance(piece.irregularity, FileConfig)
+    value, _ = realise(piece.irregularity, 400.0, 0).evaluate(np.array([5.0, 200.0, 205.0, 295.0]))
+    np.testing.assert_allclose(
+        value[1:, 0], 2e-3 * np.sin(2 * np.pi * np.array([200.0, 205.0, 295.0]) / 20), atol=1e-7
+    )
+    assert abs(value[0, 0]) < 1e-3  # within the ramp
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x_m\n0\n100\n", "nothing to read beside 'x_m'; expected any of speed_kmh, "),
+        ("x_m,x_km,cant_mm\n0,0,0\n", "found x_m and x_km; expected one of them"),
+        ("x_m,raduis_m\n0,0\n100,0\n", "unknown column 'raduis_m', did you mean 'radius_m'"),
+        ("x_m,gauge\n0,0\n100,0\n", "unknown column 'gauge'"),
+        ("x_m,friction\n0,0.3\n", "found 1 rows of numbers; at least 2"),
+        ("x_m,friction\n0,0.3\n0,0.3\n", "line 3: x_m 0 appears twice"),
+        ("x_km,friction\n1.5,0.3\n1.2,0.3\n", "line 3: x_km 1.2 comes after x_km 1.5; positions must ascend"),
+        ("x_m,friction\n0,0.3\n100,\n", "line 3: column 'friction': found ''; expected a number"),
+        ("x_m,radius_m\n0,inf\n100,800\n", "line 2: column 'radius_m': found 'inf'"),
+        ("x_m,friction\n0,0.3\n100,1.3\n", r"at 100 m: friction: found 1\.3; allowed are 0.05 to 1"),
+        ("x_m,nominal_gauge_mm\n0,2\n100,3\n", "at 0 m: gauge: found 0.002; allowed are 0.9 to 1.7 m"),
+        ("x_m,speed_kmh\n0,300\n100,600\n", "at 100 m: speed: found 600; allowed are 30 to 500 km/h"),
+        ("x_m,speed_kmh\n0,180\n1000,252\n", r"at 0 m: acceleration: found 1\.2 m/s2; at most 0\.7 m/s2"),
+        (f"{HEADER}\n0,0,0\n200,100,0\n", "at 200 m: radius: found 100 m; allowed are 150 m and more"),
+        (f"{HEADER}\n0,0,0\n200,800,190\n", r"at 200 m: cant: found 0\.19 m; at most 0\.18 m"),
+        (f"{HEADER}\n0,0,0\n20,800,100\n", "slope of the cant: found 0.005"),
+        (f"{HEADER}\n0,800,100\n20,800,100\n", "line 2: begins with curvature or cant"),
+        ("x_m,radius_m,curvature_1_km\n0,0,0\n9,0,0\n", "found radius_m and curvature_1_km"),
+        ("x_m,rail\n0,0\n9,1\n", "column 'rail': the line's two rails are missing"),
+    ],
+)
+def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(DataError, match=message) as caught:
+        load_line(path)
+    assert str(caught.value).startswith(path)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.csv: no such file"):
+        load_line(str(tmp_path / "none.csv"))
+
+
+def test_a_packaged_line_by_name() -> None:
+    assert load_line("slow_curve", ["sections.curve.radius=900.0"]).curvature.at(500.0) == pytest.approx(
+        1 / 900
+    )
