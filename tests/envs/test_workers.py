@@ -1,8 +1,7 @@
 """Worker processes: Gymnasium's `AsyncVectorEnv`, by each way of starting them.
 
-``fork`` copies a process in which numba's threads may run already, and with GNU OpenMP that ends the worker:
-it works as long as the parent has not stepped several vehicles with several threads. ``forkserver`` and
-``spawn`` always work.
+``fork`` copies a process but not its threads: single environments, which need none, work all the same. (What
+a batch does in such a copy is in `test_clients`.)
 """
 
 from __future__ import annotations
@@ -24,8 +23,10 @@ from functools import partial
 import gymnasium as gym, numpy as np, sayd_env
 from gymnasium.vector import AsyncVectorEnv
 from sayd_env.envs.single import SaydEnv
-single = SaydEnv(sys.argv[1])
-single.reset(seed=1)  # the serial kernel is loaded and has run before the fork
+from sayd_env.envs.vector import SaydVectorEnv
+single, batch = SaydEnv(sys.argv[1]), SaydVectorEnv(sys.argv[1], num_envs=2)
+batch.reset(seed=1)  # both kernels are loaded and have run before the fork, one of them on threads
+single.reset(seed=1)
 maker = partial(gym.make, "SAYD/Nominal-v1", environment=sys.argv[1])
 workers = AsyncVectorEnv([maker] * 2, context="fork")
 observation, _ = workers.reset(seed=1)
