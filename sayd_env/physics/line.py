@@ -22,7 +22,8 @@ phi(0)) from the centre's, with Theta'' = kappa. A spinning wheelset has the mom
 roll and -I_y (V / r) V phi' in yaw (Wickens 2003, chapter 2; Garg and Dukkipati 1984, chapter 3, from which
 the signs are derived for these axes).
 
-Conditions hold over a sample (1 ms, at most 0.15 m) and are those of its beginning. The speed changes so
+Conditions hold over a sample (1 ms, at most 0.15 m) and are those of its beginning; only the offsets go on at
+their rates, else the connections would feel steps. The speed changes so
 slowly that its own forces are left out: no traction, no pitch from braking, no lag of the wheels' rotation.
 """
 
@@ -331,7 +332,6 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
             plant.body_column,
             plant.mass,
             plant.damping_diagonal,
-            plant.wheelset_x,
             clock,
             work.wheel,
             work.line,
@@ -347,17 +347,14 @@ def _enter(  # noqa: PLR0915 - one loop body, as the physics reads
     column: Column,
     mass: Array,
     diagonal: Array,
-    wheelset_x: Array,
     clock: Array,
     wheel: Array,
     out: Array,
 ) -> None:
     """Loads and offsets of all bodies of all vehicles, into `Work.line`."""
     w = len(lanes)
-    n, rows, block = mass.shape[0], LANES * w, WHEELSETS * w
-    bodies, wheelsets = body.shape[0] // (BODY_ROWS * w), wheelset_x.shape[0] // w
-    offset, rate, accelerated, contact = n, 2 * n, 3 * n, 4 * n
-    centre = out.shape[0] - (2 + CENTRE_ROWS) * w
+    n, rows, bodies = mass.shape[0], LANES * w, body.shape[0] // (BODY_ROWS * w)
+    offset, rate, accelerated, centre = n, 2 * n, 3 * n, 4 * n
     for k in range(clock.shape[0] // 2):  # W: a length that the compiler does not know
         p, t = _node(number, w, k, clock[w + k])
         theta, angle, kappa, _ = _bend(line, p, t)
@@ -418,17 +415,6 @@ def _enter(  # noqa: PLR0915 - one loop body, as the physics reads
                 + mass[yaw + k] * square * kappa_slope
                 + diagonal[yaw + k] * yaw_rate
             )
-    for b in range(wheelsets):
-        y, roll, yaw = int(column[4 * b]) * w, int(column[4 * b + 2]) * w, int(column[4 * b + 3]) * w
-        for k in range(clock.shape[0] // 2):
-            radius, speed = wheel[at.RADIUS * rows + k], wheel[at.WHEEL_SPEED * rows + k]
-            place = contact + b * w + k
-            out[place + at.M_OFFSET * block] = -(out[offset + y + k] + radius * out[offset + roll + k])
-            out[place + at.M_ROLL * block] = -out[offset + roll + k]
-            out[place + at.M_YAW * block] = -out[offset + yaw + k]
-            out[place + at.M_BOTTOM * block] = -(out[rate + y + k] + radius * out[rate + roll + k])
-            out[place + at.M_ROLL_RATE * block] = -out[rate + roll + k]
-            out[place + at.M_YAW_RATE * block] = speed * out[centre + 2 * w + k]
 
 
 @kernel(inline=True, allocates=False)
@@ -440,17 +426,27 @@ def turn(lanes: Lanes, plant: Plant, work: Work) -> None:
     """
     w = len(lanes)
     n, bodies = plant.load.shape[0], plant.body.shape[0] // (BODY_ROWS * w)
-    block = WHEELSETS * w
+    block, rows = WHEELSETS * w, LANES * w
     for j in range(plant.wheelset_x.shape[0] // w if faster(lanes, work) else 0):
         for k in range(w):
-            over = work.wheel[at.WHEEL_SPEED * LANES * w + k] - plant.number[at.SPEED * w + k]
+            over = work.wheel[at.WHEEL_SPEED * rows + k] - plant.number[at.SPEED * w + k]
             momentum = plant.body[(SPIN * bodies + j) * w + k] * over
-            momentum *= plant.wheel[at.PER_RADIUS * LANES * w + k]
+            momentum *= plant.wheel[at.PER_RADIUS * rows + k]
             roll, yaw = int(plant.body_column[4 * j + 2]) * w + k, int(plant.body_column[4 * j + 3]) * w + k
             work.f[roll] += momentum * work.y[at.M_YAW_RATE * block + j * w + k]
             work.f[yaw] -= momentum * work.y[at.M_ROLL_RATE * block + j * w + k]
-    if curved(lanes, work):
-        _add(work.line[4 * n : 4 * n + at.MOTIONS * block], work.y)
+    for j in range(plant.wheelset_x.shape[0] // w if curved(lanes, work) else 0):
+        for k in range(w):
+            y, roll = int(plant.body_column[4 * j]) * w + k, int(plant.body_column[4 * j + 2]) * w + k
+            yaw, place = int(plant.body_column[4 * j + 3]) * w + k, j * w + k
+            radius, speed = plant.wheel[at.RADIUS * rows + k], work.wheel[at.WHEEL_SPEED * rows + k]
+            rolled, roll_rate = work.line[n + roll], work.line[2 * n + roll]
+            work.y[at.M_OFFSET * block + place] -= work.line[n + y] + radius * rolled
+            work.y[at.M_ROLL * block + place] -= rolled
+            work.y[at.M_YAW * block + place] -= work.line[n + yaw]
+            work.y[at.M_BOTTOM * block + place] -= work.line[2 * n + y] + radius * roll_rate
+            work.y[at.M_ROLL_RATE * block + place] -= roll_rate
+            work.y[at.M_YAW_RATE * block + place] += speed * work.line[4 * n + 2 * w + k]
 
 
 @kernel(inline=True, allocates=False)
@@ -479,9 +475,3 @@ def blend(lanes: Lanes, plant: Plant, work: Work) -> None:
         work.wheel[at.TABLE_BASE * rows + i] = target
         work.wheel[at.TABLE_LAST * rows + i] = 0.0
         work.wheel[at.TABLE_START * rows + i] = start + node / per_step
-
-
-@kernel(inline=True, distinct=True, allocates=False)
-def _add(more: Array, values: Array) -> None:
-    for i in range(more.shape[0]):
-        values[i] += more[i]

@@ -190,9 +190,9 @@ class Work(NamedTuple):
     """(8 * W * 2 * columns,) two nodes of the blended contact table for each wheel; empty without a blend."""
     line: Array
     """Of a line at present places: loads (n * W), offsets of the unknowns' frames and their rates (n * W
-    each), accelerations of these frames against free fall (n * W), what to add to the kinematics of the
-    wheelsets (MOTIONS * 4 * W); then the line at the centres (`line.CENTRE_ROWS` * W) and whether any vehicle
-    is in a curve or at another speed than its plant's (2 * W); empty without a line."""
+    each), accelerations of these frames against free fall (n * W); then the line at the centres
+    (`line.CENTRE_ROWS` * W) and whether any vehicle is in a curve or at another speed than its plant's (2 * W);
+    empty without a line."""
 
     @property
     def lane_out(self) -> Array:

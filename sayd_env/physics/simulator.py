@@ -375,7 +375,7 @@ class VehicleModel:
         law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
         sizes = (n, x, y, 8 * WHEELSETS, at.ROWS_IN * LANES, at.PATCH_ROWS * LANES, *law, w + points)
         shapes = 0 if rails is None else 2 * geometry.WIDTH * LANES
-        on_line = (at.WHEEL_ROWS * LANES, shapes, 4 * n + at.MOTIONS * WHEELSETS + CENTRE_ROWS + 2)
+        on_line = (at.WHEEL_ROWS * LANES, shapes, 4 * n + CENTRE_ROWS + 2)
         sizes += (0, 0, 0) if line is None else on_line
         return Work(*(zeros(size) for size in sizes))
 

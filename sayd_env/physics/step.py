@@ -64,10 +64,11 @@ def _predict(
 
 
 @kernel(inline=True, distinct=True, allocates=False)
-def _shift(line: Array, displacement: Array, predicted: Array, present: Array) -> None:
-    """Add the offsets of the unknowns' frames on a line, and their rates, to the motion."""
+def _shift(h: float, line: Array, displacement: Array, predicted: Array, present: Array) -> None:
+    """Move the offsets of the unknowns' frames on a line, and add them and their rates to the motion."""
     n = displacement.shape[0]
     for i in range(n):
+        line[n + i] += h * line[2 * n + i]
         displacement[i] += line[n + i]
         predicted[i] += line[2 * n + i]
         present[i] += line[2 * n + i]
@@ -532,7 +533,7 @@ def predict(lanes: Lanes, plant: Plant, state: State, work: Work) -> None:
         work.f,
     )
     if plant.line.shape[0] > 0 and curved(lanes, work):
-        _shift(work.line, work.x[:n], work.x[n : 2 * n], work.x[2 * n : 3 * n])
+        _shift(h, work.line, work.x[:n], work.x[n : 2 * n], work.x[2 * n : 3 * n])
     for k in range(w):
         state.clock[k] += h
         state.clock[w + k] += h * speed_of(lanes, k, plant, work)
