@@ -23,8 +23,8 @@ roll and -I_y (V / r) V phi' in yaw (Wickens 2003, chapter 2; Garg and Dukkipati
 the signs are derived for these axes).
 
 Conditions hold over a sample (1 ms, at most 0.15 m) and are those of its beginning; only the offsets go on at
-their rates, else the connections would feel steps. The speed changes so
-slowly that its own forces are left out: no traction, no pitch from braking, no lag of the wheels' rotation.
+their rates, else the connections would feel steps. The speed changes so slowly that its own forces are left
+out: no traction, no pitch from braking, no lag of the wheels' rotation.
 """
 
 from __future__ import annotations
@@ -57,14 +57,15 @@ SQUARE = CANT + 4  # square of the speed, m2/s2; two
 FRICTION = SQUARE + 2  # coefficient of friction; two
 BLEND = FRICTION + 2  # place between the vehicle's rail shapes, from 0; two
 CURVED = BLEND + 2  # 1 where there is a curve or a cant within `MARGIN`, else 0
-CHANGING = CURVED + 1  # 1 where anything changes within `MARGIN`, else 0
-COLUMNS = CHANGING + 1
+STEADY = CURVED + 1  # 0 where anything changes within `MARGIN`, else 1 and the first such node's number
+COLUMNS = STEADY + 1
 
 # Rows of `Plant.body`, one number for each body.
 X, HEIGHT, CARRIED, SPIN, BODY_ROWS = range(5)
 
-CENTRE_ROWS = 6
-"""What is kept of the line at a vehicle's centre: Theta, two derivatives, cant, its slope, whether bent."""
+# Rows behind the bodies' in `Work.line`: where each vehicle's centre is looked up, and the line there.
+PLACE, HELD, INSIDE, CENTRE_THETA, CENTRE_ANGLE, CENTRE_KAPPA, CENTRE_CANT, CENTRE_TWIST = range(8)
+CENTRE_ROWS = 8
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,7 @@ def tabulated(
         values[:-1, column + 1] = np.diff(points) / step
     values[:, CURVED] = _near(values[:, [*range(THETA + 2, THETA + 6), *range(CANT, CANT + 4)]], step)
     slopes = [*range(THETA + 3, THETA + 6), *range(CANT + 1, CANT + 4), SQUARE + 1, FRICTION + 1, BLEND + 1]
-    values[:, CHANGING] = _near(values[:, slopes], step)
+    values[:, STEADY] = _steady(_near(values[:, slopes], step))
     return LineTable(start, step, values, math.sqrt(float(np.min(square))))
 
 
@@ -178,6 +179,13 @@ def _near(values: Array, step: float) -> Array:
     near = math.ceil(MARGIN / step)
     found = np.any(values != 0.0, axis=1)
     return np.asarray(np.convolve(np.pad(found, near), np.ones(2 * near + 1), mode="valid") > 0.0)
+
+
+def _steady(changing: Array) -> Array:
+    """The column `STEADY`, of the nodes where something changes."""
+    before = np.concatenate(([True], changing[:-1] != 0.0))
+    first = np.where((changing == 0.0) & before, np.arange(1, len(changing) + 1), 0)
+    return np.where(changing == 0.0, np.maximum.accumulate(first), 0)
 
 
 def _rounded(points: Array, step: float) -> PPoly:
@@ -270,14 +278,16 @@ def _lean(line: Array, p: int, t: float) -> tuple[float, float, float]:
 def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work, first: bool) -> None:
     """Take speed, friction, loads and offsets at the vehicles' places on their lines.
 
-    Where nothing changes they are those of the sample before, unless this is the first one of a call.
+    Where nothing changes they are looked up once, unless this is the first sample of a call, and always at
+    one place: when that happened leaves no trace in the results.
     """
     w = len(lanes)
-    changing = first
+    look, held = first, 4 * plant.load.shape[0] + HELD * w
     for k in range(w):
         p, _ = _node(plant.number, w, k, clock[w + k])
-        changing = changing or plant.line[p + CHANGING] != 0.0
-    if changing:
+        steady = plant.line[p + STEADY]
+        look = look or steady == 0.0 or steady != work.line[held + k]
+    if look:
         _look_up(lanes, plant, clock, work)
 
 
@@ -299,7 +309,7 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
     w = len(lanes)
     n = plant.load.shape[0]
     rows = LANES * w
-    bent, other = work.line.shape[0] - 2 * w, work.line.shape[0] - w
+    centre, bent, other = 4 * n, work.line.shape[0] - 2 * w, work.line.shape[0] - w
     for i in range(plant.wheel.shape[0]):
         work.wheel[i] = plant.wheel[i]
     for i in range(n):
@@ -309,6 +319,12 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
     for k in range(w):
         s = clock[w + k]
         p, t = _node(plant.number, w, k, s)
+        steady = plant.line[p + STEADY]
+        if steady != 0.0:
+            s = plant.number[at.LINE_START * w + k] + (steady - 0.5) / plant.number[at.PER_LINE_STEP * w + k]
+            p, t = _node(plant.number, w, k, s)
+        work.line[centre + PLACE * w + k], work.line[centre + HELD * w + k] = s, steady
+        work.line[centre + INSIDE * w + k] = plant.line[p + CURVED]
         speed = math.sqrt(plant.line[p + SQUARE] + t * plant.line[p + SQUARE + 1])
         work.line[other] = 1.0 if speed != plant.number[at.SPEED * w + k] else work.line[other]
         work.line[bent] = 1.0 if plant.line[p + CURVED] != 0.0 else work.line[bent]
@@ -332,14 +348,13 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
             plant.body_column,
             plant.mass,
             plant.damping_diagonal,
-            clock,
             work.wheel,
             work.line,
         )
 
 
 @kernel(distinct=True, allocates=False)
-def _enter(  # noqa: PLR0915 - one loop body, as the physics reads
+def _enter(
     lanes: Lanes,
     number: Array,
     line: Array,
@@ -347,7 +362,6 @@ def _enter(  # noqa: PLR0915 - one loop body, as the physics reads
     column: Column,
     mass: Array,
     diagonal: Array,
-    clock: Array,
     wheel: Array,
     out: Array,
 ) -> None:
@@ -355,33 +369,33 @@ def _enter(  # noqa: PLR0915 - one loop body, as the physics reads
     w = len(lanes)
     n, rows, bodies = mass.shape[0], LANES * w, body.shape[0] // (BODY_ROWS * w)
     offset, rate, accelerated, centre = n, 2 * n, 3 * n, 4 * n
-    for k in range(clock.shape[0] // 2):  # W: a length that the compiler does not know
-        p, t = _node(number, w, k, clock[w + k])
+    for k in range(number.shape[0] // at.NUMBERS):  # W: a length that the compiler does not know
+        p, t = _node(number, w, k, out[centre + PLACE * w + k])
         theta, angle, kappa, _ = _bend(line, p, t)
         cant, twist, _ = _lean(line, p, t)
-        out[centre + k], out[centre + w + k], out[centre + 2 * w + k] = theta, angle, kappa
-        out[centre + 3 * w + k], out[centre + 4 * w + k] = cant, twist
-        out[centre + 5 * w + k] = line[p + CURVED]  # 0 on the straight, where rounding shall leave nothing
+        out[centre + CENTRE_THETA * w + k], out[centre + CENTRE_ANGLE * w + k] = theta, angle
+        out[centre + CENTRE_KAPPA * w + k] = kappa
+        out[centre + CENTRE_CANT * w + k], out[centre + CENTRE_TWIST * w + k] = cant, twist
     for b in range(bodies):
         y, vertical = int(column[4 * b]) * w, int(column[4 * b + 1]) * w
         roll, yaw = int(column[4 * b + 2]) * w, int(column[4 * b + 3]) * w
-        for k in range(clock.shape[0] // 2):
+        for k in range(number.shape[0] // at.NUMBERS):
             speed = wheel[at.WHEEL_SPEED * rows + k]
             square, spin = speed * speed, speed * wheel[at.PER_RADIUS * rows + k]
             x, z = body[(X * bodies + b) * w + k], body[(HEIGHT * bodies + b) * w + k]
-            theta_0, angle_0, kappa_0 = out[centre + k], out[centre + w + k], out[centre + 2 * w + k]
-            cant_0, twist_0, inside = (
-                out[centre + 3 * w + k],
-                out[centre + 4 * w + k],
-                out[centre + 5 * w + k],
-            )
-            p, t = _node(number, w, k, clock[w + k] + x)
+            theta_0, angle_0 = out[centre + CENTRE_THETA * w + k], out[centre + CENTRE_ANGLE * w + k]
+            kappa_0 = out[centre + CENTRE_KAPPA * w + k]
+            cant_0, twist_0 = out[centre + CENTRE_CANT * w + k], out[centre + CENTRE_TWIST * w + k]
+            # Rounding shall leave no offsets on the straight, and no rates where they do not change.
+            inside = out[centre + INSIDE * w + k]
+            passing = speed if out[centre + HELD * w + k] == 0.0 else 0.0
+            p, t = _node(number, w, k, out[centre + PLACE * w + k] + x)
             theta, angle, kappa, kappa_slope = _bend(line, p, t)
             cant, twist, twist_slope = _lean(line, p, t)
             aside, turned, rolled = theta - theta_0 - angle_0 * x, angle - angle_0, cant - cant_0
             aside, turned, rolled = inside * aside, inside * turned, inside * rolled
-            roll_rate, yaw_rate = speed * (twist - twist_0), speed * (kappa - kappa_0)
-            aside_rate = speed * (turned - kappa_0 * x)
+            roll_rate, yaw_rate = passing * (twist - twist_0), passing * (kappa - kappa_0)
+            aside_rate = passing * (turned - kappa_0 * x)
             accelerated_y = (
                 square * kappa * (1.0 - 0.5 * cant * cant)
                 + GRAVITY * cant * (1.0 - cant * cant / 6.0)
@@ -446,7 +460,7 @@ def turn(lanes: Lanes, plant: Plant, work: Work) -> None:
             work.y[at.M_YAW * block + place] -= work.line[n + yaw]
             work.y[at.M_BOTTOM * block + place] -= work.line[2 * n + y] + radius * roll_rate
             work.y[at.M_ROLL_RATE * block + place] -= roll_rate
-            work.y[at.M_YAW_RATE * block + place] += speed * work.line[4 * n + 2 * w + k]
+            work.y[at.M_YAW_RATE * block + place] += speed * work.line[4 * n + CENTRE_KAPPA * w + k]
 
 
 @kernel(inline=True, allocates=False)
