@@ -22,7 +22,7 @@ phi(0)) from the centre's, with Theta'' = kappa. A spinning wheelset has the mom
 roll and -I_y (V / r) V phi' in yaw (Wickens 2003, chapter 2; Garg and Dukkipati 1984, chapter 3, from which
 the signs are derived for these axes).
 
-Conditions hold over a sample (1 ms, at most 0.15 m) and are those of its beginning; only the offsets go on at
+Conditions hold over a sample (1 ms, at most 0.15 m) and are those of its middle; only the offsets go on at
 their rates, else the connections would feel steps. The speed changes so slowly that its own forces are left
 out: no traction, no pitch from braking, no lag of the wheels' rotation.
 """
@@ -275,8 +275,8 @@ def _lean(line: Array, p: int, t: float) -> tuple[float, float, float]:
 
 
 @kernel(inline=True, allocates=False)
-def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work, first: bool) -> None:
-    """Take speed, friction, loads and offsets at the vehicles' places on their lines.
+def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work, count: int, first: bool) -> None:
+    """Take speed, friction, loads and offsets at the vehicles' places on their lines for so many steps.
 
     Where nothing changes they are looked up once, unless this is the first sample of a call, and always at
     one place: when that happened leaves no trace in the results.
@@ -288,7 +288,7 @@ def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work, first: bool) ->
         steady = plant.line[p + STEADY]
         look = look or steady == 0.0 or steady != work.line[held + k]
     if look:
-        _look_up(lanes, plant, clock, work)
+        _look_up(lanes, plant, clock, work, 0.5 * (count + 1) * plant.number[at.STEP * w])
 
 
 @kernel(inline=True, allocates=False)
@@ -304,8 +304,8 @@ def faster(lanes: Lanes, work: Work) -> bool:
 
 
 @kernel(allocates=False)
-def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
-    """Fill `Work.wheel` and `Work.line`."""
+def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work, ahead: float) -> None:
+    """Fill `Work.wheel` and `Work.line` with what holds a time (s) ahead: at the mean of the steps' ends."""
     w = len(lanes)
     n = plant.load.shape[0]
     rows = LANES * w
@@ -322,7 +322,9 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
         steady = plant.line[p + STEADY]
         if steady != 0.0:
             s = plant.number[at.LINE_START * w + k] + (steady - 0.5) / plant.number[at.PER_LINE_STEP * w + k]
-            p, t = _node(plant.number, w, k, s)
+        else:
+            s += ahead * math.sqrt(plant.line[p + SQUARE] + t * plant.line[p + SQUARE + 1])
+        p, t = _node(plant.number, w, k, s)
         work.line[centre + PLACE * w + k], work.line[centre + HELD * w + k] = s, steady
         work.line[centre + INSIDE * w + k] = plant.line[p + CURVED]
         speed = math.sqrt(plant.line[p + SQUARE] + t * plant.line[p + SQUARE + 1])
@@ -351,6 +353,8 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work) -> None:
             work.wheel,
             work.line,
         )
+        for i in range(n, 2 * n):
+            work.line[i] -= ahead * work.line[n + i]
 
 
 @kernel(distinct=True, allocates=False)

@@ -546,7 +546,7 @@ def steps(lanes: Lanes, plant: Plant, state: State, work: Work, count: int, firs
     `first` says that `Work` is not from the steps before.
     """
     if plant.line.shape[0] > 0:
-        follow(lanes, plant, state.clock, work, first)
+        follow(lanes, plant, state.clock, work, count, first)
     for _ in range(count):
         predict(lanes, plant, state, work)
         motions(lanes, plant, work)
