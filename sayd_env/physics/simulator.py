@@ -218,8 +218,9 @@ class VehicleModel:
         measure = sparse_rows(frames if points is None else np.vstack([frames, points]))
         shift, stop = _curves(b.stops)
         number = self._numbers(speed, track, table, 0 if sayds is None else sayds.substeps)
-        body, body_column = (np.zeros(0), np.zeros(0, dtype=np.uint32)) if line is None else body_arrays(b)
+        body, body_column = np.zeros(0), np.zeros(0, dtype=np.uint32)
         if line is not None:
+            body, body_column = body_arrays(b)
             number[at.LINE_START], number[at.PER_LINE_STEP] = line.start, 1.0 / line.step
             number[at.LINE_COUNT] = len(line.values)
             number[at.SHAPES] = 1.0 if rails is None else BLENDS
@@ -375,9 +376,8 @@ class VehicleModel:
         law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
         sizes = (n, x, y, 8 * WHEELSETS, at.ROWS_IN * LANES, at.PATCH_ROWS * LANES, *law, w + points)
         shapes = 0 if rails is None else 2 * geometry.WIDTH * LANES
-        on_line = (at.WHEEL_ROWS * LANES, shapes, 4 * n + CENTRE_ROWS + 2)
-        sizes += (0, 0, 0) if line is None else on_line
-        return Work(*(zeros(size) for size in sizes))
+        on_line = (0, 0, 0) if line is None else (at.WHEEL_ROWS * LANES, shapes, 4 * n + CENTRE_ROWS + 2)
+        return Work(*(zeros(size) for size in (*sizes, *on_line)))
 
 
 @lru_cache(maxsize=64)

@@ -149,13 +149,13 @@ def realise_line(
         parts.setdefault(_of_piece(piece, base.irregularity), []).append(piece)
     tracks = {config: realise(config, length, seed, covered=covered) for config in parts}
     first = next(iter(tracks.values()))
-    knots = first.x0 + first.step * np.arange(-1, len(first.coefficients) - 1)
+    knots: Array = first.x0 + first.step * np.arange(-1.0, len(first.coefficients) - 1.0)
     s = knots - origin
     # Weights on a spline's coefficients act on its values as long as they change slowly over its step.
     total = np.zeros_like(first.coefficients)
     for config, track in tracks.items():
-        share = sum(_share(piece, line, s) for piece in parts[config])
-        total += np.asarray(share)[:, None] * track.coefficients
+        share = np.sum([_share(piece, line, s) for piece in parts[config]], axis=0)
+        total += share[:, None] * track.coefficients
     if line.gauge is not None:
         total[:, CHANNELS.index("gauge")] += line.gauge.at(s) - base.gauge
     for defect in line.defects:
