@@ -28,7 +28,7 @@ from sayd_env.physics.line import CENTRE_ROWS, LineTable, body_arrays
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
 from sayd_env.physics.profiles import Profile, blended, rail_profile, wheel_profile
-from sayd_env.physics.rows import Rows, sparse_rows
+from sayd_env.physics.rows import Column, Rows, sparse_rows
 from sayd_env.physics.step import advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 
@@ -218,7 +218,8 @@ class VehicleModel:
         measure = sparse_rows(frames if points is None else np.vstack([frames, points]))
         shift, stop = _curves(b.stops)
         number = self._numbers(speed, track, table, 0 if sayds is None else sayds.substeps)
-        body, body_column = np.zeros(0), np.zeros(0, dtype=np.uint32)
+        body: Array = np.zeros(0)
+        body_column: Column = np.zeros(0, dtype=np.uint32)
         if line is not None:
             body, body_column = body_arrays(b)
             number[at.LINE_START], number[at.PER_LINE_STEP] = line.start, 1.0 / line.step
