@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.agents.config import WIDEST, InputConfig, NetworkConfig, OutputConfig
+from sayd_env.agents.config import NetworkConfig, OutputConfig
 from sayd_env.agents.policy_archive import file_digest, read_bytes
 from sayd_env.agents.policy_file import Layers, LearnedPolicy, StoredPolicy, describe
 from sayd_env.config import ConfigError, DataError, validate
 from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.learner import WIDEST, InputConfig
 from sayd_env.envs.environment import action_box, observation_box
 from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import ACTIONS, Interface

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,17 +17,26 @@ from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.explain import shown
 from sayd_env.config.units import Array
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, Flags, Observation
+from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, Flags, Observation, checked_actions
 from sayd_env.envs.info import vehicle_info
 from sayd_env.envs.interface import Interface, Signal
-from sayd_env.envs.keywords import INFOS, RENDER_MODES, Keywords, checked_choice, configured, refuse_unknown
+from sayd_env.envs.keywords import (
+    INFOS,
+    RENDER_MODES,
+    Keywords,
+    checked_choice,
+    checked_flag,
+    configured,
+    refuse_unknown,
+)
 from sayd_env.envs.loop import LOG
 from sayd_env.envs.recorder import Recorder
+from sayd_env.envs.scaled import LearnersView, ordinary_costs
 from sayd_env.envs.sliding_rms import SlidingRms
 
 SEEDS = 2**31
 """Seeds that are drawn, where none is given, are below it."""
-KEYWORDS = ("environment", *Keywords.__annotations__, "info", "render_mode")
+KEYWORDS = ("environment", *Keywords.__annotations__, "scaled", "info", "render_mode")
 """Keywords of both environments."""
 
 
@@ -64,6 +74,7 @@ class Environment:
         count: int,
         environment: str,
         keywords: Keywords,
+        scaled: bool,
         info: str,
         render_mode: str | None,
         num_threads: int | None,
@@ -73,8 +84,11 @@ class Environment:
         refuse_unknown(keywords, (*KEYWORDS, *more))
         self._full = checked_choice("info", info, INFOS) == "full"
         self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
+        scales = checked_flag("scaled", scaled)
         config, scenario = configured(environment, **keywords)
         self.batch = EpisodeBatch(config, count, scenario=scenario, num_threads=num_threads)
+        self._view = LearnersView(self.batch.interface) if scales else None
+        self._ordinary = np.ones(count)
         self._over = np.ones(count, dtype=np.bool_)
         self._seeds: list[int | None] = [None] * count
         self._numbers = [0] * count
@@ -91,7 +105,23 @@ class Environment:
     @property
     def interface(self) -> Interface:
         """What a policy may know of the environment."""
-        return self.batch.interface
+        own = self.batch.interface
+        return own if self._view is None else dataclasses.replace(own, scaled=True)
+
+    def _spaces(self) -> tuple[Any, Any]:
+        """Spaces of one vehicle's observations and actions."""
+        if self._view is not None:
+            return self._view.observation_box, self._view.action_box
+        return observation_box(self.batch.interface), action_box(self.batch.interface)
+
+    def _commands(self, actions: Any, shape: tuple[int, ...]) -> Array:
+        """Valve commands of actions."""
+        return checked_actions(actions if self._view is None else self._view.commands(actions, shape), shape)
+
+    def _observed(self) -> Observation:
+        """What the vehicles observe now, shape (N, *obs)."""
+        seen = self.batch.observations()
+        return seen if self._view is None else self._view.observe(seen)
 
     @property
     def signals(self) -> tuple[Signal, ...]:
@@ -128,6 +158,8 @@ class Environment:
                 chosen.append((int(self.np_random.integers(SEEDS)), 0))
         episodes = [draw_episode(self.config, seed, number, options) for seed, number in chosen]
         rows = self.batch.reset(which, episodes, log=self._full, whole_track=False)
+        if self._view is not None:
+            self._ordinary[list(which)] = ordinary_costs(episodes)
         for i, (seed, number), before in zip(which, chosen, rows, strict=True):
             self._seeds[i], self._numbers[i], self._over[i] = seed, number, False
             if self._full:
@@ -157,7 +189,10 @@ class Environment:
             for i, sliding in enumerate(self._sliding):
                 if sliding is not None and not result[2][i] and (active is None or active[i]):
                     sliding.advance(self._log[i], choice[i])
-        return result
+        if self._view is None:
+            return result
+        observations, rewards, terminated, truncated = result
+        return self._view.observe(observations), rewards / self._ordinary, terminated, truncated
 
     def _full_info(self, i: int) -> dict[str, Any]:
         """Forces, valves and sliding RMS of a vehicle, with ``info="full"``."""
@@ -206,6 +241,8 @@ class Environment:
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._sliding = list(copy.deepcopy(state.sliding))
         self._over[:] = state.over
+        if self._view is not None:
+            self._ordinary = ordinary_costs(self.batch.episodes)
         self._np_random, self._np_random_seed = copy.deepcopy(state.random), state.random_seed
         if self._recorder is not None:
             self._recorder.begin()

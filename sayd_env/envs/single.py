@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
-from sayd_env.envs.environment import Environment, action_box, observation_box
-from sayd_env.envs.episode_batch import checked_actions
+from sayd_env.envs.environment import Environment
 from sayd_env.envs.info import ending_info, episode_info, step_info
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import whole_number
@@ -70,8 +69,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     | 22 to 29 | command            | front/rear, left/right, upper/lower | -    | 0   | 1     |
     | 30       | speed              | -                                   | m/s  | 0   | 140   |
 
-    ``env.unwrapped.signals`` lists name, unit and range of every number, and
-    `sayd_env.envs.wrappers.NormalizeSignals` maps the ranges to -1 to 1.
+    ``env.unwrapped.signals`` lists name, unit and range of every number. Networks want numbers of order 1:
+    ``scaled=True`` gives them, and `sayd_env.envs.wrappers.NormalizeSignals` maps the ranges to -1 to 1.
 
     **Reward.** Minus the paper's cost of the period, eq. (27): the mean over the two bogies of
     ``k_y (psi_y / y_lim)^2 + k_F (psi_F / F_max)^2``, from true signals at 1 kHz, scaled such that the
@@ -128,6 +127,10 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         Speed of all episodes, km/h.
     settings : sequence of str
         ``key=value`` assignments for the scenario, such as ``friction=0.3``. What they set is not drawn.
+    scaled : bool
+        For learners: observations of order 1 by fixed maps (`configs/learner/scaled.yaml`), cut off at -5 and
+        5; actions from -1 (closed) to 1 (open), what reaches beyond is cut off; rewards in multiples of the J
+        that an ordinary policy has at the same speed and track level, so that a second gives about -1.
     info : str
         ``basic`` or ``full``.
     render_mode : str, optional
@@ -147,14 +150,14 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self,
         environment: str = "nominal",
         *,
+        scaled: bool = False,
         info: str = "basic",
         render_mode: str | None = None,
         **keywords: Unpack[Keywords],
     ) -> None:
-        self._make(1, environment, keywords, info, render_mode, num_threads=1)
+        self._make(1, environment, keywords, scaled, info, render_mode, num_threads=1)
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
-        self.observation_space = observation_box(self.interface)
-        self.action_space = action_box(self.interface)
+        self.observation_space, self.action_space = self._spaces()
         self._shape = (self.interface.actions,)
 
     def reset(
@@ -179,7 +182,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self._begin([0], [seed], options)
         if self.render_mode == "human":
             self.render()
-        return self.batch.observations()[0], episode_info(self.batch, 0)
+        return self._observed()[0], episode_info(self.batch, 0)
 
     def step(
         self, action: npt.NDArray[np.float32]
@@ -200,7 +203,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         """
         if self._over[0]:
             raise ResetNeeded("no episode is running: call reset before step")
-        values = checked_actions(action, self._shape)
+        values = self._commands(action, self._shape)
         observation, rewards, terminated, truncated = self._advance(values[None])
         ended, late = bool(terminated[0]), bool(truncated[0])
         self._over[0] = ended or late

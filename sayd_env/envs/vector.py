@@ -17,8 +17,8 @@ from sayd_env.config import ConfigError
 from sayd_env.config.explain import shown
 from sayd_env.config.units import Array
 from sayd_env.envs.environment import KEYWORDS as OF_ONE
-from sayd_env.envs.environment import Environment, EnvironmentState, action_box, observation_box
-from sayd_env.envs.episode_batch import Flags, Observation, checked_actions
+from sayd_env.envs.environment import Environment, EnvironmentState
+from sayd_env.envs.episode_batch import Flags, Observation
 from sayd_env.envs.info import cost_terms, ending_info, episode_info, step_info
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import LARGEST, whole_number
@@ -45,7 +45,7 @@ class SaydVectorEnv(
 
     Parameters
     ----------
-    environment, damper, ..., settings, info
+    environment, damper, ..., settings, scaled, info
         As in `SaydEnv`.
     num_envs : int
         Number of vehicles.
@@ -80,6 +80,7 @@ class SaydVectorEnv(
         environment: str = "nominal",
         *,
         num_envs: int = 1,
+        scaled: bool = False,
         info: str = "basic",
         render_mode: str | None = None,
         num_threads: int | None = None,
@@ -90,7 +91,7 @@ class SaydVectorEnv(
         self._mode = _autoreset(autoreset_mode)
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
         threads = None if num_threads is None else whole_number("num_threads", num_threads, 1)
-        self._make(self.num_envs, environment, keywords, info, render_mode, threads, OWN_KEYWORDS)
+        self._make(self.num_envs, environment, keywords, scaled, info, render_mode, threads, OWN_KEYWORDS)
         if max_episode_steps is not None and max_episode_steps != -1:
             self.batch.steps = min(self.batch.steps, whole_number("max_episode_steps", max_episode_steps, 1))
         self._begun = False
@@ -99,8 +100,7 @@ class SaydVectorEnv(
             "render_fps": round(1.0 / self.config.control_period),
             "autoreset_mode": self._mode,
         }
-        self.single_observation_space = observation_box(self.interface)
-        self.single_action_space = action_box(self.interface)
+        self.single_observation_space, self.single_action_space = self._spaces()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._shape = (self.num_envs, self.interface.actions)
@@ -134,7 +134,7 @@ class SaydVectorEnv(
             infos = self._add_info(infos, episode_info(self.batch, i), i)
         if self.render_mode == "human":
             self.render()
-        return self.batch.observations(), infos
+        return self._observed(), infos
 
     def _given_seeds(self, seed: Any) -> list[int | None]:
         if seed is None:
@@ -184,7 +184,7 @@ class SaydVectorEnv(
         """
         if not self._begun:
             raise ResetNeeded("no episode is running: call reset before step")
-        values = checked_actions(actions, self._shape)
+        values = self._commands(actions, self._shape)
         over = np.flatnonzero(self._over)
         if over.size == 0:
             return self._run(values)
@@ -222,7 +222,7 @@ class SaydVectorEnv(
             infos = self._add_info(infos, self._rare(i), i)
         if which and self._mode is AutoresetMode.SAME_STEP:
             self._begin(which, [None] * len(which))
-            observations = self.batch.observations()
+            observations = self._observed()
         elif which:
             self._over[which] = True
         for i in map(int, np.flatnonzero(~stepped)):

@@ -103,6 +103,18 @@ def test_a_run_holds_what_it_needs_to_be_understood(trained: Trained) -> None:
     assert any((folder / "tensorboard").iterdir())
 
 
+def test_the_learning_rate_is_that_at_the_start_of_an_update(trained: Trained) -> None:
+    """It falls in a straight line, as if asked before the steps of the update were made."""
+    config = trained.config
+    made = {"ppo": 16 * 8, "sac": 1 * 8}[config.learning.algorithm]
+    rows = [row for row in Table(trained.folder / "progress.csv").rows if row.get("train/learning_rate")]
+    for row in rows:
+        begun = (row["steps"] - made) / config.total_steps
+        assert row["train/learning_rate"] == pytest.approx(config.learning.learning_rate * (1.0 - begun))
+    assert rows[-1]["train/learning_rate"] > 0.0
+    assert rows
+
+
 def test_the_stored_policy_acts_as_the_model(trained: Trained) -> None:
     env, encoding = make_learning_env(trained.config)
     model = make_model(trained.config, env)
@@ -170,6 +182,8 @@ def test_a_run_is_exported(
         (["ppo", "--resume", "nowhere"], "leave out the algorithm"),
         (["ppo", "--seed", "1000000"], "--seed 1000000: expected a whole number from 0 to 999999"),
         (["ppo", "--set", "environment.name=nomnal"], "did you mean 'nominal'?"),
+        (["ppo", "--set", "total_steps=1000"], "makes no update: the first one comes after 65536 steps"),
+        (["sac", "--set", "total_steps=10000"], "makes no update: the first one comes after 10001 steps"),
         (["ppo", "--set", "inputs.stroke={middle: 0.0, half: 1.0}"], "has no quantity 'stroke'"),
     ],
 )
@@ -194,8 +208,7 @@ def test_rewards_and_last_observations_are_encoded(tmp_path: Path) -> None:
     raw = SaydEnv(**environment_keywords(config), info="full")
     env.seed(3)
     np.testing.assert_allclose(env.reset()[2:4], encoding.encode(raw.reset(seed=4)[0][None]), atol=1e-6)
-    period, reference = config.environment.control_period, config.reward_reference
-    assert reference is not None
+    period = config.environment.control_period
     for step in range(25):
         outputs = np.full((8, 1), -0.5 + 0.03 * step, np.float32)
         outputs[3] += 0.1  # the rear bogie of the second vehicle
