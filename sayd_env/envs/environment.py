@@ -68,6 +68,7 @@ class Environment:
     np_random: Any
     _np_random: np.random.Generator | None
     _np_random_seed: int | None
+    _shape: tuple[int, ...]
 
     def _make(
         self,
@@ -114,9 +115,10 @@ class Environment:
             return self._view.observation_box, self._view.action_box
         return observation_box(self.batch.interface), action_box(self.batch.interface)
 
-    def _commands(self, actions: Any, shape: tuple[int, ...]) -> Array:
+    def _commands(self, actions: Any) -> Array:
         """Valve commands of actions."""
-        return checked_actions(actions if self._view is None else self._view.commands(actions, shape), shape)
+        given = actions if self._view is None else self._view.commands(actions, self._shape)
+        return checked_actions(given, self._shape)
 
     def _observed(self) -> Observation:
         """What the vehicles observe now, shape (N, *obs)."""

@@ -203,7 +203,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         """
         if self._over[0]:
             raise ResetNeeded("no episode is running: call reset before step")
-        values = self._commands(action, self._shape)
+        values = self._commands(action)
         observation, rewards, terminated, truncated = self._advance(values[None])
         ended, late = bool(terminated[0]), bool(truncated[0])
         self._over[0] = ended or late

@@ -184,7 +184,7 @@ class SaydVectorEnv(
         """
         if not self._begun:
             raise ResetNeeded("no episode is running: call reset before step")
-        values = self._commands(actions, self._shape)
+        values = self._commands(actions)
         over = np.flatnonzero(self._over)
         if over.size == 0:
             return self._run(values)

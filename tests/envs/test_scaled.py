@@ -31,7 +31,7 @@ def test_it_passes_the_checker(name: str, kind: str, quick_faults: str) -> None:
 
 
 def test_it_is_the_same_episode_in_other_units(quick_faults: str) -> None:
-    """The maps of configs/learner/scaled.yaml, written out; pressures in Pa become their distance from 1 MPa."""
+    """The maps of configs/learner/scaled.yaml, written out."""
     raw, env = SaydEnv(quick_faults), SaydEnv(quick_faults, scaled=True)
     names = [signal.name.partition(".")[0] for signal in raw.signals]
     halves = {"lateral_acceleration": 3.0, "longitudinal_acceleration": 2.0, "stroke": 0.0015, "current": 0.5}
