@@ -50,6 +50,7 @@ class SaydVecEnv(VecEnv):
         self._begun = False
         self._actions: Any = None
         super().__init__(num_envs, self.vector.single_observation_space, self.vector.single_action_space)
+        self.metadata["render_fps"] = self.vector.metadata["render_fps"]
 
     @property
     def interface(self) -> Interface:
@@ -113,12 +114,21 @@ class SaydVecEnv(VecEnv):
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        self.vector.close()
+        if hasattr(self, "vector"):  # making it may have failed
+            self.vector.close()
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
-        """A picture of the first vehicle."""
+        """A picture of each vehicle."""
         pictures = self.vector.render()
-        return (None,) if pictures is None else tuple(pictures)
+        return (None,) * self.num_envs if pictures is None else tuple(pictures)
+
+    def render(self, mode: str | None = None) -> npt.NDArray[np.uint8] | None:
+        """The vehicles' pictures as one; None in a window, which shows the first vehicle."""
+        if self.render_mode == "human" and mode in {None, "human"}:
+            self.vector.render()
+            return None
+        picture: npt.NDArray[np.uint8] | None = super().render(mode)
+        return picture
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """An attribute of the environment, once for each vehicle."""
@@ -172,6 +182,10 @@ def rows(batched: dict[str, Any], count: int) -> list[dict[str, Any]]:
         if key.startswith("_"):
             continue
         each = _of_vehicles(values, count)
+        if batched["_" + key].all():
+            for info, value in zip(infos, each, strict=True):
+                info[key] = value
+            continue
         for i in np.flatnonzero(batched["_" + key]).tolist():
             infos[i][key] = each[i]
     return infos

@@ -27,7 +27,7 @@ def cache_folder(name: str = "") -> Path | None:
 
 
 def _places() -> Iterator[Path]:
-    given = os.environ.get("SAYD_CACHE_DIR")
+    given = os.environ.get("SAYD_CACHE_DIR", "").strip()
     if given:
         yield Path(given).absolute()
         # The caller would not ask again if the first place had been usable.

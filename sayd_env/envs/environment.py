@@ -5,12 +5,13 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
+from gymnasium import error, spaces
+from gymnasium.envs.registration import EnvSpec
 
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
@@ -18,7 +19,7 @@ from sayd_env.config.explain import shown
 from sayd_env.config.units import Array
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, Flags, Observation, checked_actions
-from sayd_env.envs.info import vehicle_info
+from sayd_env.envs.info import episode_info, period_info, vehicle_info
 from sayd_env.envs.interface import Interface, Signal
 from sayd_env.envs.keywords import (
     INFOS,
@@ -38,6 +39,22 @@ SEEDS = 2**31
 """Seeds that are drawn, where none is given, are below it."""
 KEYWORDS = ("environment", *Keywords.__annotations__, "scaled", "info", "render_mode")
 """Keywords of both environments."""
+
+
+class InvalidAction(ConfigError, error.InvalidAction):
+    """An action that an environment refuses."""
+
+
+class EpisodeSpec(EnvSpec):
+    """Gymnasium's specification of an environment that truncates its episodes itself.
+
+    `TimeLimit` writes its own limit into a copy: it counts where it is the shorter one.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        own = self.__dict__.get("max_episode_steps")
+        both = name == "max_episode_steps" and own is not None and value is not None
+        super().__setattr__(name, min(own, value) if both else value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +86,9 @@ class Environment:
     _np_random: np.random.Generator | None
     _np_random_seed: int | None
     _shape: tuple[int, ...]
+    # What closing needs, also of an environment whose making failed.
+    _renderer: Any = None
+    _spec: EnvSpec | None = None
 
     def _make(
         self,
@@ -82,7 +102,7 @@ class Environment:
         more: Sequence[str] = (),
     ) -> None:
         """Make the vehicles from an environment's keywords, of which it may have `more`."""
-        refuse_unknown(keywords, (*KEYWORDS, *more))
+        refuse_unknown(f"{type(self).__name__}.__init__", keywords, (*KEYWORDS, *more))
         self._full = checked_choice("info", info, INFOS) == "full"
         self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
         scales = checked_flag("scaled", scaled)
@@ -94,9 +114,26 @@ class Environment:
         self._seeds: list[int | None] = [None] * count
         self._numbers = [0] * count
         self._sliding: list[SlidingRms | None] = [None] * count
+        self._conditions: list[dict[str, Any]] = [{}] * count
         self._log = np.zeros((count, self.batch.settings.samples, LOG)) if self._full else None
-        self._recorder: Recorder | None = None if render_mode is None else Recorder(self.batch)
-        self._renderer: Any = None
+        pictures = {None: 0, "human": 1}.get(render_mode, count)
+        self._recorders = [Recorder(self.batch, i) for i in range(pictures)]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy draws with a renderer of its own."""
+        return self.__dict__ | {"_renderer": None}
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium makes the environment, with the control periods of an episode."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            given = {part.name: getattr(spec, part.name) for part in fields(spec) if part.init}
+            spec = EpisodeSpec(**given | {"max_episode_steps": self.batch.steps})
+        self._spec = spec
 
     @property
     def config(self) -> EnvironmentConfig:
@@ -114,11 +151,6 @@ class Environment:
         if self._view is not None:
             return self._view.observation_box, self._view.action_box
         return observation_box(self.batch.interface), action_box(self.batch.interface)
-
-    def _commands(self, actions: Any) -> Array:
-        """Valve commands of actions."""
-        given = actions if self._view is None else self._view.commands(actions, self._shape)
-        return checked_actions(given, self._shape)
 
     def _observed(self) -> Observation:
         """What the vehicles observe now, shape (N, *obs)."""
@@ -164,10 +196,27 @@ class Environment:
             self._ordinary[list(which)] = ordinary_costs(episodes)
         for i, (seed, number), before in zip(which, chosen, rows, strict=True):
             self._seeds[i], self._numbers[i], self._over[i] = seed, number, False
+            self._conditions[i] = episode_info(self.batch, i)
             if self._full:
                 self._sliding[i] = self._after_the_run_in(i, before)
-        if self._recorder is not None and self._recorder.vehicle in which:
-            self._recorder.begin()
+        for recorder in self._recorders:
+            if recorder.vehicle in which:
+                recorder.begin()
+
+    def _commands(self, actions: Any) -> Array:
+        """Valve commands of actions.
+
+        Raises
+        ------
+        InvalidAction
+            They cannot be used.
+        """
+        try:
+            given = actions if self._view is None else self._view.commands(actions, self._shape)
+            return checked_actions(given, self._shape)
+        except ConfigError as refused:
+            advice = "gymnasium.wrappers.ClipAction keeps actions in their range"
+            raise InvalidAction(f"{refused}; {advice}") from None
 
     def _after_the_run_in(self, i: int, rows: Array) -> SlidingRms:
         batch, episode = self.batch, self.batch.episodes[i]
@@ -185,8 +234,8 @@ class Environment:
         # f_0 moves at the end of a period: its samples were filtered in the bands before.
         choice = None if self._log is None else self.batch.vehicles.choice()
         result = self.batch.step(actions, log=self._log, active=active)
-        if self._recorder is not None:
-            self._recorder.take()
+        for recorder in self._recorders:
+            recorder.take()
         if self._log is not None and choice is not None:
             for i, sliding in enumerate(self._sliding):
                 if sliding is not None and not result[2][i] and (active is None or active[i]):
@@ -196,19 +245,22 @@ class Environment:
         observations, rewards, terminated, truncated = result
         return self._view.observe(observations), rewards / self._ordinary, terminated, truncated
 
+    def _info(self, i: int) -> dict[str, Any]:
+        """Info of one vehicle, after a reset as after a step."""
+        return period_info(self.batch, i) | self._conditions[i] | self._full_info(i)
+
     def _full_info(self, i: int) -> dict[str, Any]:
         """Forces, valves and sliding RMS of a vehicle, with ``info="full"``."""
         sliding = self._sliding[i]
         return {} if sliding is None else vehicle_info(self.batch, i, sliding)
 
-    def _picture(self) -> Any:
-        """A picture of the first vehicle, or None in a window."""
+    def _pictures(self) -> tuple[Any, ...]:
+        """A picture of each vehicle; None of the first one that a window shows."""
         if self._renderer is None:
             from sayd_env.envs.rendering import Renderer  # noqa: PLC0415 - Matplotlib's typeface takes its time
 
-            assert self._recorder is not None and self.render_mode is not None  # noqa: PT018 - both are set together
-            self._renderer = Renderer(self._recorder, self.render_mode)
-        return self._renderer.draw()
+            self._renderer = Renderer(self._recorders[0], str(self.render_mode))
+        return tuple(self._renderer.draw(recorder) for recorder in self._recorders)
 
     def _close_window(self) -> None:
         if self._renderer is not None:
@@ -246,8 +298,9 @@ class Environment:
         if self._view is not None:
             self._ordinary = ordinary_costs(self.batch.episodes)
         self._np_random, self._np_random_seed = copy.deepcopy(state.random), state.random_seed
-        if self._recorder is not None:
-            self._recorder.begin()
+        self._conditions = [episode_info(self.batch, i) for i in range(self.batch.count)]
+        for recorder in self._recorders:
+            recorder.begin()
 
 
 def observation_box(interface: Interface) -> Any:

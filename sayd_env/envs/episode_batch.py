@@ -51,6 +51,8 @@ from sayd_env.stability import Limits
 Observation = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 
+ROUNDING = 1e-6
+"""So far may a valve command be beyond its bound: a map to 0 to 1 in float32 rounds."""
 ENDINGS = {
     CLIMBED: "derailment: a wheel has climbed over its rail",
     OVERLOADED: "derailment risk: mean Y/Q beyond its limit",
@@ -486,7 +488,7 @@ def _sensed(config: EnvironmentConfig, name: str, signal: str) -> Signal:
 
 
 def checked_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Valve commands of the right shape, each a number from 0 to 1.
+    """Valve commands of the right shape, each a number from 0 to 1; rounding beyond is cut off.
 
     Raises
     ------
@@ -497,9 +499,13 @@ def checked_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     if values.shape != shape:
         raise ConfigError(f"action: found shape {values.shape}; expected {shape}")
     inside = (values >= 0.0) & (values <= 1.0)
+    if np.count_nonzero(inside) == inside.size:
+        return values
+    inside = (values >= -ROUNDING) & (values <= 1.0 + ROUNDING)
     if np.count_nonzero(inside) < inside.size:
         place = tuple(int(i) for i in np.argwhere(~inside)[0])
         raise ConfigError(
             f"action: found {float(values[place])!r} at {list(place)}; expected finite numbers from 0 to 1"
         )
-    return values
+    clipped: Array = np.clip(values, 0.0, 1.0)
+    return clipped

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sayd_env.config.units import Array
 from sayd_env.envs import trace
@@ -24,52 +26,59 @@ from sayd_env.envs.sliding_rms import SlidingRms
 from sayd_env.envs.trace import DAMPERS, POINTS
 from sayd_env.physics.plant import LANES
 
-
-def cost_terms(batch: EpisodeBatch) -> tuple[Array, Array]:
-    """Terms of the cost of the last period, unweighted, means of the bogies: new arrays of shape (count,)."""
-    acceleration, force = squares(batch.vehicles.terms)
-    if np.count_nonzero(batch.vehicles.status):
-        return np.nan_to_num(acceleration, posinf=0.0), np.nan_to_num(force, posinf=0.0)
-    return acceleration, force
+NO_PERIOD = 0.0
+"""What the costs of a period are at a reset, when there has been none."""
 
 
-def step_info(batch: EpisodeBatch, i: int) -> dict[str, Any]:
-    """Cost and frequency of a vehicle's last period."""
-    terms = batch.vehicles.terms[i].tolist()
+def period_info(batch: EpisodeBatch, i: int) -> dict[str, Any]:
+    """Cost of a vehicle's last period and its frequency; why its run ended early, if it did."""
+    terms, begun = batch.vehicles.terms[i].tolist(), batch.elapsed[i] > 0
     acceleration = (terms[COST_ACCELERATION] + terms[COST_ACCELERATION + 1]) / BOGIES
     force = (terms[COST_FORCE] + terms[COST_FORCE + 1]) / BOGIES
+    status = int(batch.vehicles.status[i])
     return {
-        "cost_acceleration": acceleration if math.isfinite(acceleration) else 0.0,
-        "cost_force": force if math.isfinite(force) else 0.0,
+        "cost_acceleration": acceleration if begun and math.isfinite(acceleration) else NO_PERIOD,
+        "cost_force": force if begun and math.isfinite(force) else NO_PERIOD,
         "dominant_frequency": batch.dominant_frequency()[i],
+        "ending": "" if status == RUNNING else batch.ending(i),
+        "error": batch.ending(i) if status == NOT_FINITE else "",
     }
 
 
-def ending_info(batch: EpisodeBatch, i: int) -> dict[str, Any]:
-    """Why a vehicle's run ended early; nothing if it did not."""
-    status = int(batch.vehicles.status[i])
-    if status == RUNNING:
-        return {}
-    ending = batch.ending(i)
-    return {"ending": ending, "error": ending} if status == NOT_FINITE else {"ending": ending}
+def period_infos(batch: EpisodeBatch) -> dict[str, npt.NDArray[Any]]:
+    """`period_info` of all vehicles at once: new arrays with a row for each."""
+    begun, status = batch.elapsed > 0, batch.vehicles.status
+    acceleration, force = squares(batch.vehicles.terms)
+    ending, error = np.full((2, batch.count), "", dtype=object)
+    for i in map(int, np.flatnonzero(status)):
+        ending[i] = batch.ending(i)
+        error[i] = ending[i] if status[i] == NOT_FINITE else ""
+    return {
+        "cost_acceleration": np.where(begun & np.isfinite(acceleration), acceleration, NO_PERIOD),
+        "cost_force": np.where(begun & np.isfinite(force), force, NO_PERIOD),
+        "dominant_frequency": batch.dominant_frequency(),
+        "ending": ending,
+        "error": error,
+    }
 
 
 def episode_info(batch: EpisodeBatch, i: int) -> dict[str, Any]:
-    """Conditions of a vehicle's episode."""
+    """Conditions of a vehicle's episode; the key `episode` is that of Gymnasium's statistics."""
     episode, scenario = batch.episodes[i], batch.scenario
     assert episode is not None  # the reset has set it
     wheel = scenario.wheel if episode.wheel is None else episode.wheel
     return {
         "seed": episode.seed,
-        "episode": episode.number,
-        "speed_kmh": episode.speed * 3.6,
+        "episode_number": episode.number,
+        "speed_kmh": float(episode.speed * 3.6),
         "profile": wheel.name if episode.profile is None else episode.profile,
-        "wheel_shift": wheel.shift if episode.wheel_shift is None else episode.wheel_shift,
-        "gauge": scenario.track.gauge if episode.gauge is None else episode.gauge,
-        "wear": scenario.wear if episode.wear is None else episode.wear,
-        "friction": scenario.friction if episode.friction is None else episode.friction,
+        "wheel_shift": float(wheel.shift if episode.wheel_shift is None else episode.wheel_shift),
+        "gauge": float(scenario.track.gauge if episode.gauge is None else episode.gauge),
+        "wear": float(scenario.wear if episode.wear is None else episode.wear),
+        "friction": float(scenario.friction if episode.friction is None else episode.friction),
         "track": "of the study" if episode.track is None else episode.track,
-        "faults": [fault.model_dump() for fault in episode.faults],
+        # A text, for it has one type whatever is in it: what collects infos can keep no lists of mappings.
+        "faults": json.dumps([fault.model_dump(mode="json") for fault in episode.faults]),
     }
 
 

@@ -16,6 +16,11 @@ from sayd_env.config.sensors import SensorsConfig, load_sensors
 from sayd_env.envs.episode_batch import environment_scenario
 from sayd_env.envs.options import checked_number, number
 
+
+class UnexpectedKeyword(ConfigError, TypeError):
+    """A keyword that there is not. Clients probe for theirs and know Python's own error by type and words."""
+
+
 INFOS = ("basic", "full")
 """Levels of `info`."""
 RENDER_MODES = ("rgb_array", "human")
@@ -66,7 +71,7 @@ def configured(
         raise ConfigError(
             f"environment: found {shown(environment)}; expected the name of an environment or a path"
         )
-    refuse_unknown(keywords, Keywords.__annotations__)
+    refuse_unknown("configured", keywords, Keywords.__annotations__)
     given: dict[str, Any] = {key: value for key, value in keywords.items() if value is not None}
     assignments = _assignments(given.pop("settings", None))
     weights = _weights(given.pop("reward", None))
@@ -86,19 +91,20 @@ def configured(
     return config, scenario
 
 
-def refuse_unknown(keywords: Mapping[str, Any], known: Iterable[str]) -> None:
-    """Refuse keywords that an environment does not have.
+def refuse_unknown(function: str, keywords: Mapping[str, Any], known: Iterable[str]) -> None:
+    """Refuse keywords that a function of this name does not have.
 
     Raises
     ------
-    ConfigError
+    UnexpectedKeyword
         There is one.
     """
     allowed = sorted(known)
     for key in keywords:
         if key not in allowed:
-            raise ConfigError(
-                f"unknown keyword {shown(key)}{nearest(key, allowed)}; allowed: {', '.join(allowed)}"
+            raise UnexpectedKeyword(
+                f"{function}() got an unexpected keyword argument {shown(key)}{nearest(key, allowed)}; "
+                f"allowed: {', '.join(allowed)}"
             )
 
 

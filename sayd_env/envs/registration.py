@@ -18,10 +18,15 @@ IDS = {
 """Environments by their ids; Gymnasium refuses an older version by the name of this one."""
 
 
+def id_of(environment: str) -> str:
+    """The id of a packaged environment; of one's own, the first, whose keyword names it."""
+    return next((name for name, packaged in IDS.items() if packaged == environment), next(iter(IDS)))
+
+
 def register_environments() -> None:
     """Register the ids, unless they are registered already.
 
-    No `max_episode_steps`: the environments truncate their episodes themselves.
+    No `max_episode_steps`: the environments truncate their episodes themselves; their `spec` says when.
     """
     for name, environment in IDS.items():
         if name not in gymnasium.registry:

@@ -102,8 +102,15 @@ class Renderer:
         self.window = Window((WIDTH, HEIGHT), "Semi-active yaw dampers") if mode == "human" else None
         self._ground()
 
-    def draw(self) -> Picture | None:
-        """Draw the vehicle as it is now: a new array of shape (height, width, 3), or None in a window."""
+    def draw(self, recorder: Recorder | None = None) -> Picture | None:
+        """Draw the vehicle as it is now: a new array of shape (height, width, 3), or None in a window.
+
+        Parameters
+        ----------
+        recorder : Recorder, optional
+            Of another vehicle of the same batch, to be drawn from now on.
+        """
+        self.recorder = recorder or self.recorder
         if self.window is None:
             self._paint(self.recorder.frame())
             return self.canvas.pixels()

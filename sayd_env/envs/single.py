@@ -7,12 +7,13 @@ from typing import Any, SupportsFloat, Unpack
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
 from sayd_env.envs.environment import Environment
-from sayd_env.envs.info import ending_info, episode_info, step_info
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import whole_number
+from sayd_env.envs.registration import id_of
 
 
 class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
@@ -89,9 +90,10 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     ``reset(options={...})`` fixes some of ``speed_kmh, profile, wear, gauge, friction, payload,
     initial_current, track, track_scale, faults``.
 
-    **Info.** Each step ``cost_acceleration`` and ``cost_force`` (the two squares of the cost, unweighted,
-    means of the bogies), ``dominant_frequency`` (2, Hz); ``ending`` where the run was terminated. `reset`
-    reports ``seed, episode, speed_kmh, profile, wheel_shift, wear, gauge, friction, track, faults``. With
+    **Info.** The same keys after a reset and a step. Of the period ``cost_acceleration`` and ``cost_force``
+    (the two squares of the cost, unweighted, means of the bogies; 0 after a reset), ``dominant_frequency``
+    (2, Hz), and ``ending`` and ``error``, empty unless the run was terminated or diverged. Of the episode
+    ``seed, episode_number, speed_kmh, profile, wheel_shift, wear, gauge, friction, track, faults``. With
     ``info="full"`` also, at the end of the period: ``damper_force`` (8, N), ``track_shift_force`` (4, N),
     ``wheel_lateral_force`` and
     ``wheel_vertical_force`` (8, N, on the rails; left and right in turn), ``valve_current`` and
@@ -139,7 +141,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     Raises
     ------
     ConfigError
-        A keyword, an option or an action that cannot be used; the message names it and what is allowed.
+        A keyword, an option or an action that cannot be used; the message names it and what is allowed. An
+        unknown keyword is also a ``TypeError``, an action also a ``gymnasium.error.InvalidAction``.
     gymnasium.error.ResetNeeded
         A step before the first reset or after the end of an episode.
     """
@@ -159,6 +162,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
         self.observation_space, self.action_space = self._spaces()
         self._shape = (self.interface.actions,)
+        made = {"environment": environment, "scaled": scaled, "info": info, "render_mode": render_mode, **keywords}
+        self.spec = EnvSpec(id_of(environment), "sayd_env.envs.single:SaydEnv", kwargs=made)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -182,7 +187,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self._begin([0], [seed], options)
         if self.render_mode == "human":
             self.render()
-        return self._observed()[0], episode_info(self.batch, 0)
+        return self._observed()[0], self._info(0)
 
     def step(
         self, action: npt.NDArray[np.float32]
@@ -196,8 +201,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
 
         Raises
         ------
-        ConfigError
-            An action of another shape, out of range or not finite.
+        InvalidAction
+            An action of another shape, out of range by more than rounding (1e-6) or not finite.
         gymnasium.error.ResetNeeded
             No episode is running.
         """
@@ -209,17 +214,14 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self._over[0] = ended or late
         if self.render_mode == "human":
             self.render()
-        info = step_info(self.batch, 0)
-        if ended:
-            info |= ending_info(self.batch, 0)
-        return observation[0], float(rewards[0]), ended, late, info | self._full_info(0)
+        return observation[0], float(rewards[0]), ended, late, self._info(0)
 
     def render(self) -> Any:
         """A picture of the vehicle: an array of shape (height, width, 3), or None with ``human``."""
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: give make render_mode='rgb_array' or 'human'")
             return None
-        return self._picture()
+        return self._pictures()[0]
 
     def close(self) -> None:
         """Close the window, if there is one. Closing it again has no effect."""

@@ -92,6 +92,8 @@ class SlidingRms:
         self._choice = choice.copy()
 
     def rms(self) -> tuple[Array, Array]:
-        """Sliding RMS at the measuring points: acceleration (m/s2) and track shift force (N)."""
+        """Sliding RMS of acceleration (m/s2) and track shift force (N) at the points; 0 without samples."""
+        if not len(self._filtered):
+            return np.zeros(POINTS), np.zeros(POINTS)
         values = np.sqrt(np.mean(self._filtered**2, axis=0))
         return values[:POINTS], values[POINTS:]

@@ -19,7 +19,7 @@ from sayd_env.config.units import Array
 from sayd_env.envs.environment import KEYWORDS as OF_ONE
 from sayd_env.envs.environment import Environment, EnvironmentState
 from sayd_env.envs.episode_batch import Flags, Observation
-from sayd_env.envs.info import cost_terms, ending_info, episode_info, step_info
+from sayd_env.envs.info import period_infos
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import LARGEST, whole_number
 
@@ -40,8 +40,8 @@ class SaydVectorEnv(
     mask ``_key``.
 
     Worker processes hardly pay for their messages here. If you need them: `AsyncVectorEnv` runs `SaydEnv`
-    with the contexts ``forkserver`` and ``spawn``; with ``fork`` only as long as the process has not yet
-    stepped several vehicles with several threads, because GNU OpenMP ends a copy made after that.
+    with any context. A batch inside a worker that was forked after several threads have run here needs
+    ``num_threads=1``, since a fork does not copy threads; ``forkserver`` and ``spawn`` have no such limit.
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ class SaydVectorEnv(
     max_episode_steps : int, optional
         Truncate after this many steps; for longer episodes set `episode_s`.
     render_mode : str, optional
-        ``rgb_array`` or ``human``: the first vehicle.
+        ``rgb_array``, a picture of each vehicle, or ``human``, a window that shows the first one.
 
     Raises
     ------
     ConfigError
-        A keyword, an option or an action that cannot be used; the message names it and what is allowed.
+        A keyword, an option or an action that cannot be used; see `SaydEnv`.
     gymnasium.error.ResetNeeded
         A step before the first reset, or with ``Disabled`` after the end of an episode.
     """
@@ -88,7 +88,7 @@ class SaydVectorEnv(
         max_episode_steps: int | None = None,
         **keywords: Unpack[Keywords],
     ) -> None:
-        self._mode = _autoreset(autoreset_mode)
+        self.autoreset_mode = _autoreset(autoreset_mode)
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
         threads = None if num_threads is None else whole_number("num_threads", num_threads, 1)
         self._make(self.num_envs, environment, keywords, scaled, info, render_mode, threads, OWN_KEYWORDS)
@@ -98,7 +98,7 @@ class SaydVectorEnv(
         self.metadata = {
             **self.metadata,
             "render_fps": round(1.0 / self.config.control_period),
-            "autoreset_mode": self._mode,
+            "autoreset_mode": self.autoreset_mode,
         }
         self.single_observation_space, self.single_action_space = self._spaces()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -129,12 +129,11 @@ class SaydVectorEnv(
         which = self._masked(fixed.pop("reset_mask", None))
         self._begin(which, [seeds[i] for i in which], fixed)
         self._begun = True
-        infos: dict[str, Any] = {}
-        for i in which:
-            infos = self._add_info(infos, episode_info(self.batch, i), i)
+        reported = np.zeros(self.num_envs, dtype=np.bool_)
+        reported[which] = True
         if self.render_mode == "human":
             self.render()
-        return self._observed(), infos
+        return self._observed(), self._infos(reported)
 
     def _given_seeds(self, seed: Any) -> list[int | None]:
         if seed is None:
@@ -177,8 +176,8 @@ class SaydVectorEnv(
 
         Raises
         ------
-        ConfigError
-            Actions of another shape, out of range or not finite.
+        InvalidAction
+            Actions of another shape, out of range by more than rounding (1e-6) or not finite.
         gymnasium.error.ResetNeeded
             No episode is running.
         """
@@ -188,7 +187,7 @@ class SaydVectorEnv(
         over = np.flatnonzero(self._over)
         if over.size == 0:
             return self._run(values)
-        if self._mode is AutoresetMode.DISABLED:
+        if self.autoreset_mode is AutoresetMode.DISABLED:
             raise ResetNeeded(
                 f"the episodes of the vehicles {over.tolist()} have ended: reset them with reset_mask"
             )
@@ -203,62 +202,51 @@ class SaydVectorEnv(
     ) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
         """Step the active vehicles; the others have just begun."""
         observations, rewards, terminated, truncated = self._advance(values, active)
-        stepped = np.ones(self.num_envs, dtype=np.bool_)
         if active is not None:
-            stepped = active
             terminated &= active
             truncated &= active
         done = terminated | truncated
-        which = [int(i) for i in np.flatnonzero(done)]
-        infos: dict[str, Any] = {}
-        if which and self._mode is AutoresetMode.SAME_STEP:
+        which, last = np.flatnonzero(done).tolist(), {}
+        if which and self.autoreset_mode is AutoresetMode.SAME_STEP:
+            final = np.full(self.num_envs, None, dtype=object)
             for i in which:
-                final = {"final_obs": observations[i].copy(), "final_info": self._info(i)}
-                infos = self._add_info(infos, final, i)
-            stepped = stepped & ~done
-        infos = self._with_basics(infos, stepped)
-        reported = stepped if self._full else stepped & terminated
-        for i in map(int, np.flatnonzero(reported)):
-            infos = self._add_info(infos, self._rare(i), i)
-        if which and self._mode is AutoresetMode.SAME_STEP:
+                final[i] = observations[i].copy()
+            last = {"final_obs": final, "final_info": self._infos(done)}
+            last |= {"_" + key: done.copy() for key in last}
             self._begin(which, [None] * len(which))
             observations = self._observed()
         elif which:
             self._over[which] = True
-        for i in map(int, np.flatnonzero(~stepped)):
-            infos = self._add_info(infos, episode_info(self.batch, i), i)
         if self.render_mode == "human":
             self.render()
-        return observations, rewards, terminated, truncated, infos
+        infos = self._infos(np.ones(self.num_envs, dtype=np.bool_))
+        return observations, rewards, terminated, truncated, infos | last
 
-    def _with_basics(self, infos: dict[str, Any], stepped: Flags) -> dict[str, Any]:
-        """Info of every step, as arrays at once."""
-        if not stepped.any():
-            return infos
-        acceleration, force = cost_terms(self.batch)
-        reported = {
-            "cost_acceleration": np.where(stepped, acceleration, 0.0),
-            "cost_force": np.where(stepped, force, 0.0),
-            "dominant_frequency": np.where(stepped[:, None], self.batch.dominant_frequency(), 0.0),
-        }
-        for key, values in reported.items():
-            infos[key], infos["_" + key] = values, stepped.copy()
+    def _begin(
+        self, which: Sequence[int], seeds: Sequence[int | None], options: Mapping[str, Any] | None = None
+    ) -> None:
+        super()._begin(which, seeds, options)
+        self._conditions_together = together(self._conditions)
+
+    def _infos(self, reported: Flags) -> dict[str, Any]:
+        """Info of these vehicles in Gymnasium's form, as `SaydEnv` gives it: new arrays."""
+        found = period_infos(self.batch)
+        found |= {key: values.copy() for key, values in self._conditions_together.items()}
+        if self._full:
+            found |= together([self._full_info(i) for i in range(self.num_envs)])
+        infos: dict[str, Any] = {}
+        for key, values in found.items():
+            values[~reported] = None if values.dtype == object else 0
+            infos[key], infos["_" + key] = values, reported.copy()
         return infos
 
-    def _rare(self, i: int) -> dict[str, Any]:
-        return ending_info(self.batch, i) | self._full_info(i)
-
-    def _info(self, i: int) -> dict[str, Any]:
-        """Info of one vehicle, as `SaydEnv` gives it."""
-        return step_info(self.batch, i) | self._rare(i)
-
     def render(self) -> Any:
-        """Pictures of the first vehicle: a tuple of one array of shape (height, width, 3), or None."""
+        """Pictures of all vehicles: an array of shape (height, width, 3) for each, or None with ``human``."""
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: give make_vec render_mode='rgb_array' or 'human'")
             return None
-        picture = self._picture()
-        return None if picture is None else (picture,)
+        pictures = self._pictures()
+        return None if self.render_mode == "human" else pictures
 
     def close_extras(self, **_: Any) -> None:
         """Close the window, if there is one."""
@@ -271,7 +259,21 @@ class SaydVectorEnv(
     def set_state(self, state: EnvironmentState) -> None:
         """Go back to a state, as `SaydEnv.set_state`."""
         super().set_state(state)
+        self._conditions_together = together(self._conditions)
         self._begun = True
+
+
+def together(infos: Sequence[Mapping[str, Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Infos of vehicles with the same keys as new arrays with a row for each; texts and lists are objects."""
+    return {key: _column([info[key] for info in infos]) for key in infos[0]}
+
+
+def _column(values: list[Any]) -> npt.NDArray[Any]:
+    if isinstance(values[0], int | float | np.number | np.ndarray):
+        return np.array(values)
+    column = np.empty(len(values), dtype=object)
+    column[:] = values
+    return column
 
 
 def _mapping(options: Any) -> dict[str, Any]:

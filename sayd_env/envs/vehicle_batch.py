@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -35,7 +34,7 @@ from sayd_env.envs.vehicle import LoopSettings, Vehicle
 from sayd_env.physics.aligned import copied
 from sayd_env.physics.batch import checked_threads
 from sayd_env.physics.formation import Formation
-from sayd_env.physics.kernel import specialised
+from sayd_env.physics.kernel import compiled_threads, specialised
 from sayd_env.physics.plant import State
 from sayd_env.physics.ragged import RaggedBatch
 from sayd_env.stability.online import Band, BandState
@@ -316,17 +315,8 @@ class VehicleBatch:
         )
         if self._compiled is None:
             self._compiled = self._compile(arguments)
-        if self.num_threads == 1:
+        with compiled_threads(self.num_threads):
             self._compiled(*arguments)
-            return
-        before = numba.get_num_threads()
-        numba.set_num_threads(self.num_threads)
-        try:
-            # Vehicles differ in their steps: a thread that is free takes the next one.
-            with numba.parallel_chunksize(1):
-                self._compiled(*arguments)
-        finally:
-            numba.set_num_threads(before)
 
     def _compile(self, arguments: tuple[Any, ...]) -> Any:
         """The compiled loop for these arguments' types.

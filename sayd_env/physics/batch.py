@@ -25,7 +25,7 @@ from sayd_env.physics.formation import (
     state_of,
     work_of,
 )
-from sayd_env.physics.kernel import kernel, named
+from sayd_env.physics.kernel import compiled_threads, kernel, named
 from sayd_env.physics.kernel_cache import numba_config
 from sayd_env.physics.plant import Plant, State, Work
 from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
@@ -198,20 +198,8 @@ class BatchSimulator:
         signals = np.empty((count, samples, self._channels))
         done = np.zeros(count, dtype=np.int64)
         kernel = advance_units if self.num_threads == 1 else advance_units_in_parallel
-        before = numba.get_num_threads()
-        numba.set_num_threads(self.num_threads)
-        try:
-            # Vehicles differ in their substeps: a thread that is free takes the next one.
-            with numba.parallel_chunksize(1):
-                kernel(
-                    self._formation.units(),
-                    *self._formation.arguments(),
-                    self._substeps,
-                    signals,
-                    done,
-                )
-        finally:
-            numba.set_num_threads(before)
+        with compiled_threads(self.num_threads):
+            kernel(self._formation.units(), *self._formation.arguments(), self._substeps, signals, done)
         for simulator, taken in zip(self.simulators, done, strict=True):
             if taken < samples:
                 raise StudyError(simulator.divergence())

@@ -16,7 +16,9 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import numba
 from numba.core import event
 from numba.core.compiler import Compiler
+from numba.np.ufunc import parallel as threading_layer
 
+from sayd_env.config import ConfigError
 from sayd_env.physics.kernel_cache import kernel_cache, kernel_folder
 
 njit: Any = numba.njit  # its annotations leave out the option that switches reference counts off
@@ -104,6 +106,46 @@ def specialised(function: Callable[P, R], arguments: tuple[Any, ...]) -> Callabl
     """A kernel's machine code for arguments of these types: calling it does not look at the types again."""
     dispatcher: Any = function
     return dispatcher.compile(tuple(map(numba.typeof, arguments)))  # type: ignore[no-any-return]
+
+
+@contextmanager
+def compiled_threads(count: int) -> Iterator[None]:
+    """Number of threads of the parallel kernels that are called in this context; 1 for kernels without.
+
+    Raises
+    ------
+    ConfigError
+        This process is the fork of one in which such threads ran. They are not in the copy, and GNU OpenMP
+        would wait for them or end it: without a word to a parent that waits for an answer.
+    """
+    if count == 1:
+        yield
+        return
+    if _lost_threads:
+        raise ConfigError(
+            "num_threads: this process was forked from one that had started compiled threads, which a fork "
+            "does not copy; start workers with 'forkserver' or 'spawn', such as AsyncVectorEnv(..., "
+            "context='forkserver'), or give their batches num_threads=1"
+        )
+    before = numba.get_num_threads()
+    numba.set_num_threads(count)
+    try:
+        # Vehicles differ in their steps: a thread that is free takes the next one.
+        with numba.parallel_chunksize(1):
+            yield
+    finally:
+        numba.set_num_threads(before)
+
+
+_lost_threads = False
+
+
+def _after_fork() -> None:
+    global _lost_threads  # noqa: PLW0603 - a state of the process
+    _lost_threads = threading_layer._is_initialized
+
+
+os.register_at_fork(after_in_child=_after_fork)
 
 
 @contextmanager

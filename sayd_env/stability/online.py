@@ -120,7 +120,8 @@ def band(online: OnlineConfig, assessment: AssessmentConfig, rate: float) -> Ban
     start = int(np.argmin(np.abs(frequency - online.start_frequency)))
     settling = max(1, round(online.settling * rate))
     return Band(
-        sections=np.stack([_sections(f, assessment, rate) for f in frequency]),
+        # Contiguous: a copy of an environment would have it so, and compile its kernels for it.
+        sections=np.ascontiguousarray([_sections(f, assessment, rate) for f in frequency]),
         frequency=frequency,
         counts=np.array([samples, settling, start]),
         phase=_phases(frequency, online.frequency_step, samples / rate),

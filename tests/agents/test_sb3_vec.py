@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
+from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -11,7 +14,7 @@ SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.monitor import Monitor  # noqa: E402
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor  # noqa: E402
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecVideoRecorder  # noqa: E402
 
 from sayd_env import baselines  # noqa: E402
 from sayd_env.agents.sb3_vec import SaydVecEnv  # noqa: E402
@@ -105,7 +108,7 @@ def test_the_end_by_time_is_told_from_a_derailment(quick: str) -> None:
         _, _, dones, infos = batch.step(np.zeros((4, 2), np.float32))
         for info in (infos[i] for i in np.flatnonzero(dones)):
             cut[info["TimeLimit.truncated"]] += 1
-            assert ("ending" in info) != info["TimeLimit.truncated"]
+            assert bool(info["ending"]) != info["TimeLimit.truncated"]
             assert info["terminal_observation"].shape == batch.observation_space.shape
     assert cut[False] > 0
 
@@ -127,14 +130,60 @@ def test_attributes_are_told_for_each_vehicle(quick: str) -> None:
         SaydVecEnv(quick, sped=3)
 
 
-def test_pictures_are_those_of_the_first_vehicle(quick: str) -> None:
+def test_pictures_are_those_of_dummy_vec_env(quick: str) -> None:
     pytest.importorskip("pygame", reason="needs the extra 'render'")
-    batch = SaydVecEnv(quick, 2, render_mode="rgb_array")
+    keywords: dict[str, Any] = {"render_mode": "rgb_array", "control_period": 0.02}
+    batch = SaydVecEnv(quick, 3, **keywords)
+    plain = DummyVecEnv([lambda: SaydEnv(quick, **keywords)] * 3)
+    for vector in (batch, plain):
+        vector.seed(1)
+        vector.reset()
+        vector.step(np.full((3, 2), 0.5, np.float32))
+    np.testing.assert_array_equal(batch.get_images(), plain.get_images())
+    np.testing.assert_array_equal(batch.render(), plain.render())
+    other = pickle.loads(pickle.dumps(batch))
+    np.testing.assert_array_equal(other.render(), batch.render())
+    for vector in (batch, other):
+        vector.close()
+
+
+def test_a_window_shows_the_first_vehicle(quick: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pygame", reason="needs the extra 'render'")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    batch = SaydVecEnv(quick, 2, render_mode="human")
     batch.reset()
-    picture = batch.render("rgb_array")
-    assert picture is not None
-    assert (picture.ndim, picture.shape[2], picture.dtype) == (3, 3, np.uint8)
+    assert batch.render() is None
     batch.close()
+
+
+def test_videos_have_the_rate_of_the_steps(quick: str, tmp_path: Path) -> None:
+    moviepy = pytest.importorskip("moviepy", reason="the recorder needs moviepy")
+    batch = SaydVecEnv(quick, 2, render_mode="rgb_array", control_period=0.02)
+    assert batch.metadata["render_fps"] == 50
+    recorder = VecVideoRecorder(batch, str(tmp_path), lambda step: step == 0, video_length=10)
+    recorder.reset()
+    for _ in range(12):
+        recorder.step(np.full((2, 2), 0.5, np.float32))
+    recorder.close()
+    (file,) = tmp_path.glob("*.mp4")
+    clip = moviepy.VideoFileClip(str(file))
+    assert clip.fps == 50
+    clip.close()
+
+
+def test_closing_what_was_never_made() -> None:
+    with pytest.raises(ConfigError):
+        SaydVecEnv(valves="axle")
+    SaydVecEnv.__new__(SaydVecEnv).close()
+
+
+def test_time_features_know_the_length_of_an_episode(quick: str) -> None:
+    wrappers = pytest.importorskip("sb3_contrib.common.wrappers", reason="needs sb3-contrib")
+    for env in (gym.make("SAYD/Nominal-v1", environment=quick), SaydEnv(quick)):
+        aware = wrappers.TimeFeatureWrapper(env)
+        aware.reset(seed=1)
+        left = [aware.step(np.zeros(2, np.float32))[0][-1] for _ in range(20)]
+        np.testing.assert_allclose(left, 1.0 - np.arange(1, 21) / 20, atol=1e-6)
 
 
 def cost_of_the_evaluator(environment: str, policy: str, seed: int) -> float:

@@ -73,7 +73,7 @@ def message_of(call: Any, *arguments: Any, **keywords: Any) -> str:
         ("speed_kmh", HUGER, f"speed_kmh: found {UNWRITTEN}; expected a number from 30"),
         ("speed_kmh", Fraction(HUGE), "speed_kmh: found Fraction(1000"),
         ("speed_kmh", np.array([300.0]), "speed_kmh: found array([300.]); expected"),
-        ("s\x1bped", 1, r"unknown keyword 's\x1bped'"),
+        ("s\x1bped", 1, r"unexpected keyword argument 's\x1bped'"),
     ],
     ids=kind,
 )

@@ -373,31 +373,10 @@ def test_a_window_that_is_closed_stays_closed(quick: str) -> None:
     renderer.close()
 
 
-def test_a_batch_shows_its_first_vehicle(quick: str) -> None:
-    batch = gym.make_vec(
-        "SAYD/Nominal-v1",
-        num_envs=2,
-        vectorization_mode="vector_entry_point",
-        environment=quick,
-        render_mode="rgb_array",
-    )
-    single = SaydEnv(quick, render_mode="rgb_array")
-    batch.reset(seed=4)
-    single.reset(seed=4)
-    for _ in range(3):
-        batch.step(np.full((2, 2), 0.5, dtype=np.float32))
-        single.step(HALF)
-    pictures = batch.render()
-    assert pictures is not None
-    np.testing.assert_array_equal(pictures[0], single.render())
-    batch.close()
-    single.close()
-
-
 def test_a_new_episode_begins_with_empty_charts(env: SaydEnv) -> None:
     env.step(HALF)
     state = env.get_state()
-    watcher = env._recorder
+    (watcher,) = env._recorders
     assert len(watcher.frame().times) == 1
     env.reset()
     assert len(watcher.frame().times) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -60,7 +61,7 @@ def test_episodes_of_a_seed_differ_and_do_not_depend_on_those_before(quick_fault
     again, info_again = other.reset()
     np.testing.assert_array_equal(third, again)
     assert info == info_again
-    assert (info["seed"], info["episode"]) == (3, 2)
+    assert (info["seed"], info["episode_number"]) == (3, 2)
     assert_same(run(env, 10), run(other, 10))
     assert not np.array_equal(third, other.reset(seed=3)[0])
 
@@ -71,7 +72,7 @@ def test_without_a_seed_one_is_drawn(quick: str) -> None:
     env = SaydEnv(quick)
     infos = [env.reset()[1] for _ in range(3)]
     assert len({info["seed"] for info in infos}) == 1
-    assert [info["episode"] for info in infos] == [0, 1, 2]
+    assert [info["episode_number"] for info in infos] == [0, 1, 2]
 
 
 def test_options_fix_an_episode(quick: str) -> None:
@@ -81,7 +82,7 @@ def test_options_fix_an_episode(quick: str) -> None:
     _, info = env.reset(seed=1, options=options)
     assert info["speed_kmh"] == pytest.approx(300.0)
     assert (info["wear"], info["friction"], info["track"]) == (0.0, 0.3, "china")
-    assert info["faults"] == [fault | {"start_s": 0.0}]
+    assert json.loads(info["faults"]) == [fault | {"start_s": 0.0}]
     observation = [env.step(np.zeros(2, np.float32)) for _ in range(15)][-1][0]
     current = [env.interface.index(f"current.front.left.{place}") for place in ("upper", "lower")]
     assert observation[current].tolist() == [
@@ -111,7 +112,7 @@ def test_options_that_cannot_be_change_nothing(options: dict[str, Any], words: A
         env.reset(options=options)
     assert all(word in str(caught.value) for word in words), str(caught.value)
     env.step(HALF)
-    assert env.reset()[1]["episode"] == 1
+    assert env.reset()[1]["episode_number"] == 1
 
 
 def test_bad_seeds_are_refused(quick: str) -> None:
@@ -237,7 +238,7 @@ def test_a_run_that_ends_before_step_0_is_charged_in_full() -> None:
     _, reward, ended, truncated, info = env.step(HALF)
     assert (ended, truncated) == (True, False)
     assert reward == -4.0 * env.config.termination_cost
-    assert "ending" in info
+    assert info["ending"]
 
 
 def test_nothing_but_numbers_gets_out(quick: str) -> None:

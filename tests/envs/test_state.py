@@ -113,7 +113,7 @@ def test_an_ended_episode_stays_ended(quick: str) -> None:
         env.step(np.zeros(2, np.float32))
     other = SaydEnv(quick)
     other.set_state(env.get_state())
-    assert other.reset()[1]["episode"] == 1
+    assert other.reset()[1]["episode_number"] == 1
 
 
 def test_states_of_other_environments_are_refused(quick: str, quick_faults: str) -> None:

@@ -108,7 +108,7 @@ def test_disabled_autoreset_waits_for_the_mask(quick: str) -> None:
         vector.step(actions)
     _, infos = vector.reset(options={"reset_mask": np.array([False, True, False])})
     assert infos["_seed"].tolist() == [False, True, False]
-    assert (infos["seed"][1], infos["episode"][1]) == (2, 1)
+    assert (infos["seed"][1], infos["episode_number"][1]) == (2, 1)
     with pytest.raises(ResetNeeded, match=r"0, 2"):
         vector.step(actions)
     with pytest.raises(ConfigError, match="reset_mask"):
