@@ -69,6 +69,8 @@ class Environment:
     _np_random: np.random.Generator | None
     _np_random_seed: int | None
     _shape: tuple[int, ...]
+    # What closing needs, also of an environment whose making failed.
+    _renderer: Any = None
 
     def _make(
         self,
@@ -96,7 +98,6 @@ class Environment:
         self._sliding: list[SlidingRms | None] = [None] * count
         self._log = np.zeros((count, self.batch.settings.samples, LOG)) if self._full else None
         self._recorder: Recorder | None = None if render_mode is None else Recorder(self.batch)
-        self._renderer: Any = None
 
     @property
     def config(self) -> EnvironmentConfig:
@@ -194,7 +195,8 @@ class Environment:
         if self._view is None:
             return result
         observations, rewards, terminated, truncated = result
-        return self._view.observe(observations), rewards / self._ordinary, terminated, truncated
+        paid = self._view.rewards(rewards, self._ordinary)
+        return self._view.observe(observations), paid, terminated, truncated
 
     def _full_info(self, i: int) -> dict[str, Any]:
         """Forces, valves and sliding RMS of a vehicle, with ``info="full"``."""
