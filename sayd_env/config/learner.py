@@ -66,6 +66,7 @@ class LearnerConfig(Model):
     inputs: dict[str, InputConfig] = Field(description="Map of each quantity of an observation")
     clip: float = quantity("-", "Largest number of an observation", gt=0.0, le=WIDEST)
     reward: RewardReferenceConfig
+    worst: float = quantity("-", "Largest cost of a step: lower rewards are cut off", gt=0.0)
 
 
 @cache

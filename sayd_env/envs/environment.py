@@ -243,7 +243,8 @@ class Environment:
         if self._view is None:
             return result
         observations, rewards, terminated, truncated = result
-        return self._view.observe(observations), rewards / self._ordinary, terminated, truncated
+        paid = self._view.rewards(rewards, self._ordinary)
+        return self._view.observe(observations), paid, terminated, truncated
 
     def _info(self, i: int) -> dict[str, Any]:
         """Info of one vehicle, after a reset as after a step."""

@@ -75,9 +75,15 @@ class LearnersView:
 
     def __init__(self, interface: Interface) -> None:
         config = load_learner()
+        self._worst = config.worst
         self.observe = Scaling.of(interface.signals, config.inputs, config.clip)
         self.observation_box = Box(-config.clip, config.clip, interface.shape, np.float32)
         self.action_box = Box(-1.0, 1.0, (interface.actions,), np.float32)
+
+    def rewards(self, rewards: Array, ordinary: Array) -> Array:
+        """Rewards in multiples of ordinary J."""
+        found: Array = np.maximum(rewards / ordinary, -self._worst)
+        return found
 
     @staticmethod
     def commands(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
