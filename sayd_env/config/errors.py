@@ -9,11 +9,12 @@ LONGEST_LINE, MOST_LINES = 1200, 30
 class SaydError(Exception):
     """Bad input. The message stands alone: the command line prints it and exits with status 2.
 
-    It may quote what a user has given: control characters are escaped, a long line loses its middle.
+    It may quote what a user has given: control characters are escaped, a long line loses its middle. (Who
+    passes an error on from a worker may give the error itself in place of its message.)
     """
 
-    def __init__(self, message: str = "") -> None:
-        lines = [_printable(line) for line in message.split("\n")]
+    def __init__(self, message: object = "") -> None:
+        lines = [_printable(line) for line in str(message).split("\n")]
         if len(lines) > MOST_LINES:
             lines[MOST_LINES - 1 :] = [f"... and {len(lines) - MOST_LINES + 1} lines more"]
         super().__init__("\n".join(lines))

@@ -52,11 +52,12 @@ def test_the_first_variable_that_is_set_counts(
 
 
 @pytest.mark.parametrize("value", ["", "relative"])
+@pytest.mark.parametrize("own", ["", " "])
 def test_an_empty_variable_is_one_that_is_not_set(
-    home: Path, value: str, monkeypatch: pytest.MonkeyPatch
+    home: Path, own: str, value: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The XDG Base Directory Specification has relative paths ignored as well."""
-    monkeypatch.setenv("SAYD_CACHE_DIR", "")
+    monkeypatch.setenv("SAYD_CACHE_DIR", own)
     monkeypatch.setenv("XDG_CACHE_HOME", value)
     assert cache_folder() == home / ".cache" / "sayd"
     assert not list(Path.cwd().iterdir())

@@ -150,7 +150,9 @@ def test_wrappers_that_keep_statistics_run(mode: AutoresetMode, quick: str) -> N
     single = wrappers.NormalizeReward(wrappers.NormalizeObservation(wrappers.RecordEpisodeStatistics(env)))
     native = gym.make_vec(ID, num_envs=2, environment=quick, autoreset_mode=mode)
     batch = vector_wrappers.RecordEpisodeStatistics(native)
-    batch = vector_wrappers.NormalizeReward(vector_wrappers.NormalizeObservation(batch))
+    if mode is AutoresetMode.NEXT_STEP:  # the only one that this wrapper takes
+        batch = vector_wrappers.NormalizeObservation(batch)
+    batch = vector_wrappers.NormalizeReward(batch)
     batch = vector_wrappers.DictInfoToList(batch)
     single.reset(seed=1)
     batch.reset(seed=1)
@@ -200,7 +202,7 @@ def test_closing_what_was_never_made(kind: Any) -> None:
 def test_refused_actions_are_gymnasiums_own_error(kind: Any, value: float, quick: str) -> None:
     env = kind(quick)
     env.reset(seed=1)
-    with pytest.raises(InvalidAction, match=r"action: found .* expected finite .* ClipAction") as caught:
+    with pytest.raises(InvalidAction, match=r"action: found .* expected finite .*ClipAction") as caught:
         env.step(half(env) * 0 + value)
     assert isinstance(caught.value, ConfigError)
 

@@ -151,6 +151,21 @@ def test_without_a_place_to_write_kernels_are_compiled_all_the_same(package: Pat
     assert sorted(package.rglob("*")) == before
 
 
+def test_a_part_that_cannot_be_written_is_compiled_anew(package: Path) -> None:
+    """The folder serves, but a module's own within it does not: nothing goes beside the sources instead."""
+    result(package)
+    folders = {path.parent for path in (package / "cache").rglob("*.nbi")}
+    for folder in folders:
+        shutil.rmtree(folder)
+        folder.write_text("")
+    before = sorted(package.rglob("*"))
+    done = run(package, PROGRAM)
+    assert float(done.stdout) == pytest.approx(0.927295218, rel=1e-6)  # 2 arctan(1/2)
+    (line,) = done.stderr.splitlines()
+    assert "cannot be written everywhere" in line
+    assert sorted(package.rglob("*")) == before
+
+
 def test_the_hash_is_of_all_kernels_alike_in_a_checkout_and_in_a_wheel(tmp_path: Path) -> None:
     found = []
     for inside in (False, True):
