@@ -45,7 +45,13 @@ def train(steps: int) -> nn.Module:
     losses.make_value_estimator(gamma=GAMMA)
     optimizer = torch.optim.Adam(losses.parameters(), lr=3e-4)
     frames = ROLLOUT * VEHICLES
-    collector = Collector(env, actor, frames_per_batch=frames, total_frames=max(steps // frames, 1) * frames)
+    collector = Collector(
+        env,
+        actor,
+        frames_per_batch=frames,
+        total_frames=max(steps // frames, 1) * frames,
+        auto_register_policy_transforms=True,
+    )
     for batch in collector:
         with torch.no_grad():
             advantage(batch)

@@ -133,7 +133,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         For learners: observations of order 1 by fixed maps (`configs/learner/scaled.yaml`), cut off at -5 and
         5; actions from -1 (closed) to 1 (open), what reaches beyond is cut off; rewards in multiples of the J
         that an ordinary policy has at the same speed and track level, so that a second gives about -1, and no
-        step less than -100.
+        step less than -40.
     info : str
         ``basic`` or ``full``.
     render_mode : str, optional

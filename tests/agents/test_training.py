@@ -202,6 +202,23 @@ def test_bad_input_is_one_message(
     assert not list(tmp_path.rglob("*.yaml"))
 
 
+@pytest.mark.parametrize(("given", "workers"), [([], None), (["--workers", "3"], 3)])
+def test_workers_make_the_evaluations(
+    given: list[str], workers: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in every command; the simulator's threads are the configuration's."""
+    seen: dict[str, Any] = {}
+
+    def study(config: TrainConfig, folder: Path, **options: Any) -> None:
+        seen.update(options, threads=config.environment.threads)
+        raise Interrupted("seen")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sayd_env.studies.learning.train", study)
+    main(["train", "ppo", *given])
+    assert (seen["executor"], seen["threads"]) == (ExecutorChoice("threads", workers=workers), 1)
+
+
 def test_rewards_and_last_observations_are_encoded(tmp_path: Path) -> None:
     config = load_train("ppo", settings("ppo", tmp_path))
     env, encoding = make_learning_env(config)
