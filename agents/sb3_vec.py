@@ -177,17 +177,18 @@ def rows(batched: dict[str, Any], count: int) -> list[dict[str, Any]]:
     count : int
         Number of vehicles.
     """
-    infos: list[dict[str, Any]] = [{} for _ in range(count)]
-    for key, values in batched.items():
-        if key.startswith("_"):
-            continue
-        each = _of_vehicles(values, count)
-        if batched["_" + key].all():
-            for info, value in zip(infos, each, strict=True):
-                info[key] = value
-            continue
+    columns = {key: values for key, values in batched.items() if not key.startswith("_")}
+    of_all = {
+        key: _of_vehicles(values, count)
+        for key, values in columns.items()
+        if np.count_nonzero(batched["_" + key]) == count
+    }
+    infos = [dict(zip(of_all, each, strict=True)) for each in zip(*of_all.values(), strict=True)]
+    infos = infos or [{} for _ in range(count)]
+    for key in columns.keys() - of_all.keys():
+        some = _of_vehicles(columns[key], count)
         for i in np.flatnonzero(batched["_" + key]).tolist():
-            infos[i][key] = each[i]
+            infos[i][key] = some[i]
     return infos
 
 
@@ -195,5 +196,4 @@ def _of_vehicles(values: Any, count: int) -> Sequence[Any]:
     """A key's values vehicle by vehicle: numbers as Python's own, arrays as rows."""
     if isinstance(values, dict):
         return rows(values, count)
-    alone = values.ndim == 1 and values.dtype != object
-    return values.tolist() if alone else values  # type: ignore[no-any-return]
+    return values.tolist() if values.ndim == 1 else values  # type: ignore[no-any-return]

@@ -248,7 +248,11 @@ class Environment:
 
     def _info(self, i: int) -> dict[str, Any]:
         """Info of one vehicle, after a reset as after a step."""
-        return period_info(self.batch, i) | self._conditions[i] | self._full_info(i)
+        info = period_info(self.batch, i)
+        info.update(self._conditions[i])
+        if self._full:
+            info.update(self._full_info(i))
+        return info
 
     def _full_info(self, i: int) -> dict[str, Any]:
         """Forces, valves and sliding RMS of a vehicle, with ``info="full"``."""

@@ -281,6 +281,8 @@ class EpisodeBatch:
         vehicles = self.vehicles
         running = self._running(active)
         np.asarray(actions, dtype=np.float64).take(self._valve, axis=1, out=self._commanded)
+        if active is not None:  # the others keep theirs, as what is told of them does
+            self._commanded[~active] = vehicles.command[~active]
         vehicles.step(self._commanded, log=log, active=active)
         self.elapsed += running
         truncated = self.elapsed >= self.steps

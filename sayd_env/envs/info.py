@@ -47,15 +47,15 @@ def period_info(batch: EpisodeBatch, i: int) -> dict[str, Any]:
 
 def period_infos(batch: EpisodeBatch) -> dict[str, npt.NDArray[Any]]:
     """`period_info` of all vehicles at once: new arrays with a row for each."""
-    begun, status = batch.elapsed > 0, batch.vehicles.status
-    acceleration, force = squares(batch.vehicles.terms)
+    status, costs = batch.vehicles.status, np.array(squares(batch.vehicles.terms))
+    costs[~(np.isfinite(costs) & (batch.elapsed > 0))] = NO_PERIOD
     ending, error = np.full((2, batch.count), "", dtype=object)
     for i in map(int, np.flatnonzero(status)):
         ending[i] = batch.ending(i)
         error[i] = ending[i] if status[i] == NOT_FINITE else ""
     return {
-        "cost_acceleration": np.where(begun & np.isfinite(acceleration), acceleration, NO_PERIOD),
-        "cost_force": np.where(begun & np.isfinite(force), force, NO_PERIOD),
+        "cost_acceleration": costs[0],
+        "cost_force": costs[1],
         "dominant_frequency": batch.dominant_frequency(),
         "ending": ending,
         "error": error,

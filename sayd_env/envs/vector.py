@@ -234,11 +234,10 @@ class SaydVectorEnv(
         found |= {key: values.copy() for key, values in self._conditions_together.items()}
         if self._full:
             found |= together([self._full_info(i) for i in range(self.num_envs)])
-        infos: dict[str, Any] = {}
-        for key, values in found.items():
-            values[~reported] = None if values.dtype == object else 0
-            infos[key], infos["_" + key] = values, reported.copy()
-        return infos
+        if not reported.all():
+            for values in found.values():
+                values[~reported] = None if values.dtype == object else 0
+        return found | {"_" + key: reported.copy() for key in found}
 
     def render(self) -> Any:
         """Pictures of all vehicles: an array of shape (height, width, 3) for each, or None with ``human``."""
