@@ -13,6 +13,7 @@ from judge import GAMMA, ID, KEYWORDS, mean_cost, parsed
 from skrl.agents.torch.ppo import PPO
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.memories.torch import RandomMemory
+from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.trainers.torch import SequentialTrainer
 from skrl.utils import set_seed
 from skrl.utils.model_instantiators.torch import deterministic_model, gaussian_model
@@ -42,6 +43,8 @@ def train(steps: int) -> PPO:
             "time_limit_bootstrap": True,
             "value_clip": 0.0,
             "value_loss_scale": 0.5,
+            "value_preprocessor": RunningStandardScaler,
+            "value_preprocessor_kwargs": {"size": 1, "device": "cpu"},
             "experiment": {"write_interval": 0, "checkpoint_interval": 0},
         },
         **spaces,
