@@ -163,8 +163,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
         self.observation_space, self.action_space = self._spaces()
         self._shape = (self.interface.actions,)
-        made = {"environment": environment, "scaled": scaled, "info": info, "render_mode": render_mode, **keywords}
-        self.spec = EnvSpec(id_of(environment), "sayd_env.envs.single:SaydEnv", kwargs=made)
+        own = {"environment": environment, "scaled": scaled, "info": info, "render_mode": render_mode}
+        self.spec = EnvSpec(id_of(environment), "sayd_env.envs.single:SaydEnv", kwargs={**own, **keywords})
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
