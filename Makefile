@@ -16,7 +16,10 @@ PYTEST_OPTIONS =
 BASE = 7a16f1b
 BENCH_OPTIONS =
 
-.PHONY: run test bench-check lint clean
+# The oldest Gymnasium that pyproject.toml allows.
+OLDEST = $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/\1/p' pyproject.toml)
+
+.PHONY: run test test-gymnasium-oldest bench-check lint clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -25,6 +28,12 @@ run: $(VENV)/.installed
 test: $(VENV)/.installed $(VENV)/.learning
 	$(BIN)/python tests/warm_up.py
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=20 $(PYTEST_OPTIONS)
+
+# The environments and their clients with the oldest Gymnasium, which is fetched.
+test-gymnasium-oldest: $(VENV)/.installed $(VENV)/.learning
+	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target build/gymnasium-oldest gymnasium==$(OLDEST)
+	PYTHONPATH=build/gymnasium-oldest $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile \
+	  tests/envs tests/agents/test_sb3_vec.py tests/agents/test_sb3_check.py $(PYTEST_OPTIONS)
 
 # Speed beside an earlier commit, in turn on this machine: some ten minutes with nothing else running.
 bench-check: $(VENV)/.installed $(VENV)/.learning

@@ -13,13 +13,15 @@ from itertools import product
 
 import numpy as np
 
-from sayd_env.agents.config import InputConfig, OutputConfig, View
-from sayd_env.agents.encoding import Encoding, Observation, VehicleEncoding
+from sayd_env.agents.config import OutputConfig, View
+from sayd_env.agents.encoding import Encoding, VehicleEncoding
 from sayd_env.agents.products import columns, times
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.learner import InputConfig
 from sayd_env.config.units import Array
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
+from sayd_env.envs.scaled import Observation
 
 MIRRORED = ("yaw_force", "lateral", "yawing", "yaw_rate", "yaw_stroke")
 RATES = ("yaw_rate", "push_rate")

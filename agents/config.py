@@ -12,14 +12,11 @@ from pydantic import Field, field_validator, model_validator
 from sayd_env.config import Model, quantity
 from sayd_env.config.base import Number
 from sayd_env.config.layers import Kind, read_layered
+from sayd_env.config.learner import WIDEST, InputConfig
 from sayd_env.config.reward import RewardName
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 """A whole number of 1 or more."""
-WIDEST = 3.4028234663852886e38
-"""Largest number in single precision."""
-LARGEST = 1e12
-"""Larger numbers than any signal's in SI units."""
 View = Literal["vehicle", "bogie"]
 """What one network sees and commands."""
 
@@ -36,26 +33,6 @@ class LearningEnvironmentConfig(Model):
     control_period: float = quantity("s", "Time for which a command holds", gt=0.0, le=1.0)
     episode_s: float = quantity("s", "Time at which an episode is truncated", gt=0.0)
     reward: RewardName = Field(description="Weights of the cost, by name; null: the study's")
-
-
-class InputConfig(Model):
-    """How a quantity enters the network: a fixed map."""
-
-    law: Literal["linear", "log"] = Field(
-        "linear", description="linear: (value - middle) / half. log: ln(value / middle) / half"
-    )
-    middle: Number = Field(ge=-LARGEST, le=LARGEST, description="Value that becomes 0, in the signal's unit")
-    half: Number = Field(
-        ge=1.0 / LARGEST,
-        le=LARGEST,
-        description="What becomes 1: a difference in the signal's unit, or a logarithm of a ratio",
-    )
-
-    @model_validator(mode="after")
-    def _has_logarithm(self) -> InputConfig:
-        if self.law == "log" and self.middle <= 0.0:
-            raise ValueError(f"middle ({self.middle:g}) must be positive with law 'log'")
-        return self
 
 
 class OutputConfig(Model):
@@ -84,7 +61,9 @@ class PpoConfig(Model):
 
     algorithm: Literal["ppo"]
     learning_rate: float = quantity("-", "Step of Adam at the start", gt=0.0, le=1.0)
-    anneal: bool = Field(False, description="The step falls linearly, to 0 at the last of `total_steps`")
+    anneal: bool = Field(
+        False, description="The step falls linearly over `total_steps`, to 0 after the last update"
+    )
     n_steps: Count = Field(description="Steps of each vehicle between updates")
     batch_size: int = Field(description="Samples in a minibatch", strict=True, ge=2)
     n_epochs: Count = Field(description="Passes over the samples in an update")
@@ -101,7 +80,9 @@ class SacConfig(Model):
 
     algorithm: Literal["sac"]
     learning_rate: float = quantity("-", "Step of Adam at the start", gt=0.0, le=1.0)
-    anneal: bool = Field(False, description="The step falls linearly, to 0 at the last of `total_steps`")
+    anneal: bool = Field(
+        False, description="The step falls linearly over `total_steps`, to 0 after the last update"
+    )
     buffer_size: Count = Field(description="Steps that are kept")
     learning_starts: int = Field(description="Random steps before learning", strict=True, ge=0)
     batch_size: int = Field(description="Samples in a minibatch", strict=True, ge=2)
@@ -131,20 +112,6 @@ class EvaluationConfig(Model):
         return [{"speed_kmh": speed, "wear": wear, "seed": seed} for speed, wear, seed in combinations]
 
 
-class RewardReferenceConfig(Model):
-    """J of an ordinary policy in an episode: cost (v / speed)^p (level / track_level)^q.
-
-    Rewards are given in its multiples. It knows the conditions alone, so that it makes episodes alike for the
-    learner and leaves open which of two policies is the better one there.
-    """
-
-    cost: float = quantity("-", "J at the reference's speed and track level", gt=0.0)
-    speed: float = quantity("m/s", "Speed of the reference", gt=0.0)
-    speed_exponent: float = quantity("-", "p")
-    track_level: float = quantity("-", "Factor on the amplitudes of the track's spectrum", gt=0.0)
-    track_exponent: float = quantity("-", "q; an episode whose level is not drawn counts as the reference")
-
-
 class CheckpointConfig(Model):
     """How often what has been learned is put on the disk."""
 
@@ -160,9 +127,8 @@ class TrainConfig(Model):
     total_steps: Count = Field(description="Steps of all vehicles together")
     torch_threads: Count = Field(description="Threads of torch; small networks want one")
     discount_s: float = quantity("s", "Time after which a reward counts 1/e", gt=0.0)
-    reward_scale: float = quantity("-", "Factor on the reward per second", gt=0.0)
-    reward_reference: RewardReferenceConfig | None = Field(
-        None, description="J that counts as 1; null: rewards are as the environment gives them"
+    reward_scale: float = quantity(
+        "-", "Factor on the reward per second, in multiples of an ordinary J", gt=0.0
     )
     environment: LearningEnvironmentConfig
     view: View = Field(
@@ -181,6 +147,17 @@ class TrainConfig(Model):
         """Discount of one step."""
         return math.exp(-self.environment.control_period / self.discount_s)
 
+    @property
+    def networks(self) -> int:
+        """Networks at work side by side: steps count each of them."""
+        return self.environment.vehicles * (2 if self.view == "bogie" else 1)
+
+    @property
+    def update_steps(self) -> int:
+        """Steps from one update to the next."""
+        learning = self.learning
+        return self.networks * (learning.n_steps if isinstance(learning, PpoConfig) else learning.train_freq)
+
     @field_validator("inputs")
     @classmethod
     def _named(cls, inputs: dict[str, InputConfig]) -> dict[str, InputConfig]:
@@ -192,15 +169,19 @@ class TrainConfig(Model):
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
         learning = self.learning
-        vehicles = self.environment.vehicles * (2 if self.view == "bogie" else 1)
-        if isinstance(learning, PpoConfig) and learning.n_steps * vehicles % learning.batch_size:
+        if isinstance(learning, PpoConfig) and self.update_steps % learning.batch_size:
             raise ValueError(
                 f"learning.batch_size ({learning.batch_size}) must divide n_steps x networks "
-                f"({learning.n_steps} x {vehicles})"
+                f"({learning.n_steps} x {self.networks})"
             )
-        if isinstance(learning, SacConfig) and learning.buffer_size < vehicles:
+        if isinstance(learning, SacConfig) and learning.buffer_size < self.networks:
             raise ValueError(
                 f"learning.buffer_size ({learning.buffer_size}) must hold a step of all vehicles"
+            )
+        first = self.update_steps if isinstance(learning, PpoConfig) else learning.learning_starts + 1
+        if self.total_steps < first:
+            raise ValueError(
+                f"total_steps ({self.total_steps}) makes no update: the first one comes after {first} steps"
             )
         return self
 

@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.agents.config import InputConfig, OutputConfig
+from sayd_env.agents.config import OutputConfig
 from sayd_env.config import ConfigError, nearest
+from sayd_env.config.learner import InputConfig
 from sayd_env.envs.interface import Interface
-
-Observation = npt.NDArray[np.float32]
-
-FLOOR = 1e-12
-"""Smallest ratio of which a logarithm is taken."""
+from sayd_env.envs.scaled import Observation, Scaling
 
 
 class Encoding(ABC):
@@ -104,10 +101,7 @@ class VehicleEncoding(Encoding):
                 )
         self.columns = np.array([i for i, name in enumerate(quantities) if name in inputs], dtype=np.intp)
         self.sensors = tuple(interface.signals[i].name for i in self.columns)
-        chosen = [inputs[quantities[i]] for i in self.columns]
-        self.middle = np.array([each.middle for each in chosen])
-        self.per_half = np.array([1.0 / each.half for each in chosen])
-        self.logarithmic = np.array([each.law == "log" for each in chosen])
+        self.scaling = Scaling.of((interface.signals[i] for i in self.columns), inputs, clip)
         self.held = _commands(interface) if output.kind == "change" else None
         self.step = output.rate * interface.control_period
         self.size = len(self.columns) * interface.history
@@ -115,13 +109,7 @@ class VehicleEncoding(Encoding):
 
     def encode(self, observations: Observation) -> Observation:
         """Inputs of the network, shape (N, size), of observations of shape (N, *obs)."""
-        values = observations[..., self.columns].astype(np.float64)
-        values = np.where(np.isnan(values), self.middle, values)
-        # The floor keeps the logarithm of a dead sensor finite; it lies far beyond the clip.
-        ratio = np.log(np.maximum(values / np.where(self.logarithmic, self.middle, 1.0), FLOOR))
-        values = np.where(self.logarithmic, ratio, values - self.middle) * self.per_half
-        bounded: Observation = np.clip(values, -self.clip, self.clip).astype(np.float32)
-        return bounded.reshape(len(values), self.size)
+        return self.scaling(observations[..., self.columns]).reshape(len(observations), self.size)
 
     def decode(self, outputs: npt.NDArray[Any], observations: Observation) -> Observation:
         """Valve commands, shape (N, A), of the network's outputs for these observations."""

@@ -10,10 +10,11 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from sayd_env.agents.bogie_encoding import BogieEncoding
-from sayd_env.agents.encoding import FLOOR, Encoding, VehicleEncoding
+from sayd_env.agents.encoding import Encoding, VehicleEncoding
 from sayd_env.agents.policy_file import LearnedPolicy, PolicyDescription, StoredPolicy, interface_like
 from sayd_env.config import StudyError
 from sayd_env.config.storage import write_file
+from sayd_env.envs.scaled import FLOOR
 
 OPSET = 17
 INPUT, OUTPUT = "observation", "command"
@@ -101,14 +102,15 @@ def _encoded(graph: _Graph, encoding: Encoding, seen: str) -> str:
 
 
 def _of_vehicle(graph: _Graph, encoding: VehicleEncoding, seen: str) -> str:
-    middle = graph.constant(encoding.middle)
+    scaling = encoding.scaling
+    middle = graph.constant(scaling.middle)
     values = graph.add("Gather", seen, graph.constant(encoding.columns.astype(np.int64)), axis=-1)
     values = graph.add("Where", graph.add("IsNaN", values), middle, values)
-    divisor = graph.constant(np.where(encoding.logarithmic, encoding.middle, 1.0))
+    divisor = graph.constant(np.where(scaling.logarithmic, scaling.middle, 1.0))
     ratio = graph.add("Max", graph.add("Div", values, divisor), graph.constant(np.float64(FLOOR)))
     linear = graph.add("Sub", values, middle)
-    values = graph.add("Where", graph.constant(encoding.logarithmic), graph.add("Log", ratio), linear)
-    return graph.add("Mul", values, graph.constant(encoding.per_half))
+    values = graph.add("Where", graph.constant(scaling.logarithmic), graph.add("Log", ratio), linear)
+    return graph.add("Mul", values, graph.constant(scaling.per_half))
 
 
 def _of_bogies(graph: _Graph, encoding: BogieEncoding, seen: str) -> str:

@@ -21,15 +21,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.agents.config import WIDEST, InputConfig, NetworkConfig, OutputConfig
+from sayd_env.agents.config import NetworkConfig, OutputConfig
 from sayd_env.agents.policy_archive import file_digest, read_bytes
 from sayd_env.agents.policy_file import Layers, LearnedPolicy, StoredPolicy, describe
 from sayd_env.config import ConfigError, DataError, validate
 from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.learner import WIDEST, InputConfig, load_learner
 from sayd_env.envs.environment import action_box, observation_box
 from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import ACTIONS, Interface
+from sayd_env.envs.scaled import LearnersView
 
 Single = npt.NDArray[np.float32]
 
@@ -192,9 +194,10 @@ def _interface(path: Path, model: Any, config: EnvironmentConfig, period: float 
     if period is not None:
         changes["control_period"] = period
     found = _made(config, changes | _observation(path, seen, config), str(path))
+    view = _view(model, found)
     for what, mine, space in (
-        ("observations", model.observation_space, observation_box(found)),
-        ("commands", model.action_space, action_box(found)),
+        ("observations", model.observation_space, view.observation_box if view else observation_box(found)),
+        ("commands", model.action_space, view.action_box if view else action_box(found)),
     ):
         bounds = [np.ravel(each) for each in (mine.low, mine.high, space.low, space.high)]
         # The bounds of an environment with another vehicle differ, but not by orders of magnitude.
@@ -205,6 +208,11 @@ def _interface(path: Path, model: Any, config: EnvironmentConfig, period: float 
                 "behind a wrapper needs that wrapper"
             )
     return found
+
+
+def _view(model: Any, interface: Interface) -> LearnersView | None:
+    """What lay between the environment and its learner, if that was made with ``scaled=True``."""
+    return LearnersView(interface) if np.min(model.action_space.low) < 0.0 else None
 
 
 def _observation(path: Path, shape: tuple[int, ...], config: EnvironmentConfig) -> dict[str, Any]:
@@ -244,6 +252,11 @@ def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any], 
         )
     layers = tuple((_numbers(module.weight), _numbers(module.bias)) for module in modules[::2])
     squashed = bool(model.policy.squash_output)
+    scaled = _view(model, interface) is not None
+    if scaled and normal is not None:
+        raise ConfigError(f"{path}: has learned with scaled=True behind VecNormalize; one of them is enough")
+    inputs = load_learner().inputs if scaled else {}
+    widest = load_learner().clip if scaled else WIDEST
     normalisation = None
     if normal is not None:
         half = np.sqrt(normal.obs_rms.var + normal.epsilon)
@@ -253,9 +266,10 @@ def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any], 
         str(path),
         name=path.stem,
         inputs={
-            signal.name.partition(".")[0]: InputConfig(middle=0.0, half=1.0) for signal in interface.signals
+            name: inputs.get(name, InputConfig(middle=0.0, half=1.0))
+            for name in (signal.name.partition(".")[0] for signal in interface.signals)
         },
-        clip=WIDEST if normal is None else min(float(normal.clip_obs), WIDEST),
+        clip=widest if normal is None else min(float(normal.clip_obs), widest),
         output=OutputConfig(kind="command"),
         network=NetworkConfig(
             hidden=tuple(len(bias) for _, bias in layers[:-1]),
@@ -264,7 +278,8 @@ def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any], 
         squash="tanh" if squashed else "clip",
         made=made,
     )
-    return StoredPolicy(description, layers if squashed else _doubled(layers), str(path), normalisation)
+    own = layers if squashed or scaled else _doubled(layers)
+    return StoredPolicy(description, own, str(path), normalisation)
 
 
 def _numbers(tensor: Any) -> Single:
@@ -286,8 +301,11 @@ def _check(path: Path, model: Any, policy: LearnedPolicy, normal: Any) -> None:
     scales = np.logspace(-9.0, 0.0, 64).reshape(-1, *[1] * len(space.shape))
     seen = (scales * random.uniform(space.low, space.high, (64, *space.shape))).astype(np.float32)
     mine, _ = policy.predict(seen)
-    flat = seen.reshape(64, *model.observation_space.shape)
+    view = _view(model, policy.interface)
+    flat = (seen if view is None else view.observe(seen)).reshape(64, *model.observation_space.shape)
     theirs, _ = model.predict(flat if normal is None else normal.normalize_obs(flat), deterministic=True)
+    if view is not None:
+        theirs = view.commands(theirs, theirs.shape)
     if not np.allclose(mine, theirs, rtol=0.0, atol=_TOLERANCE):
         raise ConfigError(
             f"{path}: has more than a plain network (its commands are others); expected what "

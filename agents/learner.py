@@ -39,7 +39,9 @@ def make_model(config: TrainConfig, env: EncodedVecEnv) -> Any:
     """A PPO or SAC model that has learned nothing yet."""
     settings = config.learning.model_dump(exclude={"algorithm", "log_std_init", "anneal"})
     if config.learning.anneal:
-        settings["learning_rate"] = _falling(config.learning.learning_rate)
+        settings["learning_rate"] = _falling(
+            config.learning.learning_rate, config.update_steps / config.total_steps
+        )
     hidden, activation = list(config.network.hidden), ACTIVATIONS[config.network.activation]
     common = {"gamma": config.gamma, "seed": config.seed, "device": "cpu", "verbose": 0}
     if isinstance(config.learning, PpoConfig):
@@ -53,11 +55,14 @@ def make_model(config: TrainConfig, env: EncodedVecEnv) -> Any:
     return SAC("MlpPolicy", env, policy_kwargs=network, **settings, **common)
 
 
-def _falling(rate: float) -> Callable[[float], float]:
-    """Learning rate over what is left of a training, from 1 to 0."""
+def _falling(rate: float, update: float) -> Callable[[float], float]:
+    """Learning rate over what is left of a training, from 1 to 0; an update is a share of it.
+
+    The library asks after the steps of an update are made: it learns at the rate with which they began.
+    """
 
     def at(left: float) -> float:
-        return rate * max(left, 0.0)
+        return rate * min(left + update, 1.0)
 
     return at
 

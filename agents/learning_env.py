@@ -12,9 +12,10 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 
 from sayd_env.agents.bogie_encoding import make_encoding
 from sayd_env.agents.config import TrainConfig
-from sayd_env.agents.encoding import Encoding, Observation
+from sayd_env.agents.encoding import Encoding
 from sayd_env.agents.sb3_vec import SaydVecEnv, Step
 from sayd_env.config.units import Array
+from sayd_env.envs.scaled import Observation, ordinary_costs
 
 Numbers = Callable[[], Array]
 
@@ -121,24 +122,11 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
     encoding = make_encoding(vehicles.interface, config.view, config.inputs, config.clip, config.output)
 
     def factors() -> Array:
-        return reward_factors(config, vehicles)
+        per_second = config.reward_scale / settings.control_period
+        return per_second / ordinary_costs(vehicles.vector.batch.episodes)
 
     # The monitor is below: it adds up what the environment gives, minus J.
     return EncodedVecEnv(VecMonitor(vehicles), encoding, factors, vehicles.bogie_costs), encoding
-
-
-def reward_factors(config: TrainConfig, vehicles: SaydVecEnv) -> Array:
-    """What the rewards of each vehicle are multiplied with in its episode, shape (N)."""
-    per_second = config.reward_scale / config.environment.control_period
-    reference = config.reward_reference
-    if reference is None:
-        return np.full(vehicles.num_envs, per_second)
-    episodes = [episode for episode in vehicles.vector.batch.episodes if episode is not None]
-    speed = np.array([episode.speed for episode in episodes]) / reference.speed
-    level = np.array([episode.track_scale or reference.track_level for episode in episodes])
-    cost = reference.cost * speed**reference.speed_exponent
-    factors: Array = per_second / cost / (level / reference.track_level) ** reference.track_exponent
-    return factors
 
 
 def seed_environments(env: EncodedVecEnv, seed: int, restarts: int) -> None:

@@ -21,8 +21,8 @@ import yaml
 from pydantic import AfterValidator, Field, field_validator
 
 from sayd_env.agents.bogie_encoding import make_encoding
-from sayd_env.agents.config import WIDEST, InputConfig, NetworkConfig, OutputConfig, View
-from sayd_env.agents.encoding import Encoding, Observation, VehicleEncoding
+from sayd_env.agents.config import NetworkConfig, OutputConfig, View
+from sayd_env.agents.encoding import Encoding, VehicleEncoding
 from sayd_env.agents.policy_archive import PolicyArchive, pack, shown_path
 from sayd_env.agents.products import layer
 from sayd_env.config import Model, quantity, validate
@@ -32,9 +32,11 @@ from sayd_env.config.damper import load_sayd
 from sayd_env.config.environment import LONGEST_HISTORY, whole_period
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import shown
+from sayd_env.config.learner import WIDEST, InputConfig
 from sayd_env.config.storage import write_file
 from sayd_env.config.units import Array
 from sayd_env.envs.interface import Interface, Signal
+from sayd_env.envs.scaled import Observation, Scaling
 
 Layers = tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
 
@@ -151,7 +153,7 @@ class StoredPolicy:
             raise ConfigError(f"{self.where}: {error}") from None
         if self.normalisation is not None and isinstance(encoding, VehicleEncoding):
             middle, half = self.normalisation
-            encoding.middle, encoding.per_half = middle, 1.0 / half
+            encoding.scaling = Scaling(middle, half, about.clip, encoding.scaling.logarithmic)
         return encoding
 
 

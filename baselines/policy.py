@@ -45,6 +45,7 @@ class Policy(ABC, Generic[Parameters, State]):
         self.parameters = parameters
         self.sensors = sensors
         self.interface = interface
+        interface.check(name, {})
         try:
             self._columns = np.array([interface.index(sensor) for sensor in sensors], dtype=np.intp)
         except ConfigError as error:

@@ -24,6 +24,7 @@ from sayd_env.config.environment import (
     load_environment,
 )
 from sayd_env.config.fault import SensorErrorClass, ValveStuckClass
+from sayd_env.config.learner import LearnerConfig, load_learner
 from sayd_env.config.sensors import KINDS, UNITS, SensorsConfig, load_sensors
 from sayd_env.envs.interface import ACTIONS, BOGIES, DAMPERS, Signal
 from sayd_env.envs.options import NUMBERS
@@ -45,6 +46,7 @@ def tables() -> dict[str, str]:
         "action": action_table(),
         "signals": observation_table(SaydEnv().signals),
         "features": observation_table(SaydEnv(observation="features").signals),
+        "scaled": scaled_table(load_learner()),
         "sensors": sensor_table(load_sensors("realistic")),
         "options": option_table(),
         "draws": draw_table(environments),
@@ -64,6 +66,16 @@ def observation_table(signals: Sequence[Signal]) -> str:
         rows.append((numbers, quantity, _places(places), head.unit, f"{head.low:g}", f"{head.high:g}"))
         first += len(members)
     return _table(("number", "quantity", "places, the last changes first", "unit", "low", "high"), rows)
+
+
+def scaled_table(config: LearnerConfig) -> str:
+    """Table of the maps of a scaled environment, one row for each quantity."""
+    laws = {"linear": "(x - middle) / half", "log": "ln(x / middle) / half"}
+    rows = [
+        (quantity, laws[each.law], f"{each.middle:g}", f"{each.half:g}")
+        for quantity, each in config.inputs.items()
+    ]
+    return _table(("quantity x", "becomes", "middle", "half"), rows)
 
 
 def action_table() -> str:

@@ -36,7 +36,7 @@ def train(
     ),
     workers: int | None = runs(
         "--workers N",
-        "Threads of the simulator (default: the configuration's, 1); of --executor (default: all cores).",
+        f"Threads or processes of the evaluations {options.STAY}",
         options.WORKERS,
     ),
     executor: str | None = runs(
@@ -54,13 +54,12 @@ def train(
     checkpoints. Ctrl-C saves and says how to go on; a run that was killed goes on from its last checkpoint.
     """
     from sayd_env.agents.config import load_train  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415
+    from sayd_env.runs.executors import THREADS, ExecutorChoice  # noqa: PLC0415
     from sayd_env.studies.learning import train as study  # noqa: PLC0415
 
-    evaluations = ExecutorChoice.parse(executor, workers)
+    evaluations = ExecutorChoice.parse(executor or THREADS, workers)
     if resume is not None:
-        threads = workers if executor is None else None
-        left_out = {"the algorithm": algorithm, "--config": config, "--workers": threads, "--out": out}
+        left_out = {"the algorithm": algorithm, "--config": config, "--out": out}
         for name, value in left_out.items():
             if value is not None:
                 raise ConfigError(f"--resume: goes on with the run as it is; leave out {name}")
@@ -71,7 +70,6 @@ def train(
         raise ConfigError("train: what is to learn? Give ppo or sac, --config FILE, or --resume DIR")
     given = list(assignments or ())
     given += [] if seed is None else [f"seed={json.dumps(seed)}"]
-    given += [] if workers is None or resume is not None else [f"environment.threads={workers}"]
     chosen = load_train(config or str(algorithm), given)
     learns = chosen.learning.algorithm
     if algorithm not in {None, learns}:

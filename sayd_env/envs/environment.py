@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -20,15 +21,24 @@ from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, Flags, Observation, checked_actions
 from sayd_env.envs.info import episode_info, period_info, vehicle_info
 from sayd_env.envs.interface import Interface, Signal
-from sayd_env.envs.keywords import INFOS, RENDER_MODES, Keywords, checked_choice, configured, refuse_unknown
+from sayd_env.envs.keywords import (
+    INFOS,
+    RENDER_MODES,
+    Keywords,
+    checked_choice,
+    checked_flag,
+    configured,
+    refuse_unknown,
+)
 from sayd_env.envs.loop import LOG
 from sayd_env.envs.recorder import Recorder
+from sayd_env.envs.scaled import LearnersView, ordinary_costs
 from sayd_env.envs.sliding_rms import SlidingRms
 from sayd_env.envs.trace import SPEED
 
 SEEDS = 2**31
 """Seeds that are drawn, where none is given, are below it."""
-KEYWORDS = ("environment", *Keywords.__annotations__, "info", "render_mode")
+KEYWORDS = ("environment", *Keywords.__annotations__, "scaled", "info", "render_mode")
 """Keywords of both environments."""
 
 
@@ -86,6 +96,7 @@ class Environment:
         count: int,
         environment: str,
         keywords: Keywords,
+        scaled: bool,
         info: str,
         render_mode: str | None,
         num_threads: int | None,
@@ -95,8 +106,11 @@ class Environment:
         refuse_unknown(f"{type(self).__name__}.__init__", keywords, (*KEYWORDS, *more))
         self._full = checked_choice("info", info, INFOS) == "full"
         self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
+        scales = checked_flag("scaled", scaled)
         config, scenario = configured(environment, **keywords)
         self.batch = EpisodeBatch(config, count, scenario=scenario, num_threads=num_threads)
+        self._view = LearnersView(self.batch.interface) if scales else None
+        self._ordinary = np.ones(count)
         self._over = np.ones(count, dtype=np.bool_)
         self._seeds: list[int | None] = [None] * count
         self._numbers = [0] * count
@@ -130,7 +144,19 @@ class Environment:
     @property
     def interface(self) -> Interface:
         """What a policy may know of the environment."""
-        return self.batch.interface
+        own = self.batch.interface
+        return own if self._view is None else dataclasses.replace(own, scaled=True)
+
+    def _spaces(self) -> tuple[Any, Any]:
+        """Spaces of one vehicle's observations and actions."""
+        if self._view is not None:
+            return self._view.observation_box, self._view.action_box
+        return observation_box(self.batch.interface), action_box(self.batch.interface)
+
+    def _observed(self) -> Observation:
+        """What the vehicles observe now, shape (N, *obs)."""
+        seen = self.batch.observations()
+        return seen if self._view is None else self._view.observe(seen)
 
     @property
     def signals(self) -> tuple[Signal, ...]:
@@ -167,6 +193,8 @@ class Environment:
                 chosen.append((int(self.np_random.integers(SEEDS)), 0))
         episodes = [draw_episode(self.config, seed, number, options) for seed, number in chosen]
         rows = self.batch.reset(which, episodes, log=self._full, whole_track=False)
+        if self._view is not None:
+            self._ordinary[list(which)] = ordinary_costs(episodes)
         for i, (seed, number), before in zip(which, chosen, rows, strict=True):
             self._seeds[i], self._numbers[i], self._over[i] = seed, number, False
             self._conditions[i] = episode_info(self.batch, i)
@@ -177,7 +205,7 @@ class Environment:
                 recorder.begin()
 
     def _commands(self, actions: Any) -> Array:
-        """Check actions.
+        """Valve commands of actions.
 
         Raises
         ------
@@ -185,7 +213,8 @@ class Environment:
             They cannot be used.
         """
         try:
-            return checked_actions(actions, self._shape)
+            given = actions if self._view is None else self._view.commands(actions, self._shape)
+            return checked_actions(given, self._shape)
         except ConfigError as refused:
             advice = "gymnasium.wrappers.ClipAction keeps actions in their range"
             raise InvalidAction(f"{refused}; {advice}") from None
@@ -215,7 +244,11 @@ class Environment:
                 if sliding is not None and not result[2][i] and (active is None or active[i]):
                     speed = float(self.batch.vehicles.trace[i, -1, SPEED])
                     sliding.advance(self._log[i], choice[i], speed)
-        return result
+        if self._view is None:
+            return result
+        observations, rewards, terminated, truncated = result
+        paid = self._view.rewards(rewards, self._ordinary)
+        return self._view.observe(observations), paid, terminated, truncated
 
     def _info(self, i: int) -> dict[str, Any]:
         """Info of one vehicle, after a reset as after a step."""
@@ -271,6 +304,8 @@ class Environment:
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._sliding = list(copy.deepcopy(state.sliding))
         self._over[:] = state.over
+        if self._view is not None:
+            self._ordinary = ordinary_costs(self.batch.episodes)
         self._np_random, self._np_random_seed = copy.deepcopy(state.random), state.random_seed
         self._conditions = [episode_info(self.batch, i) for i in range(self.batch.count)]
         for recorder in self._recorders:

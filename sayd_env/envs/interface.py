@@ -73,6 +73,8 @@ class Interface:
     """F_max of eq. (27), N."""
     online: OnlineConfig
     assessment: AssessmentConfig
+    scaled: bool = False
+    """Whether the environment's observations and actions are a learner's, not in SI units."""
 
     @property
     def actions(self) -> int:
@@ -127,6 +129,11 @@ class Interface:
         ConfigError
             The environment is another one.
         """
+        if self.scaled:
+            raise ConfigError(
+                f"{source}: the policy needs observations in SI units and gives valve commands; make the "
+                "environment without scaled=True"
+            )
         mine = self.keywords
         for name, needed in needs.items():
             if mine.get(name) != needed:

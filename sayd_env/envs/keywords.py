@@ -108,6 +108,19 @@ def refuse_unknown(function: str, keywords: Mapping[str, Any], known: Iterable[s
             )
 
 
+def checked_flag(name: str, value: Any) -> bool:
+    """A keyword that is true or false.
+
+    Raises
+    ------
+    ConfigError
+        Something else.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise ConfigError(f"{name}: found {shown(value)}; expected True or False")
+    return bool(value)
+
+
 def checked_choice(name: str, value: Any, allowed: Iterable[str | None]) -> Any:
     """One of the values that a keyword may have.
 

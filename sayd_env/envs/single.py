@@ -10,7 +10,7 @@ import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
-from sayd_env.envs.environment import Environment, action_box, observation_box
+from sayd_env.envs.environment import Environment
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import whole_number
 from sayd_env.envs.registration import id_of
@@ -72,8 +72,8 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     | 22 to 29 | command            | front/rear, left/right, upper/lower | -    | 0   | 1     |
     | 30       | speed              | -                                   | m/s  | 0   | 140   |
 
-    ``env.unwrapped.signals`` lists name, unit and range of every number, and
-    `sayd_env.envs.wrappers.NormalizeSignals` maps the ranges to -1 to 1.
+    ``env.unwrapped.signals`` lists name, unit and range of every number. Networks want numbers of order 1:
+    ``scaled=True`` gives them, and `sayd_env.envs.wrappers.NormalizeSignals` maps the ranges to -1 to 1.
 
     **Reward.** Minus the paper's cost of the period, eq. (27): the mean over the two bogies of
     ``k_y (psi_y / y_lim)^2 + k_F (psi_F / F_max)^2``, from true signals at 1 kHz, scaled such that the
@@ -133,6 +133,11 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         Speed of all episodes, km/h.
     settings : sequence of str
         ``key=value`` assignments for the scenario, such as ``friction=0.3``. What they set is not drawn.
+    scaled : bool
+        For learners: observations of order 1 by fixed maps (`configs/learner/scaled.yaml`), cut off at -5 and
+        5; actions from -1 (closed) to 1 (open), what reaches beyond is cut off; rewards in multiples of the J
+        that an ordinary policy has at the same speed and track level, so that a second gives about -1, and no
+        step less than -40.
     info : str
         ``basic`` or ``full``.
     render_mode : str, optional
@@ -153,17 +158,17 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self,
         environment: str = "nominal",
         *,
+        scaled: bool = False,
         info: str = "basic",
         render_mode: str | None = None,
         **keywords: Unpack[Keywords],
     ) -> None:
-        self._make(1, environment, keywords, info, render_mode, num_threads=1)
+        self._make(1, environment, keywords, scaled, info, render_mode, num_threads=1)
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
-        self.observation_space = observation_box(self.interface)
-        self.action_space = action_box(self.interface)
+        self.observation_space, self.action_space = self._spaces()
         self._shape = (self.interface.actions,)
-        made = {"environment": environment, "info": info, "render_mode": render_mode, **keywords}
-        self.spec = EnvSpec(id_of(environment), "sayd_env.envs.single:SaydEnv", kwargs=made)
+        own = {"environment": environment, "scaled": scaled, "info": info, "render_mode": render_mode}
+        self.spec = EnvSpec(id_of(environment), "sayd_env.envs.single:SaydEnv", kwargs={**own, **keywords})
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -187,7 +192,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         self._begin([0], [seed], options)
         if self.render_mode == "human":
             self.render()
-        return self.batch.observations()[0], self._info(0)
+        return self._observed()[0], self._info(0)
 
     def step(
         self, action: npt.NDArray[np.float32]

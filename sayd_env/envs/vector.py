@@ -17,7 +17,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.explain import shown
 from sayd_env.config.units import Array
 from sayd_env.envs.environment import KEYWORDS as OF_ONE
-from sayd_env.envs.environment import Environment, EnvironmentState, action_box, observation_box
+from sayd_env.envs.environment import Environment, EnvironmentState
 from sayd_env.envs.episode_batch import Flags, Observation
 from sayd_env.envs.info import period_infos
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
@@ -45,7 +45,7 @@ class SaydVectorEnv(
 
     Parameters
     ----------
-    environment, damper, ..., settings, info
+    environment, damper, ..., settings, scaled, info
         As in `SaydEnv`.
     num_envs : int
         Number of vehicles.
@@ -80,6 +80,7 @@ class SaydVectorEnv(
         environment: str = "nominal",
         *,
         num_envs: int = 1,
+        scaled: bool = False,
         info: str = "basic",
         render_mode: str | None = None,
         num_threads: int | None = None,
@@ -90,7 +91,7 @@ class SaydVectorEnv(
         self.autoreset_mode = _autoreset(autoreset_mode)
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
         threads = None if num_threads is None else whole_number("num_threads", num_threads, 1)
-        self._make(self.num_envs, environment, keywords, info, render_mode, threads, OWN_KEYWORDS)
+        self._make(self.num_envs, environment, keywords, scaled, info, render_mode, threads, OWN_KEYWORDS)
         if max_episode_steps is not None and max_episode_steps != -1:
             self.batch.steps = min(self.batch.steps, whole_number("max_episode_steps", max_episode_steps, 1))
         self._begun = False
@@ -99,8 +100,7 @@ class SaydVectorEnv(
             "render_fps": round(1.0 / self.config.control_period),
             "autoreset_mode": self.autoreset_mode,
         }
-        self.single_observation_space = observation_box(self.interface)
-        self.single_action_space = action_box(self.interface)
+        self.single_observation_space, self.single_action_space = self._spaces()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._shape = (self.num_envs, self.interface.actions)
@@ -133,7 +133,7 @@ class SaydVectorEnv(
         reported[which] = True
         if self.render_mode == "human":
             self.render()
-        return self.batch.observations(), self._infos(reported)
+        return self._observed(), self._infos(reported)
 
     def _given_seeds(self, seed: Any) -> list[int | None]:
         if seed is None:
@@ -214,7 +214,7 @@ class SaydVectorEnv(
             last = {"final_obs": final, "final_info": self._infos(done)}
             last |= {"_" + key: done.copy() for key in last}
             self._begin(which, [None] * len(which))
-            observations = self.batch.observations()
+            observations = self._observed()
         elif which:
             self._over[which] = True
         if self.render_mode == "human":

@@ -17,28 +17,19 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.wrappers import FrameStackObservation as HistoryStack
 
 from sayd_env.config import ConfigError
-from sayd_env.config.units import Array
+from sayd_env.envs.scaled import Observation, Scaling
 
 __all__ = ["HistoryStack", "NormalizeSignals", "NormalizeVectorSignals"]
 
-Observation = npt.NDArray[np.float32]
 
-
-class _Scaling:
-    """The map of a box to the range -1 to 1."""
-
-    def __init__(self, space: Any) -> None:
-        if not isinstance(space, Box) or not space.is_bounded():
-            raise ConfigError(f"NormalizeSignals: found the space {space}; expected a Box with finite bounds")
-        low, high = space.low.astype(np.float64), space.high.astype(np.float64)
-        self._middle: Array = 0.5 * (low + high)
-        half = 0.5 * (high - low)
-        self._per_half: Array = 1.0 / np.where(half > 0.0, half, 1.0)
-        self.space = Box(-1.0, 1.0, space.shape, dtype=np.float32)
-
-    def __call__(self, observation: Any) -> Observation:
-        scaled = (np.asarray(observation, dtype=np.float64) - self._middle) * self._per_half
-        return np.clip(scaled, -1.0, 1.0).astype(np.float32)
+def _ranges(space: Any) -> tuple[Scaling, Any]:
+    """The map of a box to the range -1 to 1, and the box of what it gives."""
+    if not isinstance(space, Box) or not space.is_bounded():
+        raise ConfigError(f"NormalizeSignals: found the space {space}; expected a Box with finite bounds")
+    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+    half = 0.5 * (high - low)
+    scaling = Scaling(0.5 * (low + high), np.where(half > 0.0, half, 1.0), 1.0)
+    return scaling, Box(-1.0, 1.0, space.shape, dtype=np.float32)
 
 
 class NormalizeSignals(
@@ -62,8 +53,7 @@ class NormalizeSignals(
     def __init__(self, env: gym.Env[Observation, npt.NDArray[np.float32]]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self._scaling = _Scaling(env.observation_space)
-        self.observation_space = self._scaling.space
+        self._scaling, self.observation_space = _ranges(env.observation_space)
 
     def observation(self, observation: Observation) -> Observation:
         """Map one observation."""
@@ -76,10 +66,8 @@ class NormalizeVectorSignals(VectorWrapper, RecordConstructorArgs):
     def __init__(self, env: VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self._scaling = _Scaling(env.observation_space)
-        self._single = _Scaling(env.single_observation_space)
-        self.observation_space = self._scaling.space
-        self.single_observation_space = self._single.space
+        self._scaling, self.observation_space = _ranges(env.observation_space)
+        self._single, self.single_observation_space = _ranges(env.single_observation_space)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset all vehicles."""

@@ -198,7 +198,7 @@ def _rounded(points: Array, step: float) -> PPoly:
     return PPoly(whole.c[:, first:last], whole.x[first : last + 1])
 
 
-def body_arrays(body: Multibody) -> tuple[Array, Array]:
+def body_arrays(body: Multibody) -> tuple[Array, Column]:
     """What a line needs to know of the bodies, wheelsets first: `Plant.body` and `Plant.body_column`.
 
     Returns

@@ -218,7 +218,7 @@ class VehicleModel:
         measure = sparse_rows(frames if points is None else np.vstack([frames, points]))
         shift, stop = _curves(b.stops)
         number = self._numbers(speed, track, table, 0 if sayds is None else sayds.substeps)
-        body: Array = np.zeros(0)
+        body = np.zeros(0)
         body_column: Column = np.zeros(0, dtype=np.uint32)
         if line is not None:
             body, body_column = body_arrays(b)

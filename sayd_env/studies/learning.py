@@ -13,7 +13,7 @@ from sayd_env.config.software import provenance
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, label, panels
 from sayd_env.runs.context import Progress, silent
-from sayd_env.runs.executors import THREADS, ExecutorChoice, KeptExecutor
+from sayd_env.runs.executors import ExecutorChoice, KeptExecutor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -125,7 +125,7 @@ def train(
     command : str, optional
         How to repeat it; the policy's file keeps it.
     executor : ExecutorChoice, optional
-        Makes the runs of the evaluations; by default as many threads as the configuration says.
+        Makes the runs of the evaluations; by default threads on all cores.
     progress : Progress
         Told the steps.
 
@@ -141,9 +141,7 @@ def train(
     except ModuleNotFoundError as error:
         raise ConfigError(f"train {EXTRA} (no module '{error.name}')") from None
     about = provenance(command)
-    if executor is None or executor.kind in {"", THREADS}:
-        executor = ExecutorChoice(workers=config.environment.threads)
-    with KeptExecutor(executor) as kept:
+    with KeptExecutor(executor or ExecutorChoice()) as kept:
         evaluator = policy_evaluator(config, kept)
         return TrainResult(learn(config, folder, evaluator, resume=resume, about=about, progress=progress))
 

@@ -92,6 +92,23 @@ def test_commands_are_those_of_the_library(
     assert np.ptp(mine) > 0.1  # so that a constant would not do
 
 
+@pytest.mark.parametrize(("algorithm", "kind"), [("PPO", "features"), ("PPO", "history"), ("SAC", "signals")])
+def test_what_has_learned_in_numbers_of_order_1_acts_in_si_units(
+    algorithm: str, kind: str, saved: Saved, quick: str
+) -> None:
+    raw, env = SaydEnv(quick, observation=kind), SaydEnv(quick, observation=kind, scaled=True)
+    path, model = saved(getattr(SB3, algorithm), FlattenObservation(env))
+    policy = read_foreign(path, load_environment(quick)).bound(raw.interface)
+    seen, learned = raw.reset(seed=1)[0], env.reset(seed=1)[0]
+    found = []
+    for _ in range(10):
+        found.append(policy.predict(seen)[0])
+        action, _ = model.predict(learned.ravel(), deterministic=True)
+        np.testing.assert_allclose(found[-1], (action + 1.0) / 2.0, atol=1e-5)
+        seen, learned = raw.step(found[-1])[0], env.step(action)[0]
+    assert np.ptp(found) > 0.01
+
+
 def test_a_history_may_be_flat(saved: Saved, quick: str) -> None:
     env = SaydEnv(quick, observation="history", history=3)
     path, model = saved(SB3.PPO, FlattenObservation(env))
@@ -108,7 +125,7 @@ def test_other_files_are_refused(saved: Saved, quick: str, tmp_path: Path) -> No
     with pytest.raises(ConfigError, match=r"policy.zip: is of another algorithm than PPO and SAC"):
         read_foreign(saved(SB3.A2C, env)[0], nominal)
     with pytest.raises(
-        ConfigError, match="commands reach from -1 to 1, those of the environment from 0 to 1"
+        ConfigError, match=r"observations reach from -100 to 1.6e\+07, those of the environment from -5 to 5"
     ):
         read_foreign(saved(SB3.PPO, RescaleAction(env, np.float32(-1.0), np.float32(1.0)))[0], nominal)
     with pytest.raises(ConfigError, match=r"observations of shape \(3,\); expected 41 signals, 31 features"):

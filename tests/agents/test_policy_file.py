@@ -346,14 +346,14 @@ def test_a_normalisation_is_kept_and_applied(interface: Interface, tmp_path: Pat
     """Two policies that command the same: one by maps of quantities, one by a map of each number."""
     policy = stored(interface)
     encoding = policy.encoding(interface)
-    halves = 1.0 / encoding.per_half
+    halves = 1.0 / encoding.scaling.per_half
     linear = {name: InputConfig(middle=0.0, half=1.0) for name in ("command", "speed")}
     description = policy.description.model_copy(update={"inputs": linear})
     layers = ((policy.layers[0][0][:, 4:].copy(), policy.layers[0][1]), *policy.layers[1:])
     plain = policy.description.model_copy(update={"inputs": {n: INPUTS[n] for n in linear}})
     save_policy(
         tmp_path / "p.npz",
-        StoredPolicy(description, layers, normalisation=(encoding.middle[4:], halves[4:])),
+        StoredPolicy(description, layers, normalisation=(encoding.scaling.middle[4:], halves[4:])),
     )
     seen = observations(interface, 5)
     expected = StoredPolicy(plain, layers).bound(interface).predict(seen)[0]

@@ -52,7 +52,7 @@ def test_the_recipe(
     first = train(2048, algorithm, *settings, "--out", "run")
     assert first["steps"] == 2048
     before = read_policy(Path("run/last.npz"))
-    resumed = train(4096, "--resume", "run")  # the last update of PPO has a step of 0
+    resumed = train(4096, "--resume", "run")
     assert resumed["steps"] == 4096
     after = read_policy(Path("run/last.npz"))
     assert (before.description.made["steps"], after.description.made["steps"]) == (2048, 4096)

@@ -103,6 +103,18 @@ def test_a_run_holds_what_it_needs_to_be_understood(trained: Trained) -> None:
     assert any((folder / "tensorboard").iterdir())
 
 
+def test_the_learning_rate_is_that_at_the_start_of_an_update(trained: Trained) -> None:
+    """It falls in a straight line, as if asked before the steps of the update were made."""
+    config = trained.config
+    made = {"ppo": 16 * 8, "sac": 1 * 8}[config.learning.algorithm]
+    rows = [row for row in Table(trained.folder / "progress.csv").rows if row.get("train/learning_rate")]
+    for row in rows:
+        begun = (row["steps"] - made) / config.total_steps
+        assert row["train/learning_rate"] == pytest.approx(config.learning.learning_rate * (1.0 - begun))
+    assert rows[-1]["train/learning_rate"] > 0.0
+    assert rows
+
+
 def test_the_stored_policy_acts_as_the_model(trained: Trained) -> None:
     env, encoding = make_learning_env(trained.config)
     model = make_model(trained.config, env)
@@ -170,6 +182,8 @@ def test_a_run_is_exported(
         (["ppo", "--resume", "nowhere"], "leave out the algorithm"),
         (["ppo", "--seed", "1000000"], "--seed 1000000: expected a whole number from 0 to 999999"),
         (["ppo", "--set", "environment.name=nomnal"], "did you mean 'nominal'?"),
+        (["ppo", "--set", "total_steps=1000"], "makes no update: the first one comes after 65536 steps"),
+        (["sac", "--set", "total_steps=10000"], "makes no update: the first one comes after 10001 steps"),
         (["ppo", "--set", "inputs.stroke={middle: 0.0, half: 1.0}"], "has no quantity 'stroke'"),
     ],
 )
@@ -188,14 +202,30 @@ def test_bad_input_is_one_message(
     assert not list(tmp_path.rglob("*.yaml"))
 
 
+@pytest.mark.parametrize(("given", "workers"), [([], None), (["--workers", "3"], 3)])
+def test_workers_make_the_evaluations(
+    given: list[str], workers: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in every command; the simulator's threads are the configuration's."""
+    seen: dict[str, Any] = {}
+
+    def study(config: TrainConfig, folder: Path, **options: Any) -> None:
+        seen.update(options, threads=config.environment.threads)
+        raise Interrupted("seen")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sayd_env.studies.learning.train", study)
+    main(["train", "ppo", *given])
+    assert (seen["executor"], seen["threads"]) == (ExecutorChoice("threads", workers=workers), 1)
+
+
 def test_rewards_and_last_observations_are_encoded(tmp_path: Path) -> None:
     config = load_train("ppo", settings("ppo", tmp_path))
     env, encoding = make_learning_env(config)
     raw = SaydEnv(**environment_keywords(config), info="full")
     env.seed(3)
     np.testing.assert_allclose(env.reset()[2:4], encoding.encode(raw.reset(seed=4)[0][None]), atol=1e-6)
-    period, reference = config.environment.control_period, config.reward_reference
-    assert reference is not None
+    period = config.environment.control_period
     for step in range(25):
         outputs = np.full((8, 1), -0.5 + 0.03 * step, np.float32)
         outputs[3] += 0.1  # the rear bogie of the second vehicle

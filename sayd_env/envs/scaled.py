@@ -1,0 +1,104 @@
+"""The environment as learners like it: observations and rewards of order 1, actions from -1 to 1."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box
+
+from sayd_env.config.learner import InputConfig, load_learner
+from sayd_env.config.units import Array
+from sayd_env.envs.draw import Episode
+from sayd_env.envs.interface import Interface, Signal
+from sayd_env.envs.options import number_array
+
+Observation = npt.NDArray[np.float32]
+
+FLOOR = 1e-12
+"""Smallest ratio of which a logarithm is taken."""
+
+
+class Scaling:
+    """A fixed map of numbers to order 1: (value - middle) / half, or ln(value / middle) / half.
+
+    Parameters
+    ----------
+    middle : ndarray
+        What becomes 0; so does NaN.
+    half : ndarray
+        What becomes 1.
+    clip : float
+        Results are cut off at plus and minus this.
+    logarithmic : ndarray of bool, optional
+        Where ln(value / middle) / half is taken.
+    """
+
+    def __init__(
+        self, middle: Array, half: Array, clip: float, logarithmic: npt.NDArray[np.bool_] | None = None
+    ) -> None:
+        self.middle, self.clip = middle, clip
+        self.per_half: Array = 1.0 / half
+        self.logarithmic = np.zeros(middle.shape, np.bool_) if logarithmic is None else logarithmic
+
+    @classmethod
+    def of(cls, signals: Iterable[Signal], inputs: Mapping[str, InputConfig], clip: float) -> Scaling:
+        """The map of signals by their quantities."""
+        each = [inputs[signal.name.partition(".")[0]] for signal in signals]
+        logarithmic = np.array([item.law == "log" for item in each], dtype=np.bool_)
+        middle, half = (np.array([getattr(item, name) for item in each]) for name in ("middle", "half"))
+        return cls(middle, half, clip, logarithmic)
+
+    def __call__(self, values: npt.ArrayLike) -> Observation:
+        """Map numbers, shape (..., n)."""
+        seen = np.asarray(values, dtype=np.float64)
+        seen = np.where(np.isnan(seen), self.middle, seen)
+        apart = seen - self.middle
+        if self.logarithmic.any():
+            # The floor keeps the logarithm of a dead sensor finite; it lies far beyond the clip.
+            ratio = np.maximum(seen / np.where(self.logarithmic, self.middle, 1.0), FLOOR)
+            apart = np.where(self.logarithmic, np.log(ratio), apart)
+        bounded: Observation = np.clip(apart * self.per_half, -self.clip, self.clip).astype(np.float32)
+        return bounded
+
+
+class LearnersView:
+    """Between the vehicles and a learner.
+
+    Parameters
+    ----------
+    interface : Interface
+        The environment's.
+    """
+
+    def __init__(self, interface: Interface) -> None:
+        config = load_learner()
+        self._worst = config.worst
+        self.observe = Scaling.of(interface.signals, config.inputs, config.clip)
+        self.observation_box = Box(-config.clip, config.clip, interface.shape, np.float32)
+        self.action_box = Box(-1.0, 1.0, (interface.actions,), np.float32)
+
+    def rewards(self, rewards: Array, ordinary: Array) -> Array:
+        """Rewards in multiples of ordinary J."""
+        found: Array = np.maximum(rewards / ordinary, -self._worst)
+        return found
+
+    @staticmethod
+    def commands(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
+        """Valve commands of actions, which are cut off at -1 and 1: a Gaussian policy's reach beyond."""
+        values = number_array("action", actions, shape)
+        finite = np.where(np.isfinite(values), np.clip(values, -1.0, 1.0), np.nan)
+        commands: Array = 0.5 + 0.5 * finite
+        return commands
+
+
+def ordinary_costs(episodes: Sequence[Episode | None]) -> Array:
+    """J of an ordinary policy in the conditions of each episode, shape (N); 1 where none has begun."""
+    begun = [i for i, episode in enumerate(episodes) if episode is not None]
+    costs = np.ones(len(episodes))
+    running: Any = [episodes[i] for i in begun]
+    reference = load_learner().reward
+    costs[begun] = reference.ordinary([e.speed for e in running], [e.track_scale for e in running])
+    return costs
