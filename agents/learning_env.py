@@ -123,7 +123,7 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
 
     def factors() -> Array:
         per_second = config.reward_scale / settings.control_period
-        return per_second / ordinary_costs(vehicles.vector.batch.episodes)
+        return per_second / ordinary_costs(vehicles.vector.batch)
 
     # The monitor is below: it adds up what the environment gives, minus J.
     return EncodedVecEnv(VecMonitor(vehicles), encoding, factors, vehicles.bogie_costs), encoding

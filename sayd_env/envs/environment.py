@@ -194,7 +194,7 @@ class Environment:
         episodes = [draw_episode(self.config, seed, number, options) for seed, number in chosen]
         rows = self.batch.reset(which, episodes, log=self._full, whole_track=False)
         if self._view is not None:
-            self._ordinary[list(which)] = ordinary_costs(episodes)
+            self._ordinary = ordinary_costs(self.batch)
         for i, (seed, number), before in zip(which, chosen, rows, strict=True):
             self._seeds[i], self._numbers[i], self._over[i] = seed, number, False
             self._conditions[i] = episode_info(self.batch, i)
@@ -305,7 +305,7 @@ class Environment:
         self._sliding = list(copy.deepcopy(state.sliding))
         self._over[:] = state.over
         if self._view is not None:
-            self._ordinary = ordinary_costs(self.batch.episodes)
+            self._ordinary = ordinary_costs(self.batch)
         self._np_random, self._np_random_seed = copy.deepcopy(state.random), state.random_seed
         self._conditions = [episode_info(self.batch, i) for i in range(self.batch.count)]
         for recorder in self._recorders:

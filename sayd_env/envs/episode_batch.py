@@ -363,6 +363,13 @@ class EpisodeBatch:
         found: Array = vehicles.band.frequency[vehicles.choice()]
         return found
 
+    def mean_speed(self, i: int) -> float:
+        """Mean speed of a vehicle's episode by its configuration (m/s)."""
+        episode, line = self.episodes[i], self.lines[i]
+        assert episode is not None  # the reset has set it
+        along = None if line is None else line.distance_at(self.config.episode_s)
+        return episode.speed if along is None else float(along) / self.config.episode_s
+
     def distance(self) -> Array:
         """How far each vehicle's centre has gone since step 0, a new array of shape (count,), m."""
         vehicles = self.vehicles

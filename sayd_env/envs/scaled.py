@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 
 from sayd_env.config.learner import InputConfig, load_learner
 from sayd_env.config.units import Array
-from sayd_env.envs.draw import Episode
+from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.interface import Interface, Signal
 from sayd_env.envs.options import number_array
 
@@ -94,11 +94,11 @@ class LearnersView:
         return commands
 
 
-def ordinary_costs(episodes: Sequence[Episode | None]) -> Array:
-    """J of an ordinary policy in the conditions of each episode, shape (N); 1 where none has begun."""
-    begun = [i for i, episode in enumerate(episodes) if episode is not None]
-    costs = np.ones(len(episodes))
-    running: Any = [episodes[i] for i in begun]
+def ordinary_costs(batch: EpisodeBatch) -> Array:
+    """J of an ordinary policy at each vehicle's mean speed, shape (count,); 1 where no episode has begun."""
+    begun = [i for i, episode in enumerate(batch.episodes) if episode is not None]
+    costs = np.ones(batch.count)
+    running: Any = [batch.episodes[i] for i in begun]
     reference = load_learner().reward
-    costs[begun] = reference.ordinary([e.speed for e in running], [e.track_scale for e in running])
+    costs[begun] = reference.ordinary([batch.mean_speed(i) for i in begun], [e.track_scale for e in running])
     return costs
