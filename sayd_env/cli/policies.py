@@ -28,6 +28,11 @@ def evaluate(
     foreign: options.ForeignOptions,
     *,
     policies: Names | None = options.policies(f"Names ({options.WHICH})."),
+    line: str | None = scenario(
+        "--line NAME|FILE",
+        "Run over the whole of a line: a name, a YAML file or a measured CSV file. Default: straight track.",
+        autocompletion=one_of(kind="line"),
+    ),
     initial_current: float = policy(
         "--initial-current 0..1", "Valve command of the run-in, before they act.", options.SHARE, default=0.0
     ),
@@ -44,13 +49,36 @@ def evaluate(
     over the first 20 s behind the run-in (episode_s of --environment), weighted by --reward. A derailment is
     charged in it as the environment does. J_run is the same over the whole assessed 5 km, J_offline with the
     filter of the assessment. The weights do not change what the controllers mppt1 and mppt2 minimise.
+
+    With --line, policies run over the whole of a line, and all is told by its sections: J, the part of its
+    force that the curve itself asks for, sliding RMS by EN 14363 on straight parts of 500 m and more, 2 m
+    means of Y/Q, of the track shift force and of wheel unloading.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
+    from sayd_env.studies import line as along  # noqa: PLC0415
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
 
     chosen, setup = grid.load(), load_environment(grid.environment)
     specs = policy_specs(policies or (), foreign.reader(setup))
+    if line is not None:
+        speeds = along.line_speeds(line, chosen, grid.speeds, SPEEDS)
+        return Plan(
+            lambda run: along.evaluate_line(
+                chosen,
+                line,
+                speeds,
+                range(seed, seed + seeds),
+                policies=specs,
+                wear=grid.wear or (),
+                friction=grid.friction or (),
+                environment=setup,
+                initial_current=initial_current,
+                context=run,
+            ),
+            {**dict(chosen), "environment": setup, "line": line},
+            seed,
+        )
     return Plan(
         lambda run: study(
             chosen,
