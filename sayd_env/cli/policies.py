@@ -150,6 +150,38 @@ def map_(
     )
 
 
+@command(GROUP, "--quick", runs=True)
+def hindsight(
+    foreign: options.ForeignOptions,
+    *,
+    policies: Names | None = options.policies(
+        f"Who is compared ({options.WHICH}). Default: passive and the controllers of the configuration."
+    ),
+    config: str | None = scenario(
+        "--config NAME|FILE", "Lines and commands: a YAML file. Default: configs/study/hindsight.yaml."
+    ),
+    assignments: options.Set = None,
+    quick: options.Quick = False,
+) -> Plan:
+    """Find what adaptation is worth along lines: J beside that of the best command of each section.
+
+    Constant commands run over packaged lines and lines that the environment line draws. The best one of each
+    section, in hindsight, makes a schedule, which is run; the best single command of each line, the best one
+    for all lines and controllers are compared with it, by the geometric mean of J over the schedule's.
+    Finished runs are kept in the output directory: an interrupted study goes on where it stopped.
+    """
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.hindsight import load_hindsight  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
+    from sayd_env.studies.hindsight import hindsight as study  # noqa: PLC0415
+
+    settings = load_hindsight(config or "hindsight", assignments or ())
+    settings = settings.shortened() if quick else settings
+    reader = foreign.reader(load_environment(settings.environment))
+    specs = policy_specs(policies or settings.policies, reader)
+    return Plan(lambda run: study(settings, specs, context=run), settings, settings.seeds[0])
+
+
 def _held_out() -> list[str]:
     from sayd_env.config.comparison import HELD_OUT  # noqa: PLC0415 - keeps --help fast
 

@@ -47,9 +47,7 @@ class Run:
         return id(self.policy), id(self.scenario), id(self.environment), self.initial_current
 
 
-def roll_out_runs(
-    runs: Sequence[Run], *, episode: bool = False, wheel_loads: bool = False
-) -> list[Rollout]:
+def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, wheel_loads: bool = False) -> list[Rollout]:
     """Run-in and assessed length of runs that are companions, on one thread.
 
     Parameters

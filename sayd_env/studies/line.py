@@ -127,7 +127,9 @@ class LineResult:
     rows: list[SectionRow] = field(init=False)
 
     def __post_init__(self) -> None:
-        rows = [row for run, record in zip(self.runs, self.records, strict=True) for row in _rows(run, record)]
+        rows = [
+            row for run, record in zip(self.runs, self.records, strict=True) for row in _rows(run, record)
+        ]
         object.__setattr__(self, "rows", rows)
 
     @cached_property
@@ -434,6 +436,8 @@ def _draw_line(axes: Sequence[Axes], trip: Trip, gauge: float, friction: float) 
         twin = axis.twinx()
         twin.plot(km, others, color=second, linestyle="--")
         twin.set_ylabel(other_name, color=second)
+        low, high = twin.get_ylim()
+        twin.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))  # apart where both change alike
     top = axes[0].get_ylim()[1]
     for section in line.sections:
         axes[0].text(
@@ -459,8 +463,6 @@ def _draw_run(axes: Sequence[Axes], run: Run, record: LineRecord) -> None:
     if run.scenario.damper.type != "passive":
         axes[0].plot(km, record.command.mean(axis=1), **style, **thin)
     axes[1].plot(km, J, label=name, **style, **thin)
-    axes[2].plot(
-        1e-3 * record.position, record.running_acceleration / bounds.acceleration, **style, **thin
-    )
+    axes[2].plot(1e-3 * record.position, record.running_acceleration / bounds.acceleration, **style, **thin)
     axes[3].plot(km, record.peak_quotient / safe, **style, **thin)
     axes[4].plot(km, record.peak_track_shift / (2.0 * bounds.track_shift_force), **style, **thin)
