@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from sayd_env.cli import options, parsers
 from sayd_env.cli.command import Plan, command, result_folder
@@ -19,6 +19,14 @@ if TYPE_CHECKING:
     from sayd_env.studies.tuning.tune import TuneResult
 
 GROUP = "Policies"
+Line = Annotated[
+    str | None,
+    scenario(
+        "--line NAME|FILE",
+        "A line along which conditions change: a name, a YAML file or a measured CSV file.",
+        autocompletion=one_of(kind="line"),
+    ),
+]
 SPEEDS = parsers.speeds("300,350,400")
 
 
@@ -28,11 +36,7 @@ def evaluate(
     foreign: options.ForeignOptions,
     *,
     policies: Names | None = options.policies(f"Names ({options.WHICH})."),
-    line: str | None = scenario(
-        "--line NAME|FILE",
-        "Run over the whole of a line: a name, a YAML file or a measured CSV file. Default: straight track.",
-        autocompletion=one_of(kind="line"),
-    ),
+    line: Line = None,
     initial_current: float = policy(
         "--initial-current 0..1", "Valve command of the run-in, before they act.", options.SHARE, default=0.0
     ),
@@ -244,6 +248,7 @@ def render(
         default="mppt2",
     ),
     speed: float | None = scenario("--speed KMH", "Speed. Default: the environment draws it.", SPEED),
+    line: Line = None,
     environment: options.Environment = "nominal",
     seconds: float = option("--seconds S", "Length.", positive("s", 600), default=10.0),
     fps: float = option("--fps N", "Pictures per second.", positive("per second", 1000), default=25.0),
@@ -268,6 +273,7 @@ def render(
     from sayd_env.config.environment import fixed_by, load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
     from sayd_env.studies import render as study  # noqa: PLC0415
+    from sayd_env.studies.line import line_speeds  # noqa: PLC0415
 
     setup = load_environment(environment)
     chosen = choice.load(setup.study)
@@ -280,8 +286,13 @@ def render(
     spec = policy_spec(who, foreign.reader(setup))
     video = study.Video(spec, target, seconds, fps, exaggeration)
     metric = None if speed is None else speed / KMH
+    if line is not None and metric is not None:
+        line_speeds(line, chosen, [metric], [metric])
+    fixed = {} if line is None else {"line": line}
     return Plan(
-        lambda run: study.render(video, chosen, left, seed=seed, speed=metric, progress=run.progress),
+        lambda run: study.render(
+            video, chosen, left, seed=seed, speed=metric, fixed=fixed, progress=run.progress
+        ),
         {**dict(chosen), "environment": setup},
         seed,
     )

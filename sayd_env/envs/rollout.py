@@ -75,8 +75,8 @@ class Rollout:
     ending: str | None
     """Why the run ended early; None if it did not."""
     wheel_load: Array | None = None
-    """(t, LANES) vertical force of each wheel on its rail from step 0 on, left and right in turn, N; None where
-    it was not asked for."""
+    """(t, LANES) vertical force of each wheel on its rail from step 0 on, left and right in turn (N); None
+    where it was not asked for."""
 
     def cost(self, seconds: float | None = None) -> tuple[float, float]:
         """Means over the first seconds of (psi_y / y_lim)^2 and (psi_F / F_max)^2, on-line filter.

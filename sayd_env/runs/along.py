@@ -96,7 +96,7 @@ class LineRecord:
     unloading: Array
     """(s,) largest share of its static load that a wheel has lost, mean over the same distance."""
     acceleration_rms: Array
-    """(s,) largest sliding RMS of a bogie frame's acceleration by EN 14363 on the section's straight part, m/s2."""
+    """(s,) largest sliding RMS of a frame's acceleration by EN 14363 on the section's straight part, m/s2."""
     track_shift_rms: Array
     """(s,) the same of the track shift force, N."""
     command: Array
@@ -298,7 +298,7 @@ def _times(rollout: Rollout) -> Array:
 
 
 def _unloading(run: Run, rollout: Rollout, trip: Trip) -> Array:
-    """Largest share of its static load that any wheel has lost in the mean over the averaging distance, by period."""
+    """Largest share of its static load that a wheel has lost, mean over some distance, by period."""
     assert rollout.wheel_load is not None
     length = run.environment.derailment.averaging
     static = np.repeat(VehicleModel(run.scenario).multibody.wheel_load, 2)

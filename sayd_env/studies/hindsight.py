@@ -1,4 +1,4 @@
-"""What is adaptation worth along lines? The best command of each section in hindsight, one for all, controllers."""
+"""What is adaptation worth along lines? The best command of each section, single ones, controllers."""
 
 from __future__ import annotations
 
@@ -49,8 +49,7 @@ class Gap(NamedTuple):
     worst: float
     """Largest of these ratios, less 1."""
     by_section: float
-    """Geometric mean over all sections of J there over that of the schedule, less 1: bad sections count no more
-    than good ones."""
+    """The same over all sections of all lines, where bad sections count no more than good ones."""
     derailed: int
     """Runs that ended early."""
 
@@ -241,7 +240,7 @@ def hindsight(
     study = _Study(config, context or RunContext())
     found = study.constants()
     commands = set.intersection(*(set(each) for each in found.values()))
-    single = min(sorted(commands), key=lambda current: study.mean_log(current))
+    single = min(sorted(commands), key=study.mean_log)
     specs = {each.title: each for each in policies}
     lines = []
     for name in found:
@@ -272,7 +271,7 @@ class _Study:
         self._records: dict[str, dict[float, list[LineRecord]]] = {name: {} for name in self.lines}
 
     def constants(self) -> dict[str, dict[float, Array]]:
-        """J of the sections of each line by constant command: a grid, then halfway to the neighbours of the best."""
+        """J of the sections of each line by constant command: a grid, and more around its best ones."""
         beyond = (self._closed + (1.0 - self._closed) * share for share in self._config.openings)
         grid = {CLOSED, OPEN, *(round(current, DIGITS) for current in beyond)}
         self._try({name: grid for name in self.lines})

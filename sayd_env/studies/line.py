@@ -181,7 +181,7 @@ class LineResult:
         }
 
     def plots(self) -> dict[str, Plot]:
-        """What lies along the line, and what the policies make of it, over distance: the first seed's runs."""
+        """What lies along the line and what policies make of it, over distance: runs of the first seed."""
         many = len(self.places) > 1
         return {
             "line" + "".join(f"_{each:g}" for each in place) * many: partial(self._draw, place=place)
@@ -196,7 +196,8 @@ class LineResult:
             shown = [c for c in SECTIONS if c.name in ("section", "to_m") or _varied(sections, c)]
             print_table(console, about, shown, sections, wide=wide)
             count = len({row.seed for row in self.rows})
-            title = f"J and its part that the curve needs; ratios to limits: medians of {count} track{'s' * (count > 1)}"
+            tracks = f"{count} track{'s' * (count > 1)}"
+            title = f"J and its part that the curve needs; ratios to limits: medians of {tracks}"
             rows = [row for row in self.medians if all(row[k] == v for k, v in place._asdict().items())]
             print_table(console, title, COLUMNS, _named_once(rows), wide=wide, section="part")
         for run, record in zip(self.runs, self.records, strict=True):
@@ -319,7 +320,7 @@ def line_speeds(
     if own is None:
         return given or default
     if given:
-        raise ConfigError(f"--speeds: line '{line}' has speeds of its own")
+        raise ConfigError(f"line '{line}' has speeds of its own: leave out those of the command")
     return [own]
 
 
