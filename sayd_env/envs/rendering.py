@@ -343,7 +343,7 @@ class Renderer:
         s = np.linspace(0.0, end, int(inner[2]))
         speed, fastest = line.speed_at(s), line.fastest
         for values, most, colour, low in (
-            (line.cant.at(s), _largest(line.cant.value), REAR, -1.0),
+            (line.cant.at(s), 1.6 * _largest(line.cant.value), REAR, -1.0),  # not on the curvature's line
             (line.curvature.at(s), _largest(line.curvature.value), FRONT, -1.0),
             (speed, fastest, INK, 0.0),
         ):
