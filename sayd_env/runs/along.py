@@ -69,7 +69,7 @@ class Trip:
         found = self.line.speed_at(s)
         return np.full(s.shape, self.speed) if found is None else found
 
-    def sections(self, t: Array) -> npt.NDArray[np.int64]:
+    def sections(self, t: npt.ArrayLike) -> npt.NDArray[np.int64]:
         """Numbers of the sections in which the train is at times (s)."""
         ends = np.array([each.end for each in self.line.sections[:-1]])
         return np.searchsorted(ends, self.distance(t), side="right")
@@ -246,7 +246,7 @@ def line_record(run: Run, rollout: Rollout) -> LineRecord:
     rms = _running_rms(run, rollout, trip)
     second = round(SECOND / period)
     return LineRecord(
-        time=periods * period,
+        time=np.asarray(periods * period, dtype=np.float64),
         acceleration=mean(acceleration),
         force=mean(force),
         curve_force=mean(curve),

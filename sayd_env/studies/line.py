@@ -333,7 +333,7 @@ def _rows(run: Run, record: LineRecord) -> list[SectionRow]:
     assert run.line is not None
     bounds, safe = model_limits(VehicleModel(run.scenario)), run.environment.derailment.safe_quotient
     costs = record.cost(run.environment, run.scenario.cost)
-    by_section = {
+    by_section: dict[str, Any] = {
         "time_s": record.time,
         "J": costs,
         "J_acceleration": record.acceleration,
@@ -351,15 +351,12 @@ def _rows(run: Run, record: LineRecord) -> list[SectionRow]:
         name: record.mean(values) if name.startswith("J") else _most(values)
         for name, values in by_section.items()
     } | {"time_s": float(record.time.sum())}
-    who = (run.policy.title, *_place(run), run.seed)
-    names = [section.name for section in run.line.sections]
-    return [
-        *(
-            SectionRow(*who, name, **{key: float(values[k]) for key, values in by_section.items()})
-            for k, name in enumerate(names)
-        ),
-        SectionRow(*who, WHOLE, **whole),
+    who: dict[str, Any] = {"policy": run.policy.title, **_place(run)._asdict(), "seed": run.seed}
+    each: list[dict[str, Any]] = [
+        {"section": section.name} | {name: float(values[k]) for name, values in by_section.items()}
+        for k, section in enumerate(run.line.sections)
     ]
+    return [SectionRow(**who, **values) for values in (*each, {"section": WHOLE} | whole)]
 
 
 def _most(values: Array) -> float:
@@ -458,12 +455,12 @@ def _draw_run(axes: Sequence[Axes], run: Run, record: LineRecord) -> None:
     bounds, cost = model_limits(VehicleModel(run.scenario)), run.scenario.cost
     km = 1e-3 * Trip(run.line, run.speed).distance(np.arange(len(record.command)) + 0.5)
     style = policy_style(run.policy.title).plain
-    name, thin = label(run.policy.title), {"linewidth": 1.0}
+    style["linewidth"], name = 1.0, label(run.policy.title)
     J = cost.acceleration_weight * record.cost_acceleration + cost.force_weight * record.cost_force
     safe = run.environment.derailment.safe_quotient
     if run.scenario.damper.type != "passive":
-        axes[0].plot(km, record.command.mean(axis=1), **style, **thin)
-    axes[1].plot(km, J, label=name, **style, **thin)
-    axes[2].plot(1e-3 * record.position, record.running_acceleration / bounds.acceleration, **style, **thin)
-    axes[3].plot(km, record.peak_quotient / safe, **style, **thin)
-    axes[4].plot(km, record.peak_track_shift / (2.0 * bounds.track_shift_force), **style, **thin)
+        axes[0].plot(km, record.command.mean(axis=1), **style)
+    axes[1].plot(km, J, label=name, **style)
+    axes[2].plot(1e-3 * record.position, record.running_acceleration / bounds.acceleration, **style)
+    axes[3].plot(km, record.peak_quotient / safe, **style)
+    axes[4].plot(km, record.peak_track_shift / (2.0 * bounds.track_shift_force), **style)

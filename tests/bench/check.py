@@ -142,8 +142,8 @@ class Row:
         share = {"environment_share": median(self.shares)} if self.shares else {}
         return asdict(self.wanted) | spreads | share | self._compared() | {"ok": self.ok}
 
-    def _compared(self) -> dict[str, float]:
-        return {} if self.wanted.alone else {"ratio": self.ratio}
+    def _compared(self) -> dict[str, float | None]:
+        return {"ratio": None if self.wanted.alone else self.ratio}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -60,7 +60,7 @@ def test_a_small_share_of_the_environment_is_enough() -> None:
 def test_what_the_tree_has_alone_is_compared_with_its_limit() -> None:
     made = row([], [1.04], limit=1.05, is_time=True, alone=True)
     assert made.ok
-    assert "ratio" not in made.as_dict()
+    assert made.as_dict()["ratio"] is None
     assert not row([], [1.06], limit=1.05, is_time=True, alone=True).ok
 
 

@@ -17,7 +17,7 @@ from sayd_env.studies.hindsight import FOR_ALL, HINDSIGHT, SINGLE, HindsightResu
 LINE = """
 sections:
   - {name: calm, length: 700.0, speed_kmh: 200.0, friction: 0.25, gauge: 1.44}
-  - {name: fast, length: 1300.0, speed_kmh: 280.0, acceleration: 0.7, friction: 0.5, gauge: 1.432}
+  - {name: fast, length: 1500.0, speed_kmh: 250.0, acceleration: 0.7, friction: 0.5, gauge: 1.432}
 """
 
 
