@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from sayd_env.cli import options, parsers
 from sayd_env.cli.command import Plan, command, result_folder
@@ -19,6 +19,14 @@ if TYPE_CHECKING:
     from sayd_env.studies.tuning.tune import TuneResult
 
 GROUP = "Policies"
+Line = Annotated[
+    str | None,
+    scenario(
+        "--line NAME|FILE",
+        "A line along which conditions change: a name, a YAML file or a measured CSV file.",
+        autocompletion=one_of(kind="line"),
+    ),
+]
 SPEEDS = parsers.speeds("300,350,400")
 
 
@@ -28,6 +36,7 @@ def evaluate(
     foreign: options.ForeignOptions,
     *,
     policies: Names | None = options.policies(f"Names ({options.WHICH})."),
+    line: Line = None,
     initial_current: float = policy(
         "--initial-current 0..1", "Valve command of the run-in, before they act.", options.SHARE, default=0.0
     ),
@@ -44,13 +53,36 @@ def evaluate(
     over the first 20 s behind the run-in (episode_s of --environment), weighted by --reward. A derailment is
     charged in it as the environment does. J_run is the same over the whole assessed 5 km, J_offline with the
     filter of the assessment. The weights do not change what the controllers mppt1 and mppt2 minimise.
+
+    With --line, policies run over the whole of a line, and all is told by its sections: J, the part of its
+    force that the curve itself asks for, sliding RMS by EN 14363 on straight parts of 500 m and more, 2 m
+    means of Y/Q, of the track shift force and of wheel unloading.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
+    from sayd_env.studies import line as along  # noqa: PLC0415
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
 
     chosen, setup = grid.load(), load_environment(grid.environment)
     specs = policy_specs(policies or (), foreign.reader(setup))
+    if line is not None:
+        speeds = along.line_speeds(line, chosen, grid.speeds, SPEEDS)
+        return Plan(
+            lambda run: along.evaluate_line(
+                chosen,
+                line,
+                speeds,
+                range(seed, seed + seeds),
+                policies=specs,
+                wear=grid.wear or (),
+                friction=grid.friction or (),
+                environment=setup,
+                initial_current=initial_current,
+                context=run,
+            ),
+            {**dict(chosen), "environment": setup, "line": line},
+            seed,
+        )
     return Plan(
         lambda run: study(
             chosen,
@@ -122,6 +154,38 @@ def map_(
     )
 
 
+@command(GROUP, "--quick", runs=True)
+def hindsight(
+    foreign: options.ForeignOptions,
+    *,
+    policies: Names | None = options.policies(
+        f"Who is compared ({options.WHICH}). Default: passive and the controllers of the configuration."
+    ),
+    config: str | None = scenario(
+        "--config NAME|FILE", "Lines and commands: a YAML file. Default: configs/study/hindsight.yaml."
+    ),
+    assignments: options.Set = None,
+    quick: options.Quick = False,
+) -> Plan:
+    """Find what adaptation is worth along lines: J beside that of the best command of each section.
+
+    Constant commands run over packaged lines and lines that the environment line draws. The best one of each
+    section, in hindsight, makes a schedule, which is run; the best single command of each line, the best one
+    for all lines and controllers are compared with it, by the geometric mean of J over the schedule's.
+    Finished runs are kept in the output directory: an interrupted study goes on where it stopped.
+    """
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.hindsight import load_hindsight  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
+    from sayd_env.studies.hindsight import hindsight as study  # noqa: PLC0415
+
+    settings = load_hindsight(config or "hindsight", assignments or ())
+    settings = settings.shortened() if quick else settings
+    reader = foreign.reader(load_environment(settings.environment))
+    specs = policy_specs(policies or settings.policies, reader)
+    return Plan(lambda run: study(settings, specs, context=run), settings, settings.seeds[0])
+
+
 def _held_out() -> list[str]:
     from sayd_env.config.comparison import HELD_OUT  # noqa: PLC0415 - keeps --help fast
 
@@ -184,6 +248,7 @@ def render(
         default="mppt2",
     ),
     speed: float | None = scenario("--speed KMH", "Speed. Default: the environment draws it.", SPEED),
+    line: Line = None,
     environment: options.Environment = "nominal",
     seconds: float = option("--seconds S", "Length.", positive("s", 600), default=10.0),
     fps: float = option("--fps N", "Pictures per second.", positive("per second", 1000), default=25.0),
@@ -208,6 +273,7 @@ def render(
     from sayd_env.config.environment import fixed_by, load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
     from sayd_env.studies import render as study  # noqa: PLC0415
+    from sayd_env.studies.line import line_speeds  # noqa: PLC0415
 
     setup = load_environment(environment)
     chosen = choice.load(setup.study)
@@ -220,8 +286,13 @@ def render(
     spec = policy_spec(who, foreign.reader(setup))
     video = study.Video(spec, target, seconds, fps, exaggeration)
     metric = None if speed is None else speed / KMH
+    if line is not None and metric is not None:
+        line_speeds(line, chosen, [metric], [metric])
+    fixed = {} if line is None else {"line": line}
     return Plan(
-        lambda run: study.render(video, chosen, left, seed=seed, speed=metric, progress=run.progress),
+        lambda run: study.render(
+            video, chosen, left, seed=seed, speed=metric, fixed=fixed, progress=run.progress
+        ),
         {**dict(chosen), "environment": setup},
         seed,
     )

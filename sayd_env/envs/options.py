@@ -170,7 +170,7 @@ def _line(value: Any) -> str | LineConfig:
     known = packaged_names("line")
     if isinstance(value, Mapping):
         return validate(LineConfig, dict(value), "options: line")
-    if isinstance(value, str) and (value in known or is_path(value)):
+    if isinstance(value, str) and (value in known or is_path(value) or value.endswith(".csv")):
         return value
     close = nearest(value, known) if isinstance(value, str) else ""
     raise ConfigError(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sayd_env.config.conditions import Line
 from sayd_env.config.fault import DamperLost, Fault, PowerLost, ValveStuck
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS as DAMPER_NAMES
@@ -31,6 +32,8 @@ WINDOW = 10.0
 """Time that a frame looks back, s."""
 SECOND = 1.0
 """Time over which running values are taken, s: a step of the paper's MPPT."""
+STRAIGHT = 1e5
+"""Radius from which on a curve is drawn and called straight, m."""
 BEHIND, AHEAD, SPACING = 40.0, 80.0, 0.25
 """Track that a frame shows around the vehicle's centre, and the distance of its points, m."""
 
@@ -54,6 +57,33 @@ class Pose:
     """rad, to the left."""
 
 
+@dataclass(frozen=True)
+class Place:
+    """Where a vehicle is on its line."""
+
+    line: Line
+    distance: float
+    """From the line's start, m."""
+
+    @property
+    def section(self) -> str:
+        """Name of the section."""
+        return self.line.section_at(self.distance).name
+
+    @property
+    def curve(self) -> str:
+        """Radius and side of the curve in words."""
+        curvature = float(self.line.curvature.at(self.distance))
+        if abs(curvature) < 1.0 / STRAIGHT:
+            return "straight"
+        return f"R {1.0 / abs(curvature):,.0f} m {'left' if curvature > 0.0 else 'right'}"
+
+    @property
+    def cant(self) -> float:
+        """m, positive where the right rail is higher."""
+        return float(self.line.cant.at(self.distance))
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A vehicle at an instant, and the last seconds before it."""
@@ -63,7 +93,9 @@ class Frame:
     speed: float
     """m/s."""
     position: float
-    """Of the vehicle's centre along the track, m."""
+    """Of the vehicle's centre along the track, m; on a line from its start."""
+    place: Place | None
+    """On the line; None where nothing changes along the way."""
     wear: float
     friction: float
     track: str
@@ -177,7 +209,11 @@ class Recorder:
         position = float(state.clock[1])
         rail_x = np.arange(-BEHIND, AHEAD + 0.5 * SPACING, SPACING)
         rails, _ = vehicles.vehicle(i).track.evaluate(position + rail_x)
-        time = self.time
+        time, place, friction = self.time, self._place(position), scenario.friction
+        if place is not None and place.line.friction is not None:
+            friction = float(place.line.friction.at(place.distance))
+        elif episode.friction is not None:
+            friction = episode.friction
         happened = [fault for fault in episode.faults if fault.start_s <= time + 1e-9]
         rows, cost, ended = self._history(), scenario.cost, int(vehicles.status[i]) != RUNNING
         opening = self._opening()
@@ -186,10 +222,11 @@ class Recorder:
         both = both + cost.force_weight * rows[:, _FORCE:_VALVE]
         return Frame(
             time=time,
-            speed=episode.speed,
-            position=position,
+            speed=_speed(episode, place),
+            position=position if place is None else place.distance,
+            place=place,
             wear=scenario.wear if episode.wear is None else episode.wear,
-            friction=scenario.friction if episode.friction is None else episode.friction,
+            friction=friction,
             track=_track_name(episode, scenario),
             poses=poses(self.model, np.nan_to_num(state.q)),
             rail_x=rail_x,
@@ -211,6 +248,11 @@ class Recorder:
             force_reference=cost.force_reference,
         )
 
+    def _place(self, position: float) -> Place | None:
+        line = self.batch.lines[self.vehicle]
+        origin = self.batch.vehicles.vehicle(self.vehicle).origin
+        return None if line is None else Place(line, position - origin)
+
     def _history(self) -> Array:
         """What is kept, oldest first; the terms of the cost as sums over the last second.
 
@@ -226,6 +268,11 @@ class Recorder:
         known = (last - first)[:, None]
         kept[:, _ACCELERATION:_VALVE] = np.maximum(total[last] - total[first], 0.0) * self._second / known
         return kept if count <= size else kept[self._second :]
+
+
+def _speed(episode: Episode, place: Place | None) -> float:
+    along = None if place is None else place.line.speed_at(place.distance)
+    return episode.speed if along is None else float(along)
 
 
 def _track_name(episode: Episode, scenario: Scenario) -> str:

@@ -13,7 +13,7 @@ from sayd_env.envs.canvas import Canvas, Colour, Picture, Window
 from sayd_env.envs.charts import ACCELERATION, COST, FORCE, VALVE, Charts
 from sayd_env.envs.loop import BOGIES
 from sayd_env.envs.plan_view import CYLINDER, PAIR_OFFSET, RAIL_HEAD, ROD, Placement, View, make_plan
-from sayd_env.envs.recorder import AHEAD, BEHIND, Frame, Recorder
+from sayd_env.envs.recorder import AHEAD, BEHIND, Frame, Place, Recorder
 from sayd_env.envs.trace import DAMPERS
 
 WIDTH, HEIGHT = 1280, 720
@@ -46,6 +46,8 @@ BOGIE_FILLS: tuple[Colour, Colour] = ((176, 204, 244), (250, 208, 166))
 Box = tuple[float, float, float, float]
 VEHICLE: Box = (16, 70, 1248, 388)
 STRIP: Box = (16, 466, 1248, 62)
+LINE: Box = (644, 466, 620, 62)
+"""Right half of the strip, where there is a line."""
 CHARTS: tuple[Box, Box, Box] = ((16, 536, 408, 172), (436, 536, 408, 172), (856, 536, 408, 172))
 CHART_SIZE = (408, 172, 12)
 """Width, height and gap of the charts."""
@@ -186,7 +188,7 @@ class Renderer:
             ("f\u2080 FRONT, REAR", f"{first:.1f}, {second:.1f} Hz", 122),
             ("WEAR", f"{frame.wear:.2f}", 68),
             ("FRICTION", f"{frame.friction:.2f}", 80),
-            ("TRACK", frame.track, 150),
+            ("TRACK", frame.track, 150) if frame.place is None else ("SECTION", frame.place.section, 150),
         ]
         x = 164.0
         for label, value, space in entries:
@@ -291,6 +293,9 @@ class Renderer:
         """Draw the track's alignment behind and ahead, and where the wheelsets are."""
         canvas = self.canvas
         left, top, width, height = STRIP
+        if frame.place is not None:
+            width -= LINE[2]
+            self._line(frame.place)
         inner = (left + 118, top + 4, width - 134, height - 8)
         canvas.text("Track alignment", (left + 12, top + 15), 13, INK, bold=True)
         biggest = float(np.max(np.abs(frame.alignment)))
@@ -317,6 +322,43 @@ class Renderer:
                 spot = place(x, np.interp(x, frame.rail_x, frame.alignment))[0]
                 canvas.disc((float(spot[0]), float(spot[1])), 4.5, BOGIE_COLOURS[bogie])
         canvas.clip(None)
+
+    def _line(self, place: Place) -> None:
+        """Draw speed, curvature and cant along the line, and where the vehicle is."""
+        canvas, line = self.canvas, place.line
+        left, top, width, height = LINE
+        canvas.box((left - 2, top + 1, width + 1, height - 2), PANEL, radius=7)
+        canvas.box((left - 2, top + 8, 1, height - 16), FAINT)
+        canvas.text(place.section, (left + 12, top + 15), 13, INK, bold=True)
+        canvas.text(place.curve, (left + 12, top + 33), 11, SOFT)
+        canvas.text(f"cant {1e3 * abs(place.cant):.0f} mm", (left + 12, top + 49), 11, SOFT)
+        inner = (left + 140, top + 4, width - 216, height - 8)
+        end = max(line.length, place.distance)
+        for name, colour, y in (("speed", INK, 15), ("curvature", FRONT, 31), ("cant", REAR, 47)):
+            canvas.text(name, (inner[0] + inner[2] + 10, top + y), 11, colour)
+        canvas.clip(inner)
+        for section in line.sections[1::2]:
+            first, last = (inner[0] + s / end * inner[2] for s in (section.start, section.end))
+            canvas.box((first, inner[1], last - first, inner[3]), PAPER)
+        s = np.linspace(0.0, end, int(inner[2]))
+        speed, fastest = line.speed_at(s), line.fastest
+        for values, most, colour, low in (
+            (line.cant.at(s), 1.6 * _largest(line.cant.value), REAR, -1.0),  # not on the curvature's line
+            (line.curvature.at(s), _largest(line.curvature.value), FRONT, -1.0),
+            (speed, fastest, INK, 0.0),
+        ):
+            if values is not None and most:
+                share = (values / most - low) / (1.0 - low)
+                across = inner[0] + s / end * inner[2]
+                up = inner[1] + inner[3] * (1.0 - 0.05 - 0.9 * share)
+                canvas.line(np.column_stack([across, up]), colour, 1.5)
+        here = inner[0] + max(place.distance, 0.0) / end * inner[2]
+        canvas.box((here - 1, inner[1], 2, inner[3]), BAD)
+        canvas.clip(None)
+
+
+def _largest(values: tuple[float, ...]) -> float:
+    return max(map(abs, values))
 
 
 def force_colour(force: float) -> Colour:

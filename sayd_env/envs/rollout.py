@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,6 +18,8 @@ from sayd_env.envs.cost import EpisodeCost, episode_cost, mean_squares
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
 from sayd_env.envs.loop import LOG, RUNNING, TERMS
+from sayd_env.envs.trace import WHEEL_VERTICAL
+from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import RUN_OUT
 
 
@@ -72,6 +74,9 @@ class Rollout:
     """(n, TERMS) cost of each period."""
     ending: str | None
     """Why the run ended early; None if it did not."""
+    wheel_load: Array | None = None
+    """(t, LANES) vertical force of each wheel on its rail from step 0 on, left and right in turn (N); None
+    where it was not asked for."""
 
     def cost(self, seconds: float | None = None) -> tuple[float, float]:
         """Means over the first seconds of (psi_y / y_lim)^2 and (psi_F / F_max)^2, on-line filter.
@@ -96,7 +101,12 @@ def assessed_steps(config: EnvironmentConfig, scenario: Scenario, speed: float) 
 
 
 def roll_out(
-    batch: EpisodeBatch, policy: Policy, episodes: Sequence[Episode], steps: Sequence[int]
+    batch: EpisodeBatch,
+    policy: Policy,
+    episodes: Sequence[Episode],
+    steps: Sequence[int],
+    *,
+    wheel_loads: bool = False,
 ) -> list[Rollout]:
     """Run one episode with each vehicle of a batch.
 
@@ -109,6 +119,8 @@ def roll_out(
     episodes : sequence of Episode
     steps : sequence of int
         Control periods of each; the episode's own end by time does not count.
+    wheel_loads : bool
+        Keep the forces of the wheels on their rails, too.
 
     Raises
     ------
@@ -127,6 +139,7 @@ def roll_out(
     actions = np.zeros((most, *shape), dtype=np.float32)
     rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
     log = np.empty((count, samples, LOG))
+    loads = [np.empty((n * samples if wheel_loads else 0, LANES)) for n in steps]
     length = np.array(steps)
     observation = batch.observations()
     state, start = first_state(policy, batch)
@@ -142,7 +155,16 @@ def roll_out(
         for i in np.flatnonzero(active):
             first = before[i] + n * samples
             true[i][first : first + samples] = log[i]
-    return [_rollout(batch, i, before[i], true[i], actions, rewards, terms, steps[i]) for i in range(count)]
+            if wheel_loads:
+                wheels = batch.vehicles.trace[i, :, WHEEL_VERTICAL : WHEEL_VERTICAL + LANES]
+                loads[i][n * samples : (n + 1) * samples] = wheels
+    found = [_rollout(batch, i, before[i], true[i], actions, rewards, terms, steps[i]) for i in range(count)]
+    if not wheel_loads:
+        return found
+    return [
+        replace(rollout, wheel_load=rows[: len(rollout.terms) * samples])
+        for rollout, rows in zip(found, loads, strict=True)
+    ]
 
 
 def _rollout(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sayd_env.config import ConfigError
+from sayd_env.config.conditions import Line
 from sayd_env.config.control import load_online
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
@@ -33,18 +34,20 @@ class Run:
     seed: int
     initial_current: float = 0.0
     """Valve command of the run-in."""
+    line: Line | None = None
+    """What lies along the way; None: nothing. The speed is that at its start."""
 
     def inputs(self) -> Sequence[Any]:
         """What the run depends on; the on-line filter is seen by policies, and J is taken by it."""
         numbers = (round(self.speed, 9), self.seed, self.initial_current)
-        return self.scenario, self.environment, self.policy.identity(), load_online(), numbers
+        return self.scenario, self.environment, self.policy.identity(), load_online(), numbers, self.line
 
     def companions(self) -> Hashable:
         """Runs of one batch share everything but speed and seed."""
         return id(self.policy), id(self.scenario), id(self.environment), self.initial_current
 
 
-def roll_out_runs(runs: Sequence[Run], *, episode: bool = False) -> list[Rollout]:
+def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, wheel_loads: bool = False) -> list[Rollout]:
     """Run-in and assessed length of runs that are companions, on one thread.
 
     Parameters
@@ -52,6 +55,8 @@ def roll_out_runs(runs: Sequence[Run], *, episode: bool = False) -> list[Rollout
     runs : sequence of Run
     episode : bool
         The environment's episode in place of the assessed length.
+    wheel_loads : bool
+        Keep the forces of the wheels on their rails, too.
 
     Raises
     ------
@@ -64,13 +69,16 @@ def roll_out_runs(runs: Sequence[Run], *, episode: bool = False) -> list[Rollout
     config = first.policy.environment(first.environment)
     batch = EpisodeBatch(config, len(runs), scenario=first.scenario, num_threads=1)
     episodes = [
-        draw_episode(
-            config, run.seed, 0, {"speed_kmh": run.speed * KMH, "initial_current": run.initial_current}
+        replace(
+            draw_episode(
+                config, run.seed, 0, {"speed_kmh": run.speed * KMH, "initial_current": run.initial_current}
+            ),
+            line=None if run.line is None or run.line.plain else run.line,
         )
         for run in runs
     ]
     steps = [batch.steps if episode else assessed_steps(config, first.scenario, run.speed) for run in runs]
-    return roll_out(batch, first.policy.make(batch), episodes, steps)
+    return roll_out(batch, first.policy.make(batch), episodes, steps, wheel_loads=wheel_loads)
 
 
 def own_policy(scenario: Scenario) -> PolicySpec:
@@ -133,11 +141,16 @@ def policy_runs(
 
 
 def environment_of(scenario: Scenario, environment: EnvironmentConfig) -> EnvironmentConfig:
-    """Environment whose wheels, friction, track and run-in are those of a scenario, none of them drawn."""
+    """Environment whose wheels, friction, track and run-in are those of a scenario, none of them drawn.
+
+    It is straight: a run that goes along a line brings it.
+    """
     return environment.model_copy(
         update={
             "randomisation": environment.randomisation.without(),
             "damper": scenario.damper.type,
             "run_in": scenario.assessment.run_in,
+            "line": None,
+            "lines": None,
         }
     )

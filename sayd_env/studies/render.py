@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 HOLD = 1.0
 """How long the last picture of a run that ended early stays, s."""
 COLUMNS = (
-    *("time_s", "J"),
+    *("time_s", "speed_kmh", "distance_m", "J"),
     *("acceleration_rms_front_m_s2", "acceleration_rms_rear_m_s2"),
     *("force_rms_front_n", "force_rms_rear_n"),
     *("valve_front", "valve_rear"),
@@ -71,7 +71,7 @@ class RenderResult:
 
     video: Video
     speed: float
-    """m/s."""
+    """At step 0, m/s."""
     seed: int
     wear: float
     friction: float
@@ -191,7 +191,7 @@ def render(
     renderer = _renderer(recorder, video)
     batch.reset([0], [episode], listen=listens(policy))
     first = recorder.frame()
-    result = RenderResult(video, episode.speed, seed, first.wear, first.friction)
+    result = RenderResult(video, first.speed, seed, first.wear, first.friction)
     from sayd_env.envs.rendering import colours  # noqa: PLC0415 - the renderer has loaded it
 
     write_video(video.file, _pictures(result, policy, recorder, renderer, progress), video.fps, colours())
@@ -261,5 +261,6 @@ def _pictures(
 def _row(recorder: Recorder) -> tuple[float | None, ...]:
     frame = recorder.frame()
     valves = [None, None] if frame.valve is None else np.asarray(frame.valve[-1], dtype=float).tolist()
-    signals = (frame.cost[-1], *frame.acceleration[-1], *frame.force[-1])
+    distance = frame.speed * frame.time if frame.place is None else frame.place.distance
+    signals = (frame.speed * KMH, distance, frame.cost[-1], *frame.acceleration[-1], *frame.force[-1])
     return (frame.time, *(float(value) for value in signals), *valves)

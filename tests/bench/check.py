@@ -20,6 +20,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from io import BytesIO
+from math import nan
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -56,6 +57,8 @@ class Wanted:
     rounds: int | None = None
     """At most so many rounds."""
     threads: int = 1
+    alone: bool = False
+    """Of the tree alone, which compares two things of its own: an earlier commit may have neither."""
 
     @property
     def told(self) -> str:
@@ -75,6 +78,14 @@ WANTED = (
     Wanted("sayd-batch", "batch of 64, 8 SAYDs", "x real time, one core", 2.5, 400.0),
     Wanted("control-steps", "64 environments, whole episodes", "steps/s, two threads", 2.0, 15e3, threads=2),
     Wanted("single-control-steps", "one environment, without resets", "steps/s, one core", None, 4e3),
+    Wanted("line-straight", "straight line", "x a step without one", None, 1.05, is_time=True, alone=True),
+    Wanted("line-curve", "line, steady curve", "x a step without one", None, 1.15, is_time=True, alone=True),
+    Wanted(
+        "line-transition", "line, transition", "x a step without one", None, 1.15, is_time=True, alone=True
+    ),
+    Wanted(
+        "line-highspeed", "line 'highspeed'", "x a step without one", None, 1.15, is_time=True, alone=True
+    ),
     Wanted("overhead", "Python around a control step", "us", None, 30.0, is_time=True),
     Wanted("reset", "randomised reset", "s", 3.0, is_time=True),
     Wanted("draw", "draw of an episode", "s", None, 5e-3, is_time=True),
@@ -104,7 +115,9 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """How many times as fast as the base the tree is, by the medians."""
+        """How many times as fast as the base the tree is, by the medians; NaN without a base."""
+        if self.wanted.alone:
+            return nan
         base, tree = median(self.values[BASE]), median(self.values[TREE])
         return base / tree if self.wanted.is_time else tree / base
 
@@ -124,9 +137,13 @@ class Row:
         spreads = {
             side: {"median": median(v), "minimum": min(v), "maximum": max(v), "values": v}
             for side, v in self.values.items()
+            if v
         }
         share = {"environment_share": median(self.shares)} if self.shares else {}
-        return asdict(self.wanted) | spreads | share | {"ratio": self.ratio, "ok": self.ok}
+        return asdict(self.wanted) | spreads | share | self._compared() | {"ok": self.ok}
+
+    def _compared(self) -> dict[str, float | None]:
+        return {"ratio": None if self.wanted.alone else self.ratio}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -201,6 +218,8 @@ def measure_all(base: Path, wanted: Sequence[Wanted], rounds: int) -> list[Row]:
             if row.wanted.rounds is not None and k >= row.wanted.rounds:
                 continue
             for side in (BASE, TREE) if k % 2 == 0 else (TREE, BASE):
+                if row.wanted.alone and side == BASE:
+                    continue
                 found = measure(row.wanted, base if side == BASE else ROOT)
                 row.add(side, found)
                 _tell(time.monotonic() - begin, f"round {k + 1} of {rounds}", row.wanted, side, found)
@@ -243,9 +262,9 @@ def print_table(base: str, rows: Sequence[Row]) -> None:
         table.add_row(
             row.wanted.what + share,
             row.wanted.unit,
-            f"{median(row.values[BASE]):.4g}",
+            "-" if row.wanted.alone else f"{median(row.values[BASE]):.4g}",
             f"{median(row.values[TREE]):.4g}",
-            f"{row.ratio:.2f}",
+            "-" if row.wanted.alone else f"{row.ratio:.2f}",
             row.wanted.told,
             "yes" if row.ok else "NO",
         )

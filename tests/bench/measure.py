@@ -90,6 +90,49 @@ def _factor(
     return {"value": float(np.median(factors))}
 
 
+def line(kind: str) -> dict[str, float]:
+    """Processor time of a step of eight vehicles on a line over that without one, of the same tree, in turn.
+
+    Parameters
+    ----------
+    kind : str
+        ``straight``, ``curve``, ``transition``: the train is on it all the time; or the name of a line, of
+        which it runs the first minute, beside a train at its lowest speed, which decides a step's length.
+    """
+    from sayd_env.config.scenario import load_scenario  # noqa: PLC0415
+    from sayd_env.physics.batch import BatchSimulator  # noqa: PLC0415
+    from sayd_env.physics.simulator import Simulator, VehicleModel  # noqa: PLC0415
+    from sayd_env.studies.bench.vehicle import realtime_factor, with_dampers  # noqa: PLC0415
+
+    model = VehicleModel(with_dampers(load_scenario("nominal"))[1])
+    table, rails, span = _line_table(kind, model.scenario.friction)
+    speed = SPEED if rails is None else table.slowest
+    pair = [
+        BatchSimulator([Simulator(model, speed, seed, **way) for seed in range(8)], 1)
+        for way in ({}, {"line": table, "rails": rails})
+    ]
+    for vehicles in pair:
+        vehicles.advance(1000)
+    factors = [[realtime_factor(each, span, 8, time.process_time) for each in pair] for _ in range(9)]
+    return {"value": float(np.median([without / along for without, along in factors]))}
+
+
+def _line_table(kind: str, friction: float) -> tuple[Any, Any, float]:
+    """Table and rails of a line, and the time (s) of each of nine measurements on it."""
+    from sayd_env.measured.lines import load_line  # noqa: PLC0415
+    from sayd_env.physics.line import GRID_STEP, line_table, tabulated  # noqa: PLC0415
+
+    if kind not in ("straight", "curve", "transition"):
+        way = load_line(kind, speed=SPEED, friction=friction)
+        return line_table(way, 200.0, 9e3, SPEED, friction), way.rails, 7.0
+    s = GRID_STEP * np.arange(-20.0, 500.0)
+    # A transition of 5 km, so that all of the measurement lies on it; a curve that has begun before.
+    share = {"straight": 0.0 * s, "curve": 0.0 * s + 1.0, "transition": np.clip(s / 5e3, 0.0, 1.0)}[kind]
+    square, even = np.full(len(s), SPEED**2), np.ones(len(s))
+    found = tabulated(float(s[0]), share / 7e3, -0.08 * share, square, friction * even, 0.0 * even)
+    return found, None, 0.5
+
+
 def control_steps() -> dict[str, float]:
     """Control steps a second of a batch environment on two threads over whole episodes."""
     from gymnasium.utils.performance import benchmark_vector_step  # noqa: PLC0415
@@ -221,6 +264,10 @@ MEASUREMENTS: dict[str, Callable[[], dict[str, float]]] = {
     "sayd-single": lambda: one_vehicle(1),
     "passive-batch": lambda: batch(0),
     "sayd-batch": lambda: batch(1),
+    "line-straight": lambda: line("straight"),
+    "line-curve": lambda: line("curve"),
+    "line-transition": lambda: line("transition"),
+    "line-highspeed": lambda: line("highspeed"),
     "control-steps": control_steps,
     "single-control-steps": single_control_steps,
     "overhead": overhead,

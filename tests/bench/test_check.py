@@ -57,6 +57,13 @@ def test_a_small_share_of_the_environment_is_enough() -> None:
     assert not slow.ok  # 0.3 in the median
 
 
+def test_what_the_tree_has_alone_is_compared_with_its_limit() -> None:
+    made = row([], [1.04], limit=1.05, is_time=True, alone=True)
+    assert made.ok
+    assert made.as_dict()["ratio"] is None
+    assert not row([], [1.06], limit=1.05, is_time=True, alone=True).ok
+
+
 def test_every_wanted_quantity_can_be_measured() -> None:
     assert set(check.names()) == set(measure.MEASUREMENTS)
 

@@ -22,6 +22,7 @@ COMMANDS = (
     "hysteresis",
     "modes",
     "calibrate",
+    "hindsight",
     "bench",
 )
 RUNS = ("critical-speed", "evaluate", "modes")

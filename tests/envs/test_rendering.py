@@ -418,3 +418,37 @@ def test_pygame_is_loaded_for_the_first_picture_only() -> None:
         "assert not {'pygame', 'sayd_env.envs.rendering'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path.cwd())
+
+
+def test_a_picture_knows_the_place_on_the_line() -> None:
+    """Speed against the closed form of a uniform acceleration; the strip's marker moves with the train."""
+    sections = [
+        {"name": "first", "length": 100.0, "speed_kmh": 180.0},
+        {
+            "name": "curve",
+            "length": 600.0,
+            "speed_kmh": 198.0,
+            "radius": 3000.0,
+            "turn": "right",
+            "cant": 0.05,
+        }
+        | {"transition": 100.0, "friction": 0.25},
+    ]
+    recorder = watched("nominal", 300, options={"line": {"sections": sections}})
+    frame = recorder.frame()
+    assert frame.place is not None
+    distance = frame.place.distance
+    assert distance == pytest.approx(100.0 + 50.0 * 1.0 + 0.25 * 1.0**2, abs=0.1)
+    assert frame.position == distance
+    assert frame.speed == pytest.approx(np.sqrt(50.0**2 + 2 * 0.5 * (distance - 100.0)), rel=1e-4)
+    assert frame.place.section == "curve"
+    assert frame.place.curve == f"R {3000.0 * 100.0 / (distance - 100.0):,.0f} m right"
+    assert frame.place.cant == pytest.approx(-0.05 * (distance - 100.0) / 100.0, rel=1e-6)
+    assert frame.friction == pytest.approx(0.25)
+    renderer = Renderer(recorder)
+    image = picture(renderer, frame)
+    left, top, width, height = (int(value) for value in rendering.LINE)
+    strip = image[top + 8 : top + height - 8, left : left + width]
+    columns = np.flatnonzero((strip == np.array(rendering.BAD)).all(axis=(0, 2)))
+    assert columns.size  # two pixels wide, of which smoothing may take one
+    assert columns.mean() + 0.5 == pytest.approx(140 + distance / 700.0 * (width - 216), abs=1.5)

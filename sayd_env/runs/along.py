@@ -1,0 +1,421 @@
+"""Policies along lines: what each section of a line costs, and what it asks of wheels and rails."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import cumulative_trapezoid
+
+from sayd_env.config import ConfigError
+from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.config.conditions import Line
+from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.line import LineConfig
+from sayd_env.config.scenario import CostConfig, Scenario
+from sayd_env.config.units import Array
+from sayd_env.envs.cost import charged, squares
+from sayd_env.envs.interface import Interface
+from sayd_env.envs.loop import (
+    LOG_ACCELERATION,
+    LOG_BODY,
+    LOG_CURRENT,
+    LOG_FILTERED,
+    LOG_FORCE,
+    LOG_HYDRAULIC,
+    PEAK_QUOTIENT,
+    PEAK_TRACK_SHIFT,
+)
+from sayd_env.envs.rollout import Rollout
+from sayd_env.measured.lines import load_line
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.runs.controlled import refuse_divergence
+from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
+from sayd_env.stability import assess
+from sayd_env.stability.signals import sliding_rms
+
+SECOND = 1.0
+"""Time over which the damper force is averaged to tell what a curve needs (s): a step of the paper's MPPT."""
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A train on a line: where it is when."""
+
+    line: Line
+    speed: float
+    """Where the line leaves it out, m/s."""
+
+    @property
+    def seconds(self) -> int:
+        """Whole seconds to the line's end; in the last of them the line goes on as it ends."""
+        time = self.line.time_at(self.line.length)
+        exact = self.line.length / self.speed if time is None else float(time)
+        return math.ceil(exact - 1e-6)
+
+    def distance(self, t: npt.ArrayLike) -> Array:
+        """Distances (m) at times from step 0 on (s); before it the train runs at its first speed."""
+        t = np.asarray(t, dtype=np.float64)
+        along = self.line.distance_at(np.maximum(t, 0.0))
+        return self.speed * t if along is None else np.where(t < 0.0, self.speed * t, along)
+
+    def speed_at(self, s: Array) -> Array:
+        """Speeds (m/s) at distances (m)."""
+        found = self.line.speed_at(s)
+        return np.full(s.shape, self.speed) if found is None else found
+
+    def sections(self, t: npt.ArrayLike) -> npt.NDArray[np.int64]:
+        """Numbers of the sections in which the train is at times (s)."""
+        ends = np.array([each.end for each in self.line.sections[:-1]])
+        return np.searchsorted(ends, self.distance(t), side="right")
+
+
+@dataclass(frozen=True)
+class LineRecord:
+    """One run along a line of s sections and n whole seconds; NaN for what there is not."""
+
+    time: Array
+    """(s,) of each section, run or not, s."""
+    acceleration: Array
+    """(s,) mean of (psi_y / y_lim)^2 in each section, unweighted, on-line filter."""
+    force: Array
+    """(s,) mean of (psi_F / F_max)^2."""
+    curve_force: Array
+    """(s,) part of it that belongs to means of the damper forces over whole seconds: no hunting."""
+    lost: Array
+    """(s,) share of the section's time that an early end has cut off."""
+    quotient: Array
+    """(s,) largest Y/Q of a wheel, mean over the averaging distance."""
+    track_shift: Array
+    """(s,) largest track shift force of a wheelset, mean over the same distance, N."""
+    unloading: Array
+    """(s,) largest share of its static load that a wheel has lost, mean over the same distance."""
+    acceleration_rms: Array
+    """(s,) largest sliding RMS of a frame's acceleration by EN 14363 on the section's straight part, m/s2."""
+    track_shift_rms: Array
+    """(s,) the same of the track shift force, N."""
+    command: Array
+    """(n, A) mean valve commands of each second."""
+    cost_acceleration: Array
+    """(n,) (psi_y / y_lim)^2 of each second."""
+    cost_force: Array
+    """(n,) (psi_F / F_max)^2."""
+    peak_quotient: Array
+    """(n,) largest mean Y/Q."""
+    peak_track_shift: Array
+    """(n,) largest mean track shift force, N."""
+    position: Array
+    """(w,) centres of the windows of the running acceleration, m."""
+    running_acceleration: Array
+    """(w,) largest sliding RMS of a frame's acceleration behind the on-line filter, m/s2."""
+    ending: str | None = None
+    """Why the run ended early; None if it did not."""
+
+    def cost(self, environment: EnvironmentConfig, weights: CostConfig) -> Array:
+        """(s,) J of each section, with the charge for what an early end has cut off."""
+        return charged(environment, weights, self.acceleration, self.force, self.lost)
+
+    def mean(self, values: Array) -> float:
+        """Mean over the line of what a section has as a mean over its time."""
+        return float(np.dot(values, self.time) / self.time.sum())
+
+
+def line_runs(
+    policies: Iterable[PolicySpec],
+    scenario: Scenario,
+    line: str | LineConfig | Line,
+    speeds: Sequence[float],
+    seeds: Sequence[int],
+    environment: EnvironmentConfig,
+    *,
+    initial_current: float = 0.0,
+) -> Iterator[Run]:
+    """Runs of every policy over the whole of a line, at every speed with every seed, in this order.
+
+    Parameters
+    ----------
+    policies : iterable of PolicySpec
+    scenario : Scenario
+        What the line leaves out is as this has it.
+    line : str, LineConfig or Line
+    speeds : sequence of float
+        m/s; of a line with speeds of its own there must be one, which does not count.
+    seeds : sequence of int
+        Of the tracks.
+    environment : EnvironmentConfig
+        Sensors and clock.
+    initial_current : float
+        Valve command of the run-in.
+
+    Raises
+    ------
+    ConfigError
+        A line that cannot be, a policy that does not fit, a speed outside the vehicle's range.
+    """
+    trips = [Trip(resolved(line, scenario, speed), speed) for speed in speeds]
+    for policy in policies:
+        fitted = for_policy(scenario, policy)
+        model, config = VehicleModel(fitted), environment_of(fitted, environment)
+        for trip in trips:
+            first = float(trip.speed_at(np.zeros(1))[0])
+            for speed in (first, trip.line.slowest or first, trip.line.fastest or first):
+                model.check_speed(speed)
+            whole = config.model_copy(update={"episode_s": float(Trip(trip.line, first).seconds)})
+            for seed in seeds:
+                yield Run(policy, fitted, whole, first, seed, initial_current, trip.line)
+
+
+def resolved(line: str | LineConfig | Line, scenario: Scenario, speed: float | None) -> Line:
+    """A line in a scenario.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `load_line`.
+    """
+    if isinstance(line, Line):
+        return line
+    return load_line(line, speed=speed, gauge=scenario.track.gauge, friction=scenario.friction)
+
+
+def own_speed(line: str | LineConfig | Line, scenario: Scenario) -> float | None:
+    """Speed (m/s) with which a line begins whatever the episode's is; None: the episode's counts.
+
+    Raises
+    ------
+    ConfigError, DataError
+        A line that cannot be at any speed.
+    """
+    try:
+        found = resolved(line, scenario, None).speed_at(0.0)
+    except ConfigError:
+        # Some sections leave the speed out, or the line is none: then it is none at any speed.
+        return None
+    return None if found is None else float(found)
+
+
+def along_lines(runs: list[Run]) -> list[LineRecord]:
+    """Make runs along lines that are companions, and judge them.
+
+    Raises
+    ------
+    ConfigError
+        A policy that does not fit.
+    StudyError
+        A run that diverged.
+    """
+    rollouts = roll_out_runs(runs, episode=True, wheel_loads=True)
+    return [line_record(run, rollout) for run, rollout in zip(runs, rollouts, strict=True)]
+
+
+def line_record(run: Run, rollout: Rollout) -> LineRecord:
+    """Judge a run along a line from its rollout.
+
+    Raises
+    ------
+    StudyError
+        The simulation diverged.
+    """
+    assert run.line is not None
+    if rollout.ending is not None:
+        refuse_divergence(rollout)
+    trip = Trip(run.line, run.speed)
+    period, settings = rollout.control_period, run.environment
+    planned = round(settings.episode_s / period)
+    place = trip.sections((np.arange(planned) + 0.5) * period)
+    taken = place[: len(rollout.terms)]
+    count = len(run.line.sections)
+    periods = np.bincount(place, minlength=count)
+
+    def mean(values: Array) -> Array:
+        """By section over the time of all of it; values are rates of the periods that were run."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.bincount(taken, values, count) / periods)
+
+    def most(values: Array) -> Array:
+        return np.array([values[taken == k].max(initial=-math.inf) for k in range(count)])
+
+    acceleration, force = (each / period for each in squares(rollout.terms))
+    curve = _second_means(rollout) / run.scenario.cost.force_reference**2
+    unloading = _unloading(run, rollout, trip)
+    rms = _running_rms(run, rollout, trip)
+    second = round(SECOND / period)
+    return LineRecord(
+        time=np.asarray(periods * period, dtype=np.float64),
+        acceleration=mean(acceleration),
+        force=mean(force),
+        curve_force=mean(curve),
+        lost=1.0 - mean(np.ones(len(taken))),
+        quotient=_known(most(rollout.terms[:, PEAK_QUOTIENT])),
+        track_shift=_known(most(rollout.terms[:, PEAK_TRACK_SHIFT])),
+        unloading=_known(most(unloading)),
+        acceleration_rms=rms[0],
+        track_shift_rms=rms[1],
+        command=_of_seconds(rollout.actions.astype(np.float64), second).mean(axis=1),
+        cost_acceleration=_of_seconds(acceleration, second).mean(axis=1),
+        cost_force=_of_seconds(force, second).mean(axis=1),
+        peak_quotient=_of_seconds(rollout.terms[:, PEAK_QUOTIENT], second).max(axis=1),
+        peak_track_shift=_of_seconds(rollout.terms[:, PEAK_TRACK_SHIFT], second).max(axis=1),
+        **_running(run, rollout, trip),
+        ending=rollout.ending,
+    )
+
+
+def _known(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _of_seconds(values: Array, second: int) -> Array:
+    """Values of whole seconds, shape (n, periods, ...)."""
+    whole = len(values) // second
+    return values[: whole * second].reshape(whole, second, *values.shape[1:])
+
+
+def _second_means(rollout: Rollout) -> Array:
+    """Mean over the dampers of the square of each force's mean over a second (N^2), for each control period.
+
+    Hunting, of 1 Hz and more, has no mean over a second to speak of; what a curve asks for has.
+    """
+    forces = rollout.true[rollout.run_in :, LOG_HYDRAULIC:LOG_CURRENT]
+    rate, periods = round(SECOND * rollout.sample_rate), len(rollout.terms)
+    starts = np.arange(0, len(forces), rate)
+    lengths = np.minimum(rate, len(forces) - starts)
+    if not len(starts):
+        return np.zeros(0)
+    means = np.add.reduceat(forces, starts, axis=0) / lengths[:, None]
+    of_second = np.mean(means**2, axis=1)
+    return np.asarray(np.repeat(of_second, round(SECOND / rollout.control_period))[:periods])
+
+
+def _times(rollout: Rollout) -> Array:
+    """Times of the samples from the start of the run-in, counted from step 0 (s)."""
+    return np.asarray((np.arange(len(rollout.true)) + 1 - rollout.run_in) / rollout.sample_rate)
+
+
+def _unloading(run: Run, rollout: Rollout, trip: Trip) -> Array:
+    """Largest share of its static load that a wheel has lost, mean over some distance, by period."""
+    assert rollout.wheel_load is not None
+    length = run.environment.derailment.averaging
+    static = np.repeat(VehicleModel(run.scenario).multibody.wheel_load, 2)
+    distance = trip.distance(_times(rollout)[rollout.run_in :])
+    loads = rollout.wheel_load / static
+    if not len(loads):
+        return np.zeros(0)
+    total = cumulative_trapezoid(loads, distance, axis=0, initial=0.0)
+    back = np.maximum(distance - length, distance[0])
+    before = np.stack([np.interp(back, distance, column) for column in total.T], axis=1)
+    with np.errstate(invalid="ignore"):
+        means = (total - before) / (distance - back)[:, None]
+    lost = np.where(np.arange(len(means))[:, None] > 0, 1.0 - means, 1.0 - loads)
+    # Where a run has ended, what it went on to may not be a number.
+    return np.asarray(np.fmax.reduce(lost.reshape(len(rollout.terms), -1), axis=1))
+
+
+def _running_rms(run: Run, rollout: Rollout, trip: Trip) -> tuple[Array, Array]:
+    """Maxima by EN 14363 on the straight parts of the sections: acceleration (m/s2), track shift force (N).
+
+    NaN where there is no straight part as long as a segment of the spectrum; infinite where the run ended.
+    """
+    settings, signals = run.scenario.assessment, rollout.true[:, LOG_ACCELERATION:LOG_FORCE]
+    times = _times(rollout)
+    distance = trip.distance(times)
+    found = np.full((2, len(trip.line.sections)), np.nan)
+    shortest = max(settings.segment_length, settings.window_length)
+    reached = float(distance[-1])
+    for k, section in enumerate(trip.line.sections):
+        start = section.straight_from
+        if start is None or section.end - start < shortest or start > reached:
+            continue
+        if rollout.ending is not None and reached < section.end:
+            found[:, k] = math.inf
+            continue
+        peak = _assessed(signals, distance, trip, (start, section.end), settings, rollout.sample_rate)
+        found[:, k] = peak[: len(peak) // 2].max(), peak[len(peak) // 2 :].max()
+    return found[0], found[1]
+
+
+def _assessed(
+    signals: Array,
+    distance: Array,
+    trip: Trip,
+    span: tuple[float, float],
+    settings: AssessmentConfig,
+    rate: float,
+) -> Array:
+    """Maxima of the sliding RMS of each channel between two distances; what lies around starts the filter."""
+    around = round(settings.filter_padding * rate)
+    first, last = np.searchsorted(distance, span)
+    part = slice(max(int(first) - around, 0), int(last) + around)
+    s = distance[part]
+    lead = span[0] - float(s[0])
+    # The distance that the assessment adds up from speeds is shorter by rounding than what the line says.
+    length = min(span[1], float(s[-1])) - span[0] - 1e-6 * (float(s[-1]) - float(s[0]))
+    own = settings.model_copy(update={"run_in": lead, "length": length})
+    return assess(signals[part], rate, trip.speed_at(s), own).maximum
+
+
+def _running(run: Run, rollout: Rollout, trip: Trip) -> Mapping[str, Array]:
+    """Sliding RMS of the acceleration behind the on-line filter, for pictures."""
+    settings = run.scenario.assessment
+    s = trip.distance(_times(rollout)[rollout.run_in :])
+    filtered = rollout.true[rollout.run_in :, LOG_FILTERED:LOG_BODY]
+    if len(s) < 2 or s[-1] - s[0] < settings.window_length:
+        return {"position": np.zeros(0), "running_acceleration": np.zeros(0)}
+    position, rms = sliding_rms(filtered, rollout.sample_rate, s, settings)
+    return {"position": position, "running_acceleration": rms.max(axis=1)}
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Commands in turn, each for so many seconds: what a `PolicySpec` can hold as its content."""
+
+    commands: tuple[float, ...]
+    """0 to 1."""
+    until: tuple[float, ...]
+    """Time from step 0 at which each of them ends, s; the last one stays."""
+    where: str = "schedule"
+    needs: Mapping[str, Any] = field(default_factory=lambda: {"damper": "sayd"})
+
+    def identity(self) -> Any:
+        """What changes with its content."""
+        return {"schedule": [self.commands, self.until]}
+
+    def bound(self, interface: Interface) -> ScheduledCommands:
+        """The policy for vehicles with this interface."""
+        return ScheduledCommands(self, interface)
+
+
+class ScheduledCommands:
+    """Gives the commands of a schedule to all valves; its state is the number of control periods so far."""
+
+    name = "schedule"
+
+    def __init__(self, schedule: Schedule, interface: Interface) -> None:
+        self.interface = interface
+        self._commands = np.array(schedule.commands)
+        self._ends = np.array(schedule.until[:-1])
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any | None = None,
+        episode_start: Any | None = None,
+        deterministic: bool = True,
+    ) -> tuple[npt.NDArray[np.float32], int]:
+        """Commands for N vehicles, which have all begun together."""
+        period = 0 if state is None else int(state)
+        time = (period + 0.5) * self.interface.control_period
+        command = self._commands[np.searchsorted(self._ends, time, side="right")]
+        shape = (len(observation), self.interface.actions)
+        return np.full(shape, command, dtype=np.float32), period + 1
+
+
+def schedule_spec(commands: Sequence[float], ends: Sequence[float], label: str) -> PolicySpec:
+    """The policy of commands in turn, each until a time from step 0 (s)."""
+    content = Schedule(tuple(map(float, commands)), tuple(map(float, ends)))
+    return PolicySpec("schedule", label=label, stored=content)
