@@ -16,16 +16,12 @@ from sayd_env.config.distribution import (
     FixedDistribution,
     NormalDistribution,
 )
-from sayd_env.config.environment import (
-    LIMITS,
-    EnvironmentConfig,
-    ProfileClass,
-    TrackClass,
-    load_environment,
-)
+from sayd_env.config.environment import EnvironmentConfig, ProfileClass, load_environment
 from sayd_env.config.fault import SensorErrorClass, ValveStuckClass
+from sayd_env.config.limits import LIMITS
 from sayd_env.config.learner import LearnerConfig, load_learner
 from sayd_env.config.sensors import KINDS, UNITS, SensorsConfig, load_sensors
+from sayd_env.config.track import TrackClass
 from sayd_env.envs.interface import ACTIONS, BOGIES, DAMPERS, Signal
 from sayd_env.envs.options import NUMBERS
 from sayd_env.envs.registration import IDS
@@ -49,7 +45,8 @@ def tables() -> dict[str, str]:
         "scaled": scaled_table(load_learner()),
         "sensors": sensor_table(load_sensors("realistic")),
         "options": option_table(),
-        "draws": draw_table(environments),
+        # What a line does not say is drawn as in Randomized.
+        "draws": draw_table({name: each for name, each in environments.items() if each.lines is None}),
         "tolerances": tolerance_table(environments["randomized"]),
         "faults": fault_table(environments["faults"]),
     }
