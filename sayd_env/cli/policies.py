@@ -179,7 +179,7 @@ def hindsight(
     from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies.hindsight import hindsight as study  # noqa: PLC0415
 
-    settings = load_hindsight(config or "hindsight", assignments or ())
+    settings = load_hindsight("hindsight" if config is None else config, assignments or ())
     settings = settings.shortened() if quick else settings
     reader = foreign.reader(load_environment(settings.environment))
     specs = policy_specs(policies or settings.policies, reader)

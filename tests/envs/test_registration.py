@@ -44,7 +44,7 @@ def test_importing_loads_nothing_slow() -> None:
 )
 def test_the_order_of_imports_does_not_matter(before: str) -> None:
     code = f"{before}; import gymnasium; print(sum(i.startswith('SAYD/') for i in gymnasium.registry))"
-    assert run(code) == "3"
+    assert run(code) == str(len(IDS)) == "4"
 
 
 def test_registering_again_changes_nothing() -> None:
@@ -60,7 +60,7 @@ def test_the_module_can_stand_before_the_id() -> None:
 
 
 @pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2), interface_of])
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", [name for name in IDS if name.endswith(f"-v{VERSION}")])
 @pytest.mark.parametrize("module", ["", "sayd_env:"])
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 def test_an_older_version_is_refused_by_the_name_of_the_new_one(make: Any, name: str, module: str) -> None:
