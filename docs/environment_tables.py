@@ -18,8 +18,8 @@ from sayd_env.config.distribution import (
 )
 from sayd_env.config.environment import EnvironmentConfig, ProfileClass, load_environment
 from sayd_env.config.fault import SensorErrorClass, ValveStuckClass
-from sayd_env.config.limits import LIMITS
 from sayd_env.config.learner import LearnerConfig, load_learner
+from sayd_env.config.limits import LIMITS
 from sayd_env.config.sensors import KINDS, UNITS, SensorsConfig, load_sensors
 from sayd_env.config.track import TrackClass
 from sayd_env.envs.interface import ACTIONS, BOGIES, DAMPERS, Signal
