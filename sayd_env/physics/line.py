@@ -294,12 +294,18 @@ def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work, count: int, fir
 @kernel(inline=True, allocates=False)
 def curved(lanes: Lanes, work: Work) -> bool:
     """Whether any of the vehicles is in a curve or on a cant."""
-    return bool(work.line[work.line.shape[0] - 2 * len(lanes)] != 0.0)
+    return bool(work.line[work.line.shape[0] - 3 * len(lanes)] != 0.0)
 
 
 @kernel(inline=True, allocates=False)
 def faster(lanes: Lanes, work: Work) -> bool:
     """Whether any of the vehicles runs at another speed than its plant's."""
+    return bool(work.line[work.line.shape[0] - 2 * len(lanes)] != 0.0)
+
+
+@kernel(inline=True, allocates=False)
+def between(lanes: Lanes, work: Work) -> bool:
+    """Whether any wheel stands on a rail between two of its shapes."""
     return bool(work.line[work.line.shape[0] - len(lanes)] != 0.0)
 
 
@@ -309,7 +315,8 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work, ahead: float)
     w = len(lanes)
     n = plant.load.shape[0]
     rows = LANES * w
-    centre, bent, other = 4 * n, work.line.shape[0] - 2 * w, work.line.shape[0] - w
+    centre, mixed = 4 * n, work.line.shape[0] - w
+    bent, other = mixed - 2 * w, mixed - w
     for i in range(plant.wheel.shape[0]):
         work.wheel[i] = plant.wheel[i]
     for i in range(n):
@@ -341,6 +348,9 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work, ahead: float)
             for i in (j * w + k, (WHEELSETS + j) * w + k):
                 work.wheel[at.FRICTION * rows + i] = friction
                 work.wheel[at.SHAPE * rows + i] = shape
+                size = (plant.wheel[at.TABLE_LAST * rows + i] + 2.0) * geometry.WIDTH
+                work.wheel[at.TABLE_BASE * rows + i] += math.floor(shape) * size
+            work.line[mixed] = 1.0 if shape != math.floor(shape) else work.line[mixed]
     if work.line[bent] != 0.0:
         _enter(
             lanes,
@@ -471,7 +481,8 @@ def turn(lanes: Lanes, plant: Plant, work: Work) -> None:
 def blend(lanes: Lanes, plant: Plant, work: Work) -> None:
     """Make the two nodes of the contact table between which each wheel stands, for the shape of its rail.
 
-    `Work.wheel` then points to them, so that the contact reads them as it reads a table.
+    `Work.wheel` then points to where a table with these nodes would begin, so that the contact reads them as
+    it reads a table. On a whole shape they are its own.
     """
     w = len(lanes)
     rows, width = LANES * w, geometry.WIDTH
@@ -490,6 +501,4 @@ def blend(lanes: Lanes, plant: Plant, work: Work) -> None:
         q, target = p + size, 2 * width * i
         for c in range(2 * width):
             work.shape[target + c] = (1.0 - share) * plant.table[p + c] + share * plant.table[q + c]
-        work.wheel[at.TABLE_BASE * rows + i] = target
-        work.wheel[at.TABLE_LAST * rows + i] = 0.0
-        work.wheel[at.TABLE_START * rows + i] = start + node / per_step
+        work.wheel[at.TABLE_BASE * rows + i] = target - node * width

@@ -191,8 +191,8 @@ class Work(NamedTuple):
     line: Array
     """Of a line at present places: loads (n * W), offsets of the unknowns' frames and their rates (n * W
     each), accelerations of these frames against free fall (n * W); then the line at the centres
-    (`line.CENTRE_ROWS` * W) and whether any vehicle is in a curve or at another speed than its plant's
-    (2 * W); empty without a line."""
+    (`line.CENTRE_ROWS` * W) and whether any vehicle is in a curve, at another speed than its plant's, or
+    between two shapes of rails (3 * W); empty without a line."""
 
     @property
     def lane_out(self) -> Array:

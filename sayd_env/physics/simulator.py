@@ -377,7 +377,7 @@ class VehicleModel:
         law = (creep.ROWS_IN * LANES, creep.ROWS_OUT * LANES, len(creep.scratch(LANES)))
         sizes = (n, x, y, 8 * WHEELSETS, at.ROWS_IN * LANES, at.PATCH_ROWS * LANES, *law, w + points)
         shapes = 0 if rails is None else 2 * geometry.WIDTH * LANES
-        on_line = (0, 0, 0) if line is None else (at.WHEEL_ROWS * LANES, shapes, 4 * n + CENTRE_ROWS + 2)
+        on_line = (0, 0, 0) if line is None else (at.WHEEL_ROWS * LANES, shapes, 4 * n + CENTRE_ROWS + 3)
         return Work(*(zeros(size) for size in (*sizes, *on_line)))
 
 

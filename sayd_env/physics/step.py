@@ -29,7 +29,7 @@ from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.line import blend, curved, follow, speed_of, turn
+from sayd_env.physics.line import between, blend, curved, follow, speed_of, turn
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
 from sayd_env.physics.rows import SINGLE, Lanes, add_product, multiply
 from sayd_env.physics.track.spline import CHANNELS, spline_weights, weighted_rows
@@ -431,7 +431,7 @@ def wheels(lanes: Lanes, plant: Plant, work: Work) -> None:
     out = work.x[first : first + at.ROWS_OUT * n]
     wheel = work.wheel if plant.line.shape[0] > 0 else plant.wheel
     wheel_kinematics(lanes, wheel, work.y, work.rail, work.lane_in)
-    blended = work.shape.shape[0] > 0
+    blended = work.shape.shape[0] > 0 and between(lanes, work)
     if blended:
         blend(lanes, plant, work)
     table = work.shape if blended else plant.table
