@@ -59,6 +59,7 @@ def evaluate(
     means of Y/Q, of the track shift force and of wheel unloading.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.measured.lines import line_content  # noqa: PLC0415
     from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies import line as along  # noqa: PLC0415
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
@@ -80,7 +81,7 @@ def evaluate(
                 initial_current=initial_current,
                 context=run,
             ),
-            {**dict(chosen), "environment": setup, "line": line},
+            {**dict(chosen), "environment": setup, "line": line_content(line)},
             seed,
         )
     return Plan(
@@ -271,6 +272,7 @@ def render(
     'sayd-env[video]'.
     """
     from sayd_env.config.environment import fixed_by, load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.measured.lines import line_content  # noqa: PLC0415
     from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
     from sayd_env.studies import render as study  # noqa: PLC0415
     from sayd_env.studies.line import line_speeds  # noqa: PLC0415
@@ -293,7 +295,7 @@ def render(
         lambda run: study.render(
             video, chosen, left, seed=seed, speed=metric, fixed=fixed, progress=run.progress
         ),
-        {**dict(chosen), "environment": setup},
+        {**dict(chosen), "environment": setup} | ({} if line is None else {"line": line_content(line)}),
         seed,
     )
 

@@ -74,15 +74,6 @@ class Knots:
         height = 0.5 * (table.value[place] + self.at(s))
         return np.asarray(table.integral[place] + height * (s - table.s[place]))
 
-    def mean(self, s: npt.ArrayLike, length: float) -> Array:
-        """Means over a length (m) centred at s (m), of the same shape: the quantity with its kinks rounded.
-
-        Its slope is continuous, and its second derivative is the change of slope over the length. Nothing
-        changes but within half the length of a kink.
-        """
-        s = np.asarray(s, dtype=np.float64)
-        return (self.integral(s + 0.5 * length) - self.integral(s - 0.5 * length)) / length
-
     def times(self, factor: float) -> Knots:
         """The same, multiplied by a number."""
         return Knots(self.s, tuple(factor * value for value in self.value))
@@ -207,10 +198,16 @@ class Line:
         return self.speed_squared is None or self.speed_squared.constant
 
     @property
+    def reshaped(self) -> bool:
+        """Whether rails have another profile than the scenario's anywhere."""
+        blend = self.rail_blend is not None and any(self.rail_blend.value)
+        return blend or (self.rails is not None and self.rails[0] is not None)
+
+    @property
     def plain(self) -> bool:
         """Whether it leaves everything as the episode has it."""
-        knots = (self.speed_squared, self.gauge, self.friction, self.rail_blend)
-        return not (self.curved or any(knots) or self.tracks or self.defects)
+        knots = (self.speed_squared, self.gauge, self.friction)
+        return not (self.curved or any(knots) or self.reshaped or self.tracks or self.defects)
 
     @property
     def slowest(self) -> float | None:

@@ -370,6 +370,18 @@ class EpisodeBatch:
         along = None if line is None else line.distance_at(self.config.episode_s)
         return episode.speed if along is None else float(along) / self.config.episode_s
 
+    def track_level(self, i: int) -> float | None:
+        """Factor on the amplitudes of the track, on a line the RMS over an episode; None: the track's own."""
+        episode, line = self.episodes[i], self.lines[i]
+        assert episode is not None  # the reset has set it
+        if line is None or not line.tracks:
+            return episode.track_scale
+        bounds = np.array([(piece.start, piece.end) for piece in line.tracks])
+        bounds[-1, 1] = math.inf  # beyond its end a line goes on
+        inside = np.clip(bounds, 0.0, self.mean_speed(i) * self.config.episode_s)
+        levels = [1.0 if piece.scale is None else piece.scale for piece in line.tracks]
+        return float(np.sqrt(np.average(np.square(levels), weights=inside[:, 1] - inside[:, 0])))
+
     def distance(self) -> Array:
         """How far each vehicle's centre has gone since step 0, a new array of shape (count,), m."""
         vehicles = self.vehicles

@@ -111,8 +111,7 @@ def vehicle_info(batch: EpisodeBatch, i: int, running: SlidingRms) -> dict[str, 
             "limit_acceleration": limits.acceleration,
             "limit_track_shift": limits.track_shift_force,
             "limit_quotient": batch.config.derailment.safe_quotient,
-            # The RMS has half of Prud'homme's limit, which holds for the mean.
-            "limit_mean_track_shift": 2.0 * limits.track_shift_force,
+            "limit_mean_track_shift": limits.mean_track_shift,
         }
     )
 

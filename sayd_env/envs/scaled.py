@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -95,10 +94,8 @@ class LearnersView:
 
 
 def ordinary_costs(batch: EpisodeBatch) -> Array:
-    """J of an ordinary policy at each vehicle's mean speed, shape (count,); 1 where no episode has begun."""
+    """J of an ordinary policy at mean speed and track level of each vehicle, (count,); 1 before episodes."""
     begun = [i for i, episode in enumerate(batch.episodes) if episode is not None]
-    costs = np.ones(batch.count)
-    running: Any = [batch.episodes[i] for i in begun]
-    reference = load_learner().reward
-    costs[begun] = reference.ordinary([batch.mean_speed(i) for i in begun], [e.track_scale for e in running])
+    costs, reference = np.ones(batch.count), load_learner().reward
+    costs[begun] = reference.ordinary(map(batch.mean_speed, begun), map(batch.track_level, begun))
     return costs

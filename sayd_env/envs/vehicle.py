@@ -103,6 +103,8 @@ class Vehicle:
     """Command during the run-in."""
     noise: np.random.Generator | None
     """Source of the sensors' noise; None if there is none."""
+    speed: float
+    """At step 0, m/s."""
     origin: float
     """Position on the track at step 0, m."""
     gauge: float
@@ -171,7 +173,7 @@ def make_vehicle(
     table = None
     if line is not None and changes(line):
         table = line_table(line, origin, distance, speed, model.scenario.friction)
-    rails = None if table is None or line is None else line.rails
+    rails = line.rails if line is not None and line.reshaped else None
     if semi_active:
         for row in (sayd.CURRENT, sayd.COMMAND, sayd.COIL):
             state.sayd[row * LANES : (row + 1) * LANES] = current
@@ -209,6 +211,7 @@ def make_vehicle(
         run_in=run_in,
         current=current,
         noise=noise,
+        speed=speed,
         origin=origin,
         gauge=model.scenario.track.gauge,
         friction=model.scenario.friction,

@@ -29,7 +29,7 @@ from sayd_env.envs.loop import (
     run_units,
     run_units_in_parallel,
 )
-from sayd_env.envs.trace import DAMPERS, TRACE
+from sayd_env.envs.trace import DAMPERS, POSITION, SPEED, TRACE
 from sayd_env.envs.vehicle import LoopSettings, Vehicle
 from sayd_env.physics.aligned import copied
 from sayd_env.physics.batch import checked_threads
@@ -130,6 +130,8 @@ class VehicleBatch:
         self._no_log = np.zeros((count, 0, LOG))
         self._noisy = any(vehicle.noise is not None for vehicle in vehicles)
         self._compiled: Any = None
+        for i in range(count):
+            self._begin_trace(i)
 
     def __len__(self) -> int:
         return len(self._vehicles)
@@ -145,6 +147,13 @@ class VehicleBatch:
         for name in ON_BOARD:
             getattr(self, name).put(i, getattr(vehicle, name))
         self.status[i] = RUNNING
+        self._begin_trace(i)
+
+    def _begin_trace(self, i: int) -> None:
+        """What is known of a vehicle before its first period."""
+        self.trace[i] = 0.0
+        self.trace[i, -1, POSITION] = self._vehicles[i].state.clock[1]
+        self.trace[i, -1, SPEED] = self._vehicles[i].speed
 
     def _place(self, i: int, vehicle: Vehicle) -> None:
         self._vehicles[i] = vehicle

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +51,26 @@ def load_line(
     if line.file is not None:
         return read_measured_line(line, speed)
     return resolve(line, speed=speed, gauge=gauge, friction=friction, source=source)
+
+
+def line_content(line: str) -> dict[str, Any]:
+    """What a line says, for a result's record: its keys, and the digest of a measured file.
+
+    Raises
+    ------
+    ConfigError
+        A file, key or value that cannot be used.
+    DataError
+        A measured file that cannot be read.
+    """
+    config = LineConfig(file=line) if line.endswith(".csv") else read_line(line)
+    content = config.model_dump(mode="json")
+    if config.file is None:
+        return content
+    try:
+        return content | {"sha256": hashlib.sha256(Path(config.file).read_bytes()).hexdigest()}
+    except OSError as error:
+        raise DataError(f"{config.file}: cannot be read ({error.strerror})") from None
 
 
 def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
@@ -135,9 +158,9 @@ def _tracks(table: Table, length: float, blend: float) -> tuple[TrackPiece, ...]
 
 
 def _sections(length: float, each: float, curvature: Knots, cant: Knots) -> Iterator[Section]:
-    """Parts of equal length, with a rest at the end."""
+    """Parts of equal length; a rest of less than half of it belongs to the last one."""
     knots = np.union1d(curvature.s, cant.s)
-    bounds = [*np.arange(0.0, length, each).tolist(), length]
+    bounds = [0.0, *np.arange(each, length - 0.5 * each, each).tolist(), length]
     for start, end in pairwise(bounds):
         s = np.concatenate(([start], knots[(knots > start) & (knots < end)], [end]))
         bent = np.flatnonzero((curvature.at(s) != 0.0) | (cant.at(s) != 0.0))

@@ -81,20 +81,10 @@ class LineTable:
     slowest: float
     """Lowest speed on it, m/s."""
 
-    def speed(self, position: float) -> float:
-        """Speed at a position on the run (m/s)."""
-        i, t = self._place(position)
-        return math.sqrt(self.values[i, SQUARE] + t * self.values[i, SQUARE + 1])
-
-    def _place(self, position: float) -> tuple[int, float]:
-        i = min(max(int((position - self.start) / self.step), 0), len(self.values) - 1)
-        return i, min(max(position - self.start - i * self.step, 0.0), self.step)
-
 
 def changes(line: Line) -> bool:
-    """Whether anything changes along a line but gauge and irregularities: its vehicles then need a table."""
-    knots = (line.speed_squared, line.friction, line.rail_blend)
-    return line.curved or any(each is not None and not each.constant for each in knots)
+    """Whether a line says more than gauge, irregularities and one speed: its vehicles then need a table."""
+    return line.curved or line.reshaped or line.friction is not None or not line.constant_speed
 
 
 def line_table(

@@ -122,7 +122,7 @@ class LineRecord:
 
     def mean(self, values: Array) -> float:
         """Mean over the line of what a section has as a mean over its time."""
-        return float(np.dot(values, self.time) / self.time.sum())
+        return float(np.dot(np.where(self.time > 0.0, values, 0.0), self.time) / self.time.sum())
 
 
 def line_runs(
@@ -233,9 +233,13 @@ def line_record(run: Run, rollout: Rollout) -> LineRecord:
     periods = np.bincount(place, minlength=count)
 
     def mean(values: Array) -> Array:
-        """By section over the time of all of it; values are rates of the periods that were run."""
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.bincount(taken, values, count) / periods)
+        """By section over the time of all of it; values are rates of the periods that were run.
+
+        NaN for a section so short that no period is its.
+        """
+        whole = np.full(count, np.nan)
+        np.divide(np.bincount(taken, values, count), periods, out=whole, where=periods > 0)
+        return whole
 
     def most(values: Array) -> Array:
         return np.array([values[taken == k].max(initial=-math.inf) for k in range(count)])

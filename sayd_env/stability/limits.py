@@ -16,6 +16,11 @@ class Limits(NamedTuple):
     acceleration: float
     """Lateral acceleration of the bogie frame above a wheelset (m/s2)."""
 
+    @property
+    def mean_track_shift(self) -> float:
+        """Prud'homme's limit of the track shift force's mean over 2 m (N); its RMS has half of it."""
+        return 2.0 * self.track_shift_force
+
 
 def limits(axle_load: float, bogie_mass: float) -> Limits:
     """Limits of track shift force and bogie-frame acceleration.

@@ -302,15 +302,15 @@ def follow_speed(band: Band, state: BandState, group: int, speed: float) -> None
     band : Band
         The filters.
     state : BandState
-        Changed in place. Below the slowest speed that it was made for the spectrum stays as long as at that.
+        Changed in place. Below the slowest speed that it was made for the spectrum stays as long as it is.
     group : int
     speed : float
         m/s.
     """
     blocks = band.segment[0] / speed * band.segment[1] / band.counts[0]
-    length = state.history.shape[0]
-    if blocks < length:  # not where a dead sensor reads 0
-        length = max(2, math.floor(blocks + 1e-9))
+    if not blocks < state.history.shape[0] + 1.0:  # a dead sensor reads 0, or nothing
+        return
+    length = min(max(2, math.floor(blocks + 1e-9)), state.history.shape[0])
     if abs(length - state.length[group]) > 1:
         state.length[group] = length
         _write_window(state.window, group, length)

@@ -378,4 +378,4 @@ def _mean_ratio(ratios: Sequence[float] | Array) -> float:
 
 def _whole(costs: Array, time: Array) -> float:
     """J of a line from those of its sections."""
-    return float(np.dot(costs, time) / time.sum())
+    return float(np.dot(np.where(time > 0.0, costs, 0.0), time) / time.sum())

@@ -343,7 +343,7 @@ def _rows(run: Run, record: LineRecord) -> list[SectionRow]:
         "track_shift_ratio": record.track_shift_rms / bounds.track_shift_force,
         "quotient_ratio": record.quotient / safe,
         # The RMS has half of Prud'homme's limit, which holds for the mean.
-        "mean_shift_ratio": record.track_shift / (2.0 * bounds.track_shift_force),
+        "mean_shift_ratio": record.track_shift / bounds.mean_track_shift,
         "unloading": record.unloading,
         "derailed": (record.lost > 0.0).astype(float),
     }
@@ -463,4 +463,4 @@ def _draw_run(axes: Sequence[Axes], run: Run, record: LineRecord) -> None:
     axes[1].plot(km, J, label=name, **style)
     axes[2].plot(1e-3 * record.position, record.running_acceleration / bounds.acceleration, **style)
     axes[3].plot(km, record.peak_quotient / safe, **style)
-    axes[4].plot(km, record.peak_track_shift / (2.0 * bounds.track_shift_force), **style)
+    axes[4].plot(km, record.peak_track_shift / bounds.mean_track_shift, **style)

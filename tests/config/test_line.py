@@ -176,16 +176,6 @@ def test_sections_say_where_they_are_straight() -> None:
     assert [resolved.section_at(s).name for s in (-5.0, 0.0, 99.9, 100.0, 9e9)] == ["a", "a", "a", "2", "2"]
 
 
-def test_the_mean_of_knots_rounds_their_kinks() -> None:
-    knots = Knots((0.0, 100.0, 400.0), (0.0, 0.0, 3.0))
-    s = np.linspace(-50.0, 500.0, 1101)
-    fine = np.linspace(-15.0, 15.0, 3001)
-    expected = np.trapezoid(knots.at(s[:, None] + fine), fine, axis=1) / 30.0
-    np.testing.assert_allclose(knots.mean(s, 30.0), expected, atol=1e-6)
-    bend = np.diff(knots.mean(s, 30.0), 2) / 0.5**2
-    assert np.abs(bend).max() == pytest.approx(0.01 / 30.0, rel=1e-6)
-
-
 def test_knots_drop_what_says_nothing() -> None:
     assert joined([(0.0, 1.0), (1.0, 1.0), (2.0, 1.0), (3.0, 2.0)]) == Knots((0.0, 2.0, 3.0), (1.0, 1.0, 2.0))
     with pytest.raises(ValueError, match="jumps from 1 to 2 at 1 m"):

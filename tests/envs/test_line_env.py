@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -201,3 +202,65 @@ def test_the_running_values_of_a_slower_train_reach_as_far() -> None:
     assert sliding is not None
     assert sliding._window == round(100.0 / info["speed"] * 1000.0)
     assert len(sliding._filtered) > sliding._window
+
+
+def test_a_constant_condition_of_a_line_is_that_of_the_episode() -> None:
+    """Friction that never changes acts as the option of the same name does."""
+    plain, on_line = made(), made()
+    plain.reset(seed=2, options={"friction": 0.2})
+    on_line.reset(seed=2, options={"line": {"sections": [{"length": 900.0, "friction": 0.2}]}})
+    assert np.array_equal(run(plain, 150), run(on_line, 150))
+
+
+def test_a_line_on_other_rails_is_a_run_on_these_rails() -> None:
+    """A constant blend of 1 against a scenario with the second rail.
+
+    Heights are counted from the static approach on the scenario's rail, a tenth of a millimetre off, which the
+    springs feel: where nothing hunts readings agree to 1 % of their RMS.
+    """
+    calm: dict[str, Any] = {"speed_kmh": 250.0}
+    plain = made(settings=("rail=60e1_30", "wear=0.0"), **calm)
+    on_line, other = (made(settings=("wear=0.0",), **calm) for _ in range(2))
+    section = {"length": 900.0, "rail": 1.0}
+    plain.reset(seed=2)
+    on_line.reset(seed=2, options={"line": {"rails": [None, "60e1_30"], "sections": [section]}})
+    other.reset(seed=2)
+    expected, found, apart = run(plain, 300)[:, :4], run(on_line, 300)[:, :4], run(other, 300)[:, :4]
+    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.01 * np.sqrt(np.mean(expected**2))
+    assert np.sqrt(np.mean((apart - expected) ** 2)) > 0.1 * np.sqrt(np.mean(expected**2))
+
+
+def test_one_vehicle_between_two_rails_leaves_the_others_of_its_group_as_they_are() -> None:
+    """Seven vehicles on a whole shape read its table, beside an eighth their rows are blended: the same bits."""
+    whole = {"rails": [None, "60e1"], "sections": [{"length": 900.0, "rail": 1.0}]}
+    mixed = {"rails": [None, "60e1"], "sections": [{"length": 900.0, "rail": 0.3}]}
+    batch = SaydVectorEnv("nominal", num_envs=8)
+    batch.reset(seed=0, options={"line": "straight"})
+    together = []
+    for lines in ([whole] * 8, [whole] * 7 + [mixed]):
+        episodes = [draw_episode(batch.config, k, 0, {"line": line}) for k, line in enumerate(lines)]
+        batch.batch.reset(range(8), episodes, whole_track=False)
+        together.append(np.array([batch.batch.step(np.tile(COMMAND, (8, 1)))[0] for _ in range(100)]))
+    assert np.array_equal(together[0][:, :7], together[1][:, :7])
+    assert not np.array_equal(together[0][:, 7], together[1][:, 7])
+
+
+def test_without_a_run_in_info_is_that_of_the_start(tmp_path: Path) -> None:
+    (tmp_path / "short.yaml").write_text("base: nominal\nrun_in: 0.0\n")
+    env = made(str(tmp_path / "short.yaml"))
+    for seed in (0, 1):
+        info = env.reset(seed=seed)[1]
+        assert info["distance"] == pytest.approx(0.0, abs=1e-9)
+        assert info["speed"] == pytest.approx(350.0 / 3.6)
+        run(env, 50)
+
+
+def test_a_learners_ordinary_cost_is_that_of_the_lines_own_track() -> None:
+    """Level and speed of the line count, not those that the episode draws beside it."""
+    section = {"length": 4000.0, "speed_kmh": 300.0, "track": "german_low", "track_scale": 0.5}
+    env = made("randomized", scaled=True)
+    ordinary = []
+    for seed in (0, 1):
+        env.reset(seed=seed, options={"line": {"sections": [section]}})
+        ordinary.append(float(env._ordinary[0]))
+    assert ordinary[0] == pytest.approx(ordinary[1], rel=1e-12)

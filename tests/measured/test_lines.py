@@ -9,9 +9,9 @@ import pytest
 
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.conditions import Line
-from sayd_env.config.track import FileConfig
+from sayd_env.config.track import FileConfig, read_track
 from sayd_env.measured.lines import load_line
-from sayd_env.physics.track import realise
+from sayd_env.physics.track.realisation import realise_line
 
 SECTIONS = """
 rails: [null, 60e1_30]
@@ -81,9 +81,8 @@ def test_sections_are_parts_of_equal_length(tmp_path: Path) -> None:
     write(tmp_path, f"{HEADER}\n{rows}")
     line = load_line(write(tmp_path, "file: line.csv\nsection_length: 600.0\n", "mine.yaml"))
     assert [each.name for each in line.sections][:2] == ["0 to 600 m", "600 to 1200 m"]
-    assert [each.end for each in line.sections] == [600.0, 1200.0, 1800.0, 2400.0, 2600.0]
-    assert [each.straight_from for each in line.sections] == [0.0, 600.0, 1400.0, 1800.0, 2400.0]
-    assert [each.straight for each in line.sections] == [True, True, False, True, True]
+    assert [each.end for each in line.sections] == [600.0, 1200.0, 1800.0, 2600.0]
+    assert [each.straight_from for each in line.sections] == [0.0, 600.0, 1400.0, 1800.0]
     short = load_line(write(tmp_path, "file: line.csv\nsection_length: 1350.0\n", "mine.yaml"))
     assert [each.straight_from for each in short.sections] == [None, 1400.0]
 
@@ -96,7 +95,10 @@ def test_irregularities_of_a_line_are_those_of_its_file(tmp_path: Path) -> None:
     (piece,) = line.tracks
     assert (piece.start, piece.end, piece.scale) == (0.0, 400.0, None)
     assert isinstance(piece.irregularity, FileConfig)
-    value, _ = realise(piece.irregularity, 400.0, 0).evaluate(np.array([5.0, 200.0, 205.0, 295.0]))
+    # s = 0 lies 350 m behind the run's start, and so does the file's first row.
+    track = read_track("german_low")
+    realised = realise_line(line, track, 800.0, 0, origin=350.0)
+    value, _ = realised.evaluate(350.0 + np.array([5.0, 200.0, 205.0, 295.0]))
     np.testing.assert_allclose(
         value[1:, 0], 2e-3 * np.sin(2 * np.pi * np.array([200.0, 205.0, 295.0]) / 20), atol=1e-7
     )

@@ -11,7 +11,17 @@ from scipy.signal import butter, sosfilt
 from sayd_env.config import ConfigError
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.control import load_online
-from sayd_env.stability.online import Band, BandState, band, band_state, push, restart, retune, retune_group
+from sayd_env.stability.online import (
+    Band,
+    BandState,
+    band,
+    band_state,
+    follow_speed,
+    push,
+    restart,
+    retune,
+    retune_group,
+)
 
 ASSESSMENT = load_assessment()
 ONLINE = load_online()
@@ -260,3 +270,15 @@ def test_settings_must_be_positive(key: str) -> None:
 def test_unusable_states(constants: Band, speed: float, channels: int, groups: int, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         band_state(constants, RATE, ASSESSMENT, speed, channels, groups)
+
+
+def test_a_spectrum_follows_the_speed_and_not_a_dead_sensor(constants: Band) -> None:
+    """500 m at the present speed; where the sensor reads 0 or nothing the spectrum stays as long as it is."""
+    assessment = load_assessment()
+    fast, slow = (band_state(constants, RATE, assessment, v, 2, 1, slowest=50.0) for v in (100.0, 70.0))
+    follow_speed(constants, fast, 0, 70.0)
+    assert np.array_equal(fast.length, slow.length)
+    np.testing.assert_allclose(fast.window, slow.window, rtol=1e-12, atol=1e-15)
+    for dead in (0.0, float("nan")):
+        follow_speed(constants, fast, 0, dead)
+        assert np.array_equal(fast.length, slow.length)

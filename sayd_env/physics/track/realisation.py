@@ -134,7 +134,8 @@ def realise_line(
         Track of the run; the contact tables are those of its gauge.
     length, seed, covered
         As of `realise`. Each class of track is the same realisation all along, so that one passes into
-        another by what each has at that place.
+        another by what each has at that place. A measured file with ramps lies on the line, its offset
+        counted from s = 0; one without, which has to cover the run, on the run.
     origin : float
         Position on the run of the line's s = 0 (m).
 
@@ -146,7 +147,7 @@ def realise_line(
     pieces = line.tracks or (TrackPiece(0.0, math.inf, None, None),)
     parts: dict[IrregularityConfig, list[TrackPiece]] = {}
     for piece in pieces:
-        parts.setdefault(_of_piece(piece, base.irregularity), []).append(piece)
+        parts.setdefault(_of_piece(piece, base.irregularity, origin), []).append(piece)
     tracks = {config: realise(config, length, seed, covered=covered) for config in parts}
     first = next(iter(tracks.values()))
     knots: Array = first.x0 + first.step * np.arange(-1.0, len(first.coefficients) - 1.0)
@@ -164,8 +165,10 @@ def realise_line(
     return replace(first, coefficients=total)
 
 
-def _of_piece(piece: TrackPiece, base: IrregularityConfig) -> IrregularityConfig:
+def _of_piece(piece: TrackPiece, base: IrregularityConfig, origin: float) -> IrregularityConfig:
     config = base if piece.irregularity is None else piece.irregularity
+    if isinstance(piece.irregularity, FileConfig) and piece.irregularity.ramp is not None:
+        config = config.model_copy(update={"offset": piece.irregularity.offset + origin})
     return config if piece.scale is None else config.model_copy(update={"scale": piece.scale})
 
 
