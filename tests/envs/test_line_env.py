@@ -215,8 +215,8 @@ def test_a_constant_condition_of_a_line_is_that_of_the_episode() -> None:
 def test_a_line_on_other_rails_is_a_run_on_these_rails() -> None:
     """A constant blend of 1 against a scenario with the second rail.
 
-    Heights are counted from the static approach on the scenario's rail, a tenth of a millimetre off, which the
-    springs feel: where nothing hunts readings agree to 1 % of their RMS.
+    Heights are counted from the static approach on the scenario's rail, which the springs feel: where nothing
+    hunts readings agree to 1 % of their RMS.
     """
     calm: dict[str, Any] = {"speed_kmh": 250.0}
     plain = made(settings=("rail=60e1_30", "wear=0.0"), **calm)
@@ -231,7 +231,7 @@ def test_a_line_on_other_rails_is_a_run_on_these_rails() -> None:
 
 
 def test_one_vehicle_between_two_rails_leaves_the_others_of_its_group_as_they_are() -> None:
-    """Seven vehicles on a whole shape read its table, beside an eighth their rows are blended: the same bits."""
+    """Seven on a whole shape read its table; beside an eighth their rows are blended: the same bits."""
     whole = {"rails": [None, "60e1"], "sections": [{"length": 900.0, "rail": 1.0}]}
     mixed = {"rails": [None, "60e1"], "sections": [{"length": 900.0, "rail": 0.3}]}
     batch = SaydVectorEnv("nominal", num_envs=8)
