@@ -31,6 +31,8 @@ TIGHTEST = 150.0
 """Smallest radius (m): EN 13803."""
 MOST_CANT = 0.18
 """Highest cant (m): EN 13803, exceptional limit."""
+SHORTEST_TRANSITION = 20.0
+"""Transition (m) that the kinks of curvature and cant, rounded over 20 m each way, still leave one."""
 MOST_DEFICIENCY = 0.3
 """Most that cant may lack or exceed (m): tilting trains reach as far (EN 13803)."""
 MOST_TWIST = 1.0 / 400.0

@@ -25,6 +25,7 @@ ENVIRONMENT = Kind(
     parts={"sensors": SENSORS, "lines": LINES},
     names=("study", "line", "randomisation.tracks.*.name", "randomisation.profiles.*.name"),
     base="nominal",
+    optional=("lines",),
 )
 PERIODS = tuple(n for n in range(1, 1001) if 1000 % n == 0)
 """Control periods that divide a second (ms)."""

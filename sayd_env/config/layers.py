@@ -52,6 +52,8 @@ class Kind:
         On what a file stands that names no base.
     only : tuple of str, optional
         A key and its value, where the folder holds other kinds as well: ``("kind", "wheel")``.
+    optional : tuple of str
+        Parts that may be null.
     """
 
     folder: str
@@ -60,6 +62,7 @@ class Kind:
     data: tuple[str, ...] = ()
     base: str | None = None
     only: tuple[str, str] | None = None
+    optional: tuple[str, ...] = ()
 
 
 class Draft(NamedTuple):
@@ -206,7 +209,7 @@ def _check_parts(kind: Kind, data: Mapping[str, Any], source: str, above: str = 
         value = data.get(key)
         if isinstance(value, dict):
             _check_parts(part, value, source, f"{above}{key}.")
-        elif key in data and not isinstance(value, str):
+        elif key in data and not isinstance(value, str) and not (value is None and key in kind.optional):
             raise ConfigError(f"{source}: {above}{key}: found {shown(value)}; {_expected(key, part, value)}")
 
 

@@ -14,6 +14,7 @@ from sayd_env.config.base import Model, Part, quantity
 from sayd_env.config.conditions import (
     MOST_ACCELERATION,
     MOST_CANT,
+    SHORTEST_TRANSITION,
     TIGHTEST,
     Knots,
     Line,
@@ -63,7 +64,7 @@ class LineSectionConfig(Model):
         "m",
         "Length from the section's start over which curvature and cant change linearly from those before",
         default=None,
-        gt=0.0,
+        ge=SHORTEST_TRANSITION,
     )
     gauge: float | None = _limited("gauge", "Track gauge")
     rail: float | None = quantity(

@@ -18,6 +18,7 @@ from sayd_env.config.conditions import (
     Line,
 )
 from sayd_env.config.distribution import ChoiceDistribution, Distribution, chosen
+from sayd_env.config.errors import ConfigError
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.limits import within
 from sayd_env.config.line import LineConfig, LineSectionConfig, resolve
@@ -114,6 +115,25 @@ class LinesConfig(Part):
         if self.tracks and not any(each.weight for each in self.tracks):
             raise ValueError("tracks: at least one weight must be positive")
         return self
+
+    def without(self, names: Iterable[str]) -> LinesConfig:
+        """The same, but friction, gauge or tracks are not drawn."""
+        drawn = {"friction": None, "gauge": None, "tracks": ()}
+        return self.model_copy(update={name: drawn[name] for name in names if name in drawn})
+
+    def refuse_speed(self, source: str) -> None:
+        """Refuse a speed beside those of the lines.
+
+        Raises
+        ------
+        ConfigError
+            The lines have speeds, to which their curves are fitted.
+        """
+        if self.speed_kmh is not None:
+            raise ConfigError(
+                f"{source}: the lines of this environment have speeds of their own; give a line without "
+                "them, such as the option line='conditions'"
+            )
 
 
 def read_lines(name_or_path: str, overrides: Iterable[str] = ()) -> LinesConfig:

@@ -113,8 +113,8 @@ def read_text(path: Path, what: str = "file") -> str:
 
 
 def is_path(name_or_path: str) -> bool:
-    """Whether a reference is a path to a YAML file: it ends in .yaml or .yml, or has a separator."""
-    return name_or_path.endswith((".yaml", ".yml")) or "/" in name_or_path
+    """Whether a reference is a path to a file: it ends in .yaml, .yml or .csv, or has a separator."""
+    return name_or_path.endswith((".yaml", ".yml", ".csv")) or "/" in name_or_path
 
 
 def beside(name_or_path: str, folder: Path) -> str:

@@ -262,7 +262,12 @@ def _line(
 ) -> str | LineConfig | Line | None:
     if fixed.line is not None:
         return fixed.line
-    return config.line if config.lines is None else draw_line(config.lines, uniform)
+    if config.lines is None:
+        return config.line
+    if "speed_kmh" in fixed.numbers:
+        config.lines.refuse_speed("options: speed_kmh")
+    given = {*fixed.numbers, *(("tracks",) if fixed.track or fixed.track_scale is not None else ())}
+    return draw_line(config.lines.without(given), uniform)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config.conditions import Line
 from sayd_env.config.units import Array
 from sayd_env.envs import trace
 from sayd_env.envs.cost import squares
@@ -71,19 +72,35 @@ def episode_info(batch: EpisodeBatch, i: int) -> dict[str, Any]:
     episode, scenario = batch.episodes[i], batch.scenario
     assert episode is not None  # the reset has set it
     wheel = scenario.wheel if episode.wheel is None else episode.wheel
+    track = "of the study" if episode.track is None else episode.track
+    gauge = scenario.track.gauge if episode.gauge is None else episode.gauge
+    friction = scenario.friction if episode.friction is None else episode.friction
+    line = batch.lines[i]
+    if line is not None:  # what it says, where it begins
+        track = "of the line" if line.tracks else track
+        gauge = gauge if line.gauge is None else float(line.gauge.at(0.0))
+        friction = friction if line.friction is None else float(line.friction.at(0.0))
     return {
         "seed": episode.seed,
         "episode_number": episode.number,
         "speed_kmh": float(episode.speed * 3.6),
         "profile": wheel.name if episode.profile is None else episode.profile,
         "wheel_shift": float(wheel.shift if episode.wheel_shift is None else episode.wheel_shift),
-        "gauge": float(scenario.track.gauge if episode.gauge is None else episode.gauge),
+        "gauge": float(gauge),
         "wear": float(scenario.wear if episode.wear is None else episode.wear),
-        "friction": float(scenario.friction if episode.friction is None else episode.friction),
-        "track": "of the study" if episode.track is None else episode.track,
+        "friction": float(friction),
+        "track": track,
+        "line": _line_name(episode.line),
         # A text, for it has one type whatever is in it: what collects infos can keep no lists of mappings.
         "faults": json.dumps([fault.model_dump(mode="json") for fault in episode.faults]),
     }
+
+
+def _line_name(line: object) -> str:
+    """Name or path of an episode's line; "drawn" and "given" where it has none, "" where there is no line."""
+    if line is None or isinstance(line, str):
+        return line or ""
+    return "drawn" if isinstance(line, Line) else "given"
 
 
 def vehicle_info(batch: EpisodeBatch, i: int, running: SlidingRms) -> dict[str, Any]:

@@ -79,6 +79,10 @@ def configured(
     if "sensors" in given:
         given["sensors"] = _sensors(given["sensors"])
     given["randomisation"] = _randomisation(config.randomisation, given.pop("speed_kmh", None), assignments)
+    if config.lines is not None:
+        if keywords.get("speed_kmh") is not None:
+            config.lines.refuse_speed("speed_kmh")
+        given["lines"] = config.lines.without(fixed_by(_keys(assignments)))
     config = validate(EnvironmentConfig, dict(config) | given, "keywords")
     scenario = environment_scenario(config, assignments, "settings")
     if scenario.damper.type != config.damper:
@@ -158,7 +162,7 @@ def _randomisation(
     drawn: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
 ) -> RandomisationConfig:
     """Distributions of an environment without those of what a keyword fixes."""
-    left = drawn.without(fixed_by(item.partition("=")[0].strip() for item in assignments))
+    left = drawn.without(fixed_by(_keys(assignments)))
     if speed_kmh is None:
         return left
     speed = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
@@ -184,3 +188,7 @@ def _weights(reward: Any) -> RewardConfig | None:
         f"reward: found {shown(reward)}{close}; expected {', '.join(map(repr, known))}, (k_y, k_F) or "
         "{'k_y': ..., 'k_F': ...}, weights of 0 or more of which one is positive"
     )
+
+
+def _keys(assignments: Iterable[str]) -> list[str]:
+    return [item.partition("=")[0].strip() for item in assignments]

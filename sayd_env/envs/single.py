@@ -96,7 +96,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
     (the two squares of the cost, unweighted, means of the bogies; 0 after a reset), ``dominant_frequency``
     (2, Hz), ``distance`` (m since step 0), ``speed`` (m/s), and ``ending`` and ``error``, empty unless the
     run was terminated or diverged. Of the episode ``seed, episode_number, speed_kmh, profile, wheel_shift,
-    wear, gauge, friction, track, faults``. With
+    wear, gauge, friction, track, line, faults``. With
     ``info="full"`` also, at the end of the period: ``damper_force`` (8, N), ``track_shift_force`` (4, N),
     ``wheel_lateral_force`` and
     ``wheel_vertical_force`` (8, N, on the rails; left and right in turn), ``valve_current`` and

@@ -12,6 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
+from sayd_env.config import ConfigError
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.single import SaydEnv
 from sayd_env.envs.vector import SaydVectorEnv
@@ -169,7 +170,7 @@ def test_a_smooth_curve_is_no_hunting() -> None:
 )
 def test_a_line_that_cannot_be_is_refused_by_name(line: Any, word: str) -> None:
     env = made()
-    with pytest.raises(Exception, match=word):
+    with pytest.raises(ConfigError, match=word):
         env.reset(seed=0, options={"line": line})
 
 
@@ -264,3 +265,32 @@ def test_a_learners_ordinary_cost_is_that_of_the_lines_own_track() -> None:
         env.reset(seed=seed, options={"line": {"sections": [section]}})
         ordinary.append(float(env._ordinary[0]))
     assert ordinary[0] == pytest.approx(ordinary[1], rel=1e-12)
+
+
+def test_what_a_user_fixes_holds_beside_a_drawn_line() -> None:
+    """Friction, gauge and tracks are then not drawn; a speed, which curves were fitted to, is refused."""
+    options = {"friction": 0.4, "gauge": 1.434, "track": "german_low"}
+    env = made("line", info="full", settings=("damper.current=0.1",))
+    for seed in (0, 1):
+        info = env.reset(seed=seed, options=options)[1]
+        line = env.batch.lines[0]
+        assert line is not None
+        assert (line.friction, line.gauge, line.tracks) == (None, None, ())
+        assert (info["line_friction"], info["line_gauge"], info["track"]) == (0.4, 1.434, "german_low")
+        assert info["line"] == "drawn"
+    fixed = made("line", settings=("friction=0.3",))
+    assert fixed.reset(seed=0)[1]["friction"] == 0.3
+    with pytest.raises(ConfigError, match="speeds of their own"):
+        env.reset(seed=0, options={"speed_kmh": 300.0})
+    with pytest.raises(ConfigError, match="speeds of their own"):
+        made("line", speed_kmh=300.0)
+
+
+def test_an_environment_takes_a_line_in_place_of_drawn_ones(tmp_path: Path) -> None:
+    """A measured file is looked for beside the file that names it."""
+    (tmp_path / "mine.csv").write_text("x_m,speed_kmh\n0,200\n500,220\n1000,220\n")
+    (tmp_path / "mine.yaml").write_text("base: line\nlines: null\nline: mine.csv\n")
+    env = made(str(tmp_path / "mine.yaml"))
+    info = env.reset(seed=0)[1]
+    assert info["speed_kmh"] == pytest.approx(200.0)
+    assert info["line"] == str(tmp_path / "mine.csv")
