@@ -186,6 +186,63 @@ def modes(
     return Plan(lambda run: study(chosen, speeds, amplitude * 1e-3, progress=run.progress), chosen)
 
 
+@command(GROUP, "--speed 300 --damper sayd --current 0.3")
+def linearise(
+    scenario: options.VehicleOptions,
+    *,
+    speed: float = options.scenario("--speed KMH", "At which it runs.", SPEED, default=350.0),
+    shift: float | None = option(
+        "--shift MM",
+        "RMS of the wheelsets' lateral shift; 0: the tangent. Default: 2.12, an amplitude of 3 mm.",
+        Number(0, 100, "mm"),
+    ),
+    stroke_speed: float | None = option(
+        "--stroke-speed MM/S",
+        "RMS of the yaw dampers' stroke speed; 0: at rest, where friction holds. Default: 10.",
+        Number(0, 2000, "mm/s"),
+    ),
+    current: float | None = option(
+        "--current 0..1", "Acting current of semi-active dampers. Default: their own.", options.SHARE
+    ),
+    frequency: float | None = option(
+        "--frequency HZ", "Of the motion. Default: the least damped hunting mode's.", positive("Hz", 100)
+    ),
+    delay_order: int | None = option(
+        "--delay-order N",
+        "One track under all wheelsets, delays in Pade approximation. Default: each has inputs of its own.",
+        Number(1, 25, whole=True),
+    ),
+) -> Plan:
+    """Give the vehicle as a state space at a stated amplitude, with passive or semi-active yaw dampers.
+
+    Inputs are damper forces, irregularities and commands, outputs the sensors, named with units, in
+    state_space.mat (MATLAB) and state_space.npz (NumPy); docs/linearise.md has the theory.
+    """
+    from sayd_env.studies import linearise as study  # noqa: PLC0415 - keeps --help fast
+
+    chosen = scenario.load()
+
+    def store(result: study.LineariseResult, output: Output) -> None:
+        if output.directory is not None:
+            written = output.directory.write(result.files())
+            output.say(f"{output.directory.path}: {', '.join(path.name for path in written)}")
+
+    return Plan(
+        lambda run: study.linearise(
+            chosen,
+            speed / KMH,
+            study.SHIFT if shift is None else shift * 1e-3,
+            study.STROKE_SPEED if stroke_speed is None else stroke_speed * 1e-3,
+            current=current,
+            frequency=frequency,
+            delay_order=delay_order,
+            progress=run.progress,
+        ),
+        chosen,
+        after=store,
+    )
+
+
 @command(GROUP, "ride.csv --speed 300")
 def assess(
     file: Path = argument("FILE", "CSV file of the recording."),

@@ -19,7 +19,7 @@ from sayd_env.envs import loop as places
 from sayd_env.envs.loop import RAIL_FORCES, SIGNALS, Loop, LoopState
 from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS
 from sayd_env.physics import sayd
-from sayd_env.physics.layout import Arrangement, displacement
+from sayd_env.physics.layout import Arrangement, displacement, longitudinal_rows
 from sayd_env.physics.line import changes, line_table
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.simulator import VehicleModel
@@ -295,15 +295,6 @@ def point_rows(design: Arrangement, floor_height: float | None) -> Array:
     Vehicles of one design share them.
     """
     return np.vstack([longitudinal_rows(design), body_rows(design, floor_height)])
-
-
-def longitudinal_rows(design: Arrangement) -> Array:
-    """Rows that give the longitudinal motion of the frames at the dampers' mounts, shape (4, n).
-
-    Front and rear bogie, left and right side; each the mean of the side's two mounts.
-    """
-    ends = np.array([bogie for _, bogie, _ in design.yaw_dampers])
-    return np.ascontiguousarray(ends.reshape(4, 2, -1).mean(axis=1))
 
 
 def body_rows(design: Arrangement, floor_height: float | None) -> Array:

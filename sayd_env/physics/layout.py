@@ -490,6 +490,15 @@ def frame_of(wheelset: Instance, frames: list[Instance]) -> Instance | None:
     return min(frames, key=lambda f: abs(f.position[0] - wheelset.position[0]), default=None)
 
 
+def longitudinal_rows(design: Arrangement) -> Array:
+    """Rows that give the longitudinal motion of the frames at the dampers' mounts, shape (d / 2, n).
+
+    Front and rear bogie, left and right side; each the mean of the mounts of the side's pair of dampers.
+    """
+    ends = np.array([bogie for _, bogie, _ in design.yaw_dampers])
+    return np.ascontiguousarray(ends.reshape(len(ends) // 2, 2, -1).mean(axis=1))
+
+
 def _measuring_points(
     height: float, wheelsets: list[Instance], frames: list[Instance], n: int
 ) -> tuple[tuple[str, Array], ...]:

@@ -1,19 +1,26 @@
 """Linear analysis of the vehicle that the simulator runs: eigenvalues, mode shapes, linear critical speed.
 
 The compiled right-hand side of the time integration is differentiated about steady running on smooth track,
-so there is no second model. Wheel-rail contact is harmonically linearised at an amplitude of lateral motion;
-dampers count with the first segment of their curve, stops with what they do at small displacements.
+so there is no second model. Wheel-rail contact is harmonically linearised at an amplitude of lateral motion,
+yaw dampers at a stroke speed (`sayd_env.physics.equivalent_damper`); without one they count with the first
+segment of their curve, or as mounts of a piston that friction holds. Other dampers count with their first
+segment, stops with what they do at small displacements.
 
 Differences are taken along the unknowns, one at a time. The tabulated creep law has continuous slopes; at the
 spin of steady running they are near Kalker's coefficients. Polach's law has no derivative at pure spin: its
 stiffness depends on the direction of the slip, C11 along the rail to C22 across. So with it the matrix holds
 Kalker's linear coefficients, as linear theory does; in the simulation a mode whose slip turns sees a mean.
+
+Creep forces that saturate are smaller than these slopes say. `equivalent` finds by how much at a stated shift
+of the wheelsets: in the least damped hunting mode they dissipate less over a cycle than small ones would, and
+by this factor the creep stiffnesses are taken less, until mode and factor agree.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,16 +28,24 @@ import numpy.typing as npt
 from scipy.linalg import eig, eigvals, lstsq
 from scipy.optimize import brentq, linear_sum_assignment
 
-from sayd_env.config import ConfigError, StudyError
+from sayd_env.config import StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
 from sayd_env.config.units import Array
-from sayd_env.physics.contact import geometry
+from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
+from sayd_env.physics.equivalent_damper import (
+    SHIFTS,
+    EquivalentSayd,
+    Stroke,
+    equivalent_sayd,
+    equivalent_slope,
+)
 from sayd_env.physics.mode_names import describe, numbered
-from sayd_env.physics.plant import Plant, Work
+from sayd_env.physics.multibody import Multibody
+from sayd_env.physics.plant import LANES, Plant, Work
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.physics.step import rates
+from sayd_env.physics.step import contact_at, rates
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 
 Complex = npt.NDArray[np.complex128]
@@ -51,13 +66,21 @@ _ROUNDING = 1e-6  # 1/s: what an imaginary part may be for an eigenvalue to be c
 _SMALLEST_LIKENESS = 0.3  # of two modes at neighbouring speeds that belong to one branch
 _SPEED_TOLERANCE = 1e-6  # m/s
 
+_FIRST_FREQUENCY = 5.0  # Hz, from which the hunting mode's is found
+_FREQUENCY_TOLERANCE = 0.01
+_CREEP_TOLERANCE = 1e-3
+_PHASES = 32  # of a cycle
+_SMALL = 1e-4  # of an amplitude: creepages without saturation
+_SIDEWAYS = 0.1  # lateral motion of wheelsets over the largest of a mode that counts as hunting
+
 
 @dataclass(frozen=True)
 class Linearisation:
-    """A vehicle about steady running: d/dt (x - x_0) = matrix (x - x_0), x = (q, v, F)."""
+    """A vehicle about steady running: d/dt (x - x_0) = matrix (x - x_0), x = (q, v, F, z)."""
 
     matrix: Array
-    """(2 n + m, 2 n + m) state matrix of displacements, velocities and Maxwell dampers' forces, SI."""
+    """State matrix of displacements (n), velocities (n), Maxwell dampers' forces (m) and the states of one
+    semi-active damper after another, SI."""
     q: Array
     """(n,) displacements of steady running, m and rad."""
     v: Array
@@ -66,6 +89,30 @@ class Linearisation:
     """Contact table in use."""
     track: TrackRealisation
     """Smooth track."""
+    sayd: EquivalentSayd | None
+    """Each of the semi-active dampers; None with passive ones."""
+    speed: float
+    """V, m/s."""
+    stroke: Stroke | None
+    """How the yaw dampers move."""
+    creep: float
+    """Creep stiffnesses over those of small creepages."""
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Where a vehicle is linearised."""
+
+    speed: float
+    """V, m/s."""
+    shift: float
+    """RMS of the wheelsets' lateral shift, m; 0: contact in the centred position, small creepages."""
+    stroke_speed: float
+    """RMS of the yaw dampers' stroke rate, m/s; 0: at rest, where friction holds semi-active ones."""
+    current: float | None = None
+    """Acting current of semi-active dampers; None: their own before any command."""
+    frequency: float | None = None
+    """Of both, Hz; None: that of the least damped hunting mode."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +128,7 @@ class Mode:
     shape: Complex
     """(n,) displacements, the largest of them 1."""
     vector: Complex
-    """(2 n + m,) the whole eigenvector: displacements, velocities, damper forces."""
+    """The whole eigenvector: displacements, velocities, damper forces, semi-active dampers' states."""
     name: str
     """What moves, in the field's terms; of several such modes the least damped has no number."""
 
@@ -108,7 +155,13 @@ class RootLocus:
         return _damping_ratio(self.eigenvalues)
 
 
-def linearise(model: VehicleModel, speed: float, amplitude: float | None) -> Linearisation:
+def linearise(
+    model: VehicleModel,
+    speed: float,
+    amplitude: float | None,
+    stroke: Stroke | None = None,
+    creep: float = 1.0,
+) -> Linearisation:
     """Find steady running on smooth track and linearise the vehicle about it.
 
     Parameters
@@ -120,31 +173,34 @@ def linearise(model: VehicleModel, speed: float, amplitude: float | None) -> Lin
     amplitude : float or None
         Amplitude of the wheelsets' lateral motion at which wheel-rail contact is harmonically linearised, m;
         None: the contact as it is in the centred position.
+    stroke : Stroke, optional
+        Motion at which the yaw dampers are; None: at rest.
+    creep : float
+        Factor of the creep stiffnesses, see `equivalent`.
 
     Raises
     ------
     ConfigError
-        A speed outside the vehicle's range, or semi-active dampers, whose hydraulics have no linear part that
-        would say anything about the whole.
+        A speed outside the vehicle's range, a stroke speed that the dampers do not allow.
     DataError
         An amplitude outside the contact table.
     StudyError
-        No steady running was found.
+        No steady running was found, or no steady cycle of a damper.
 
     Notes
     -----
     Spin creep lets the wheelsets roll a little off the nominal rate. So steady running has no velocities but
     these, and the unknowns are all displacements but the wheelsets' angles of rotation, on which nothing
     depends, and these rates. Newton's method with the state matrix itself, from pure rolling; directions
-    without stiffness stay where they are.
+    without stiffness stay where they are. Semi-active dampers let the vehicle settle and pull at nothing.
     """
-    if not isinstance(model.scenario.damper, PassiveDamperConfig):
-        raise ConfigError(
-            f"damper '{model.scenario.damper.name}': the linear analysis needs passive yaw dampers"
-        )
     table = model.table if amplitude is None else linearised(model.table, amplitude)
+    if creep != 1.0:
+        table = replace(table, c11=creep * table.c11, c22=creep * table.c22, c23=creep * table.c23)
     track = realise(NoIrregularityConfig(type="none"), 1.0, 0)
-    plant, work = model.plant(speed, track, table), model.work()
+    plant, work = equivalent_plant(model, speed, track, table, stroke), model.work()
+    law = model.scenario.damper
+    sayd = None if isinstance(law, PassiveDamperConfig) else equivalent_sayd(law, stroke)
     n, m = model.multibody.n, len(model.dampers)
     spin = model.multibody.wheelset_dofs[:, 4]
     unknown = np.r_[:n]
@@ -153,9 +209,11 @@ def linearise(model: VehicleModel, speed: float, amplitude: float | None) -> Lin
     x[n + spin] = _pure_rolling(plant)
     for _ in range(_ITERATIONS):
         matrix = _jacobian(plant, work, x)
-        residual = _rates(plant, work, x)[n : 2 * n]
+        residual = rates_of(plant, work, x)[n : 2 * n]
         if np.max(np.abs(residual)) < _RESIDUAL:
-            return Linearisation(matrix, x[:n].copy(), x[n : 2 * n].copy(), table, track)
+            whole = matrix if sayd is None else _with_sayds(model.multibody, matrix, sayd)
+            q, v = x[:n].copy(), x[n : 2 * n].copy()
+            return Linearisation(whole, q, v, table, track, sayd, speed, stroke, creep)
         step = matrix[n : 2 * n, unknown]
         scale = np.linalg.norm(step, axis=0)
         scale[scale == 0.0] = 1.0
@@ -166,14 +224,93 @@ def linearise(model: VehicleModel, speed: float, amplitude: float | None) -> Lin
     )
 
 
+def equivalent(model: VehicleModel, point: OperatingPoint) -> Linearisation:
+    """Linearise the vehicle at a stated amplitude of wheelsets and yaw dampers.
+
+    Parameters
+    ----------
+    model : VehicleModel
+        The vehicle.
+    point : OperatingPoint
+        Speed, RMS of shift and of stroke speed, current.
+
+    Raises
+    ------
+    ConfigError, DataError, StudyError
+        As `linearise`; also where the creep forces' saturation does not settle.
+
+    Notes
+    -----
+    RMS stands for a sine of root 2 times it. The creepages are those of the least damped mode of
+    `HUNTING_BAND` whose wheelsets have the stated shift (the RMS over all of them).
+    """
+    amplitude = math.sqrt(2.0) * point.shift if point.shift > 0.0 else None
+    frequency, factor = point.frequency or _FIRST_FREQUENCY, 1.0
+    settled = point.frequency is not None or point.stroke_speed == 0.0
+    for _ in range(_ITERATIONS):
+        stroke = Stroke(point.stroke_speed, frequency, point.current) if point.stroke_speed > 0.0 else None
+        steady = linearise(model, point.speed, amplitude, stroke, factor)
+        if amplitude is None and settled:
+            return steady
+        mode = hunting_mode(model, steady)
+        wanted = frequency if settled else round(mode.frequency_hz, 2)  # few cycles on the rig will do
+        new = 1.0 if amplitude is None else _saturation(model, steady, mode, amplitude)
+        near = abs(wanted - frequency) <= _FREQUENCY_TOLERANCE * frequency
+        if near and abs(new - factor) < _CREEP_TOLERANCE:
+            return steady
+        frequency, factor = (frequency if near else wanted), new
+    raise StudyError(
+        f"no equivalent linear creep forces found at {point.speed * 3.6:g} km/h and a shift of "
+        f"{point.shift * 1e3:g} mm (RMS): a factor of {factor:.3f} does not settle"
+    )
+
+
+def hunting_mode(model: VehicleModel, steady: Linearisation) -> Mode:
+    """Least damped mode of `HUNTING_BAND` in which the wheelsets move sideways.
+
+    Raises
+    ------
+    StudyError
+        There is none.
+    """
+    lateral = model.multibody.wheelset_dofs[:, 1]
+    found = [
+        mode
+        for mode in modes_of(model, steady)
+        if HUNTING_BAND[0] <= mode.frequency_hz <= HUNTING_BAND[1]
+        and np.max(np.abs(mode.shape[lateral])) > _SIDEWAYS * np.max(np.abs(mode.shape))
+    ]
+    if not found:
+        raise StudyError(f"no mode of hunting between {HUNTING_BAND[0]:g} and {HUNTING_BAND[1]:g} Hz")
+    return min(found, key=lambda mode: mode.damping_ratio)
+
+
+def equivalent_plant(
+    model: VehicleModel, speed: float, track: TrackRealisation, table: ContactTable, stroke: Stroke | None
+) -> Plant:
+    """Constants of the compiled step with passive yaw dampers as straight lines; parameters as above."""
+    plant, law = model.plant(speed, track, table), model.scenario.damper
+    if stroke is None or not isinstance(law, PassiveDamperConfig):
+        return plant
+    yaw = len(model.multibody.yaw_dampers)  # the first of all dampers
+    force = plant.damper_force.copy()
+    force[:, :yaw] = equivalent_slope(np.array(law.curve), stroke.speed) * plant.damper_velocity[:, :yaw]
+    return plant._replace(damper_force=force)
+
+
 def state_matrix(model: VehicleModel, speed: float, amplitude: float | None) -> Array:
-    """Return the state matrix of (q, v, F), shape (2 n + m, 2 n + m), as `linearise` finds it."""
+    """Return the state matrix of (q, v, F, z) as `linearise` finds it with yaw dampers at rest."""
     return linearise(model, speed, amplitude).matrix
 
 
 def modes(model: VehicleModel, speed: float, amplitude: float | None) -> list[Mode]:
     """Oscillatory modes in the order of their frequencies; parameters and errors as for `linearise`."""
-    values, vectors = _spectrum(model, speed, amplitude)
+    return modes_of(model, linearise(model, speed, amplitude))
+
+
+def modes_of(model: VehicleModel, steady: Linearisation) -> list[Mode]:
+    """Oscillatory modes of a linearised vehicle in the order of their frequencies."""
+    values, vectors = _spectrum(model, steady.matrix)
     n, damping = model.multibody.n, _damping_ratio(values)
     names = numbered([describe(model.multibody, shape) for shape in vectors[:, :n]], np.argsort(damping))
     return [
@@ -208,7 +345,7 @@ def root_locus(model: VehicleModel, speeds: Sequence[float], amplitude: float | 
     relative distance of the eigenvalues.
     """
     weight, n = np.sqrt(model.multibody.mass), model.multibody.n
-    found = [_spectrum(model, speed, amplitude) for speed in speeds]
+    found = [_spectrum(model, state_matrix(model, speed, amplitude)) for speed in speeds]
     owner = np.arange(len(found[0][0]))  # the branch to which each mode belongs
     owners, branches = [owner], len(owner)
     for (p, a), (q, b) in pairwise(found):
@@ -356,7 +493,8 @@ def _pure_rolling(plant: Plant) -> float:
     return -plant.speed / plant.radius * delta_r / (plant.radius + delta_r)
 
 
-def _rates(plant: Plant, work: Work, x: Array) -> Array:
+def rates_of(plant: Plant, work: Work, x: Array) -> Array:
+    """Time derivative of (q, v, F) at position 0 of the plant's track, without semi-active dampers."""
     out, n = np.empty(len(x)), len(plant.mass)
     rates(plant, 0.0, x[:n], x[n : 2 * n], x[2 * n :], work, out)
     return out
@@ -371,13 +509,62 @@ def _jacobian(plant: Plant, work: Work, x: Array) -> Array:
         up, down = x.copy(), x.copy()
         up[j] += h
         down[j] -= h
-        columns[j] = (_rates(plant, work, up) - _rates(plant, work, down)) / (up[j] - down[j])
+        columns[j] = (rates_of(plant, work, up) - rates_of(plant, work, down)) / (up[j] - down[j])
     return columns.T.copy()
 
 
-def _spectrum(model: VehicleModel, speed: float, amplitude: float | None) -> tuple[Complex, Complex]:
+def ends_of(body: Multibody) -> Array:
+    """Rows that give the ends' motion of each yaw damper from (q, v), shape (d, 4, 2 n); `SHIFTS`."""
+    ends = np.zeros((len(body.yaw_dampers), len(SHIFTS), 2 * body.n))
+    for k, (_, bogie, car) in enumerate(body.yaw_dampers):
+        ends[k, 0, : body.n] = ends[k, 1, body.n :] = bogie
+        ends[k, 2, : body.n] = ends[k, 3, body.n :] = car
+    return ends
+
+
+def _with_sayds(body: Multibody, matrix: Array, sayd: EquivalentSayd) -> Array:
+    """The state matrix of the vehicle without semi-active dampers, and these."""
+    n, first, count = body.n, len(matrix), len(sayd.states)
+    ends = ends_of(body)
+    whole = np.zeros((first + count * len(ends),) * 2)
+    whole[:first, :first] = matrix
+    for k, motion in enumerate(ends):
+        z = slice(first + count * k, first + count * (k + 1))
+        pull = -motion[[0, 2], :n].T / body.mass[:, None]  # accelerations by F_1 and F_2
+        whole[n : 2 * n, z] = pull @ sayd.c
+        whole[n : 2 * n, : 2 * n] += pull @ sayd.d @ motion
+        whole[z, z] = sayd.a
+        whole[z, : 2 * n] = sayd.b @ motion
+    return whole
+
+
+def _saturation(model: VehicleModel, steady: Linearisation, mode: Mode, amplitude: float) -> float:
+    """Work of the creep forces in a cycle of a mode over what small creepages make of it.
+
+    Its wheelsets have a lateral amplitude (m), the RMS over them all.
+    """
+    body, n, work = model.multibody, model.multibody.n, model.work()
+    lateral = mode.shape[body.wheelset_dofs[:, 1]]
+    vector = mode.vector[: 2 * n] / math.sqrt(float(np.mean(np.abs(lateral) ** 2)))
+    plant = model.plant(steady.speed, steady.track, linearised(model.table, amplitude))
+
+    def dissipated(size: float) -> float:
+        """Mean over a cycle of what departs from steady running, over the square of the size."""
+        rows = np.empty((_PHASES, 4, LANES))
+        for row, turn in zip(rows, np.exp(2j * np.pi * np.arange(_PHASES) / _PHASES), strict=True):
+            moved = size * (vector * turn).real
+            contact_at(plant, steady.q + moved[:n], steady.v + moved[n:], 0.0, work)
+            law, force = work.creep_in.reshape(-1, LANES), work.creep_out.reshape(-1, LANES)
+            row[:] = law[creep.XI_X], law[creep.XI_Y], force[creep.FX], force[creep.FY]
+        rows -= rows.mean(axis=0)
+        return float(-np.mean(rows[:, 0] * rows[:, 2] + rows[:, 1] * rows[:, 3])) / size**2
+
+    return dissipated(amplitude) / dissipated(_SMALL * amplitude)
+
+
+def _spectrum(model: VehicleModel, matrix: Array) -> tuple[Complex, Complex]:
     """Eigenvalues with positive imaginary part, rising in it, and their eigenvectors as rows."""
-    matrix, n = state_matrix(model, speed, amplitude), model.multibody.n
+    n = model.multibody.n
     free = np.delete(np.arange(len(matrix)), model.multibody.wheelset_dofs[:, 4])
     values, vectors = eig(matrix[np.ix_(free, free)])
     chosen = np.flatnonzero(values.imag > _ROUNDING)

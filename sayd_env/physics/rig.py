@@ -92,22 +92,35 @@ def _drive_sayds(
     inputs: Array,
     state: Array,
     motion: Array,
-    force: Array,
+    states: Array,
 ) -> None:
-    """Force F_1 of all dampers (t, LANES) at positions and velocities (t, 2) of their ends on the bogie."""
+    """States of all dampers (t, STATES * LANES) at positions and velocities (t, 2) of their bogie's ends."""
     for t in range(motion.shape[0]):
         for i in range(LANES):
             inputs[sayd.OLD_RATE_1 * LANES + i] = inputs[sayd.RATE_1 * LANES + i]
             inputs[sayd.END_1 * LANES + i] = motion[t, 0]
             inputs[sayd.RATE_1 * LANES + i] = motion[t, 1]
         sayd.integrate(SINGLE, step, substeps, constant, table, inputs, state)
-        for i in range(LANES):
-            force[t, i] = state[sayd.FORCE_1 * LANES + i]
+        for i in range(state.shape[0]):
+            states[t, i] = state[i]
 
 
 def steady_sayd_cycles(
     config: SaydDamperConfig, amplitude: float, frequency: float, currents: Sequence[float], points: int
 ) -> tuple[Cycle, ...]:
+    """Move semi-active dampers of different constant currents sinusoidally until their forces repeat.
+
+    As `steady_sayd_states`, of each damper elongation and force alone.
+    """
+    states = steady_sayd_states(config, amplitude, frequency, currents, points)
+    x = amplitude * np.sin(2.0 * np.pi * np.r_[points, np.arange(1, points + 1)] / points)
+    force = states[:, sayd.FORCE_1]
+    return tuple(Cycle(x, np.r_[row[-1], row]) for row in force.T)
+
+
+def steady_sayd_states(
+    config: SaydDamperConfig, amplitude: float, frequency: float, currents: Sequence[float], points: int
+) -> Array:
     """Move semi-active dampers of different constant currents sinusoidally until their forces repeat.
 
     Parameters
@@ -125,8 +138,9 @@ def steady_sayd_cycles(
 
     Returns
     -------
-    tuple of Cycle
-        One for each current.
+    ndarray, shape (points, STATES, currents)
+        Their states in the last cycle, by the rows of `sayd_env.physics.sayd`; the elongation is
+        ``amplitude * sin(2 pi k / points)`` at k = 1, 2, ..., points.
 
     Raises
     ------
@@ -140,7 +154,7 @@ def steady_sayd_cycles(
     phase = 2.0 * np.pi * np.arange(1, points + 1) / points
     speed = 2.0 * np.pi * frequency * amplitude
     motion = np.stack([amplitude * np.sin(phase), speed * np.cos(phase)], axis=1)
-    cycles: list[Cycle] = []
+    found = []
     for first in range(0, len(currents), LANES):
         acting = np.array(currents[first : first + LANES])
         count = len(acting)
@@ -149,15 +163,16 @@ def steady_sayd_cycles(
         old = slice(sayd.OLD_CURRENT * LANES, sayd.OLD_CURRENT * LANES + count)
         state[lanes], inputs[old] = acting, acting
         inputs[sayd.RATE_1 * LANES : sayd.OLD_RATE_1 * LANES] = speed
-        force, before = np.zeros((points, LANES)), np.full((points, LANES), np.inf)
+        states = np.zeros((points, sayd.STATES, LANES))
+        before = np.full((points, count), np.inf)
         for _ in range(_MAX_CYCLES):
-            _drive_sayds(step, arrays.substeps, arrays.constant, arrays.table, inputs, state, motion, force)
-            change = np.max(np.abs(force - before)[:, :count], axis=0)
-            if np.all(change <= _STEADY_SAYD * np.max(np.abs(force[:, :count]), axis=0)):
+            rows = states.reshape(points, -1)
+            _drive_sayds(step, arrays.substeps, arrays.constant, arrays.table, inputs, state, motion, rows)
+            force = states[:, sayd.FORCE_1, :count]
+            if np.all(np.max(np.abs(force - before), axis=0) <= _STEADY_SAYD * np.max(np.abs(force), axis=0)):
                 break
             before = force.copy()
         else:
             raise StudyError(f"the damper has no steady cycle at {amplitude * 1e3:g} mm and {frequency:g} Hz")
-        x = np.r_[motion[-1, 0], motion[:, 0]]
-        cycles += [Cycle(x, np.r_[force[-1, i], force[:, i]]) for i in range(count)]
-    return tuple(cycles)
+        found.append(states[:, :, :count])
+    return np.concatenate(found, axis=2)

@@ -26,6 +26,8 @@ OFFERED = {
     | {"damper", "sayd", "controllers", "assumptions", "creep-laws", "quick", "seed", "seeds"},
     "calibrate": {*CONFIG, *RUNS, *SHOWN, "seed"},
     "modes": {*VEHICLE, *SHOWN, "speeds", "amplitude"},
+    "linearise": {*VEHICLE, *SHOWN, "damper", "speed", "shift", "stroke-speed", "current", "frequency"}
+    | {"delay-order"},
     "assess": {*CONFIG, *SHOWN, "speed", "sample-rate", "column", "run-in"},
     "evaluate": {*GRID, *RUNS, *SHOWN, "line", "initial-current", "seed", "seeds"},
     "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"},
