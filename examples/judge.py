@@ -29,18 +29,20 @@ SEED, EPISODES = 9_000_000, 32
 Act = Callable[[np.ndarray], Any]
 
 
-def mean_cost(act: Act, episodes: int = EPISODES, **keywords: Any) -> float:
+def mean_cost(act: Act, episodes: int = EPISODES, env_id: str = ID, **keywords: Any) -> float:
     """Mean J over episodes of 20 s.
 
     Parameters
     ----------
     act : callable
-        Gives actions, shape (episodes, 2), of observations of shape (episodes, 31).
+        Gives actions, shape (episodes, 2), of observations, with `KEYWORDS` of shape (episodes, 31).
     episodes : int
+    env_id : str
+        The task.
     **keywords
         Of the environment, `KEYWORDS` if there are none.
     """
-    env = gym.make_vec(ID, num_envs=episodes, **(keywords or KEYWORDS))
+    env = gym.make_vec(env_id, num_envs=episodes, **(keywords or KEYWORDS))
     observation, _ = env.reset(seed=SEED)
     config, weights = env.unwrapped.config, env.unwrapped.batch.scenario.cost
     cost, running = np.zeros(episodes), np.ones(episodes, dtype=bool)
@@ -58,9 +60,9 @@ def mean_cost(act: Act, episodes: int = EPISODES, **keywords: Any) -> float:
     return float(cost.mean() / config.episode_s)
 
 
-def controller(name: str) -> Act:
-    """A controller that does not learn, for environments with `FEATURES`."""
-    policy, memory = baselines.make(name, gym.make(ID, **FEATURES)), None
+def controller(name: str, env_id: str = ID, **keywords: Any) -> Act:
+    """A controller that does not learn, for environments with these keywords, else with `FEATURES`."""
+    policy, memory = baselines.make(name, gym.make(env_id, **(keywords or FEATURES))), None
 
     def act(observation: np.ndarray) -> np.ndarray:
         nonlocal memory

@@ -12,8 +12,8 @@ stiffness depends on the direction of the slip, C11 along the rail to C22 across
 Kalker's linear coefficients, as linear theory does; in the simulation a mode whose slip turns sees a mean.
 
 Creep forces that saturate are smaller than these slopes say. `equivalent` finds by how much at a stated shift
-of the wheelsets: in the least damped hunting mode they dissipate less over a cycle than small ones would, and
-by this factor the creep stiffnesses are taken less, until mode and factor agree.
+of the wheelsets: over a cycle of the least damped hunting mode a gain fits the forces of small creepages,
+taken on in proportion, to what they are (least squares), and multiplies the stiffnesses, until both agree.
 """
 
 from __future__ import annotations
@@ -539,7 +539,7 @@ def _with_sayds(body: Multibody, matrix: Array, sayd: EquivalentSayd) -> Array:
 
 
 def _saturation(model: VehicleModel, steady: Linearisation, mode: Mode, amplitude: float) -> float:
-    """Work of the creep forces in a cycle of a mode over what small creepages make of it.
+    """Gain that fits small creepages' forces, taken on in proportion, to those of a mode (least squares).
 
     Its wheelsets have a lateral amplitude (m), the RMS over them all.
     """
@@ -548,18 +548,18 @@ def _saturation(model: VehicleModel, steady: Linearisation, mode: Mode, amplitud
     vector = mode.vector[: 2 * n] / math.sqrt(float(np.mean(np.abs(lateral) ** 2)))
     plant = model.plant(steady.speed, steady.track, linearised(model.table, amplitude))
 
-    def dissipated(size: float) -> float:
-        """Mean over a cycle of what departs from steady running, over the square of the size."""
-        rows = np.empty((_PHASES, 4, LANES))
+    def changes(size: float) -> Array:
+        """How the wheels' creep forces come and go in a cycle, over the amplitude."""
+        rows = np.empty((_PHASES, 2, LANES))
         for row, turn in zip(rows, np.exp(2j * np.pi * np.arange(_PHASES) / _PHASES), strict=True):
             moved = size * (vector * turn).real
             contact_at(plant, steady.q + moved[:n], steady.v + moved[n:], 0.0, work)
-            law, force = work.creep_in.reshape(-1, LANES), work.creep_out.reshape(-1, LANES)
-            row[:] = law[creep.XI_X], law[creep.XI_Y], force[creep.FX], force[creep.FY]
-        rows -= rows.mean(axis=0)
-        return float(-np.mean(rows[:, 0] * rows[:, 2] + rows[:, 1] * rows[:, 3])) / size**2
+            force = work.creep_out.reshape(-1, LANES)
+            row[:] = force[creep.FX], force[creep.FY]
+        return (rows - rows.mean(axis=0)) / size
 
-    return dissipated(amplitude) / dissipated(_SMALL * amplitude)
+    small, large = changes(_SMALL * amplitude), changes(amplitude)
+    return float(np.sum(large * small) / np.sum(small * small))
 
 
 def _spectrum(model: VehicleModel, matrix: Array) -> tuple[Complex, Complex]:

@@ -131,8 +131,8 @@ class StateSpace:
         delays : sequence of float
             Time (s) by which each sees what the first one saw, rising from 0.
         order : int
-            Of the diagonal Pade approximation of each delay: all-pass, its phase within 1 degree up to about
-            0.3 (order - 1) periods of the delay.
+            Of the diagonal Pade approximation of each delay: all-pass, its phase within 1 degree up to
+            0.28 (order - 2) periods of the longest time from one wheelset to the next.
 
         Returns
         -------
@@ -192,7 +192,7 @@ class StateSpace:
         return file.getvalue()
 
     def mat(self) -> bytes:
-        """The content of a MATLAB file of `arrays`, names as cells for ``ss(A, B, C, D, 'StateName', ...)``."""
+        """The content of a MATLAB file of `arrays`, names as cells for ``ss(...,'StateName',states)``."""
         cells = {k: v.astype(object) if v.dtype.kind == "U" else v for k, v in self.arrays().items()}
         file = io.BytesIO()
         savemat(file, cells, do_compression=True, oned_as="column")

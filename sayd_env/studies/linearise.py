@@ -86,7 +86,7 @@ class LineariseResult:
         ]
         columns = [Column(key) for key in ("response", "frequency_hz", "magnitude", "phase_deg")]
         rows = [
-            dict(zip((c.key for c in columns), (name, f, abs(h), np.degrees(np.angle(h))), strict=True))
+            dict(zip((c.name for c in columns), (name, f, abs(h), np.degrees(np.angle(h))), strict=True))
             for name, values in self.responses.items()
             for f, h in zip(FREQUENCIES, values, strict=True)
         ]
@@ -227,7 +227,7 @@ def linearise(
 def _responses(
     model: VehicleModel, system: StateSpace, speed: float
 ) -> dict[str, npt.NDArray[np.complex128]]:
-    """Lateral acceleration over one track's irregularities, and over forces and commands that turn a bogie."""
+    """Lateral acceleration of one track's irregularities, and of forces and commands that turn a bogie."""
     out = next(name for name in system.outputs if name.startswith("lateral_acceleration"))
     names, delays = wheelset_delays(model, speed)
     late = np.exp(-2j * np.pi * FREQUENCIES[:, None] * np.array(delays))

@@ -1,0 +1,211 @@
+"""LQG on the linearised vehicle, clipped to what the dampers can do, in the loop of the environment.
+
+    python examples/lqg.py                    # its J beside constant commands and MPPT
+    sayd evaluate --speeds 350 --policies examples/lqg.py:make,constant:0,mppt2
+
+1. `sayd_env.physics.state_space` linearises the vehicle with its semi-active dampers at 350 km/h and at the
+   amplitudes below. Inputs are a force for each bogie that its dampers should add, left against right.
+2. One track passes under all wheelsets. Its irregularities are white noise through a first-order low-pass:
+   their density falls with the square of the frequency, as that of the German spectra does.
+3. Balanced truncation leaves some thirty of more than two hundred states (Moore, IEEE Trans. Autom. Control
+   26 (1981) 17), which are sampled at the control period.
+4. The regulator minimises J of eq. (27), with one period between command and force. The observer reads
+   accelerometers and strokes, which are means over a period, and is told the forces that the pressures show.
+5. A damper cannot push: the wanted force is cut to what it has at its stroke rate between closed and open
+   valve, and the inverse of its characteristic gives the command ("clipped optimal control").
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from judge import controller, mean_cost
+from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_are, svd
+
+from sayd_env.baselines.inverse_damper import InverseDamper
+from sayd_env.config.scenario import load_scenario
+from sayd_env.envs.interface import BOGIES, Interface
+from sayd_env.physics.linear import OperatingPoint
+from sayd_env.physics.sayd import steady_force
+from sayd_env.physics.simulator import VehicleModel
+from sayd_env.physics.state_space import StateSpace, state_space, wheelset_delays
+
+ID = "sayd_env:SAYD/Nominal-v1"
+KEYWORDS: dict[str, Any] = {"observation": "signals"}
+POINT = OperatingPoint(speed=350.0 / 3.6, shift=2e-3, stroke_speed=10e-3, current=0.3)
+"""Where the vehicle is linearised: about the amplitudes at which it runs there, see `docs/linearise.md`."""
+FORCE_PENALTY = 0.02
+"""Weight of the added force over F_max, squared, beside J's own of the whole force."""
+NOISE = 0.05
+"""Error of the sensors that the observer reckons with, over the RMS of what it expects."""
+CORNER = 0.5
+"""Hz, from which the irregularities' density falls with the square of the frequency."""
+KEPT = 1e-3
+"""Hankel singular values that stay, over the largest."""
+
+
+def balanced(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Balanced truncation of a stable system by the square roots of its Gramians."""
+    a, scaled = matrix_balance(a, permute=False)
+    b, c = np.linalg.solve(scaled, b), c @ scaled
+    roots = []
+    for left, right in ((a, b), (a.T, c.T)):
+        values, vectors = np.linalg.eigh(solve_continuous_lyapunov(left, -right @ right.T))
+        roots.append(vectors * np.sqrt(np.maximum(values, 0.0)))
+    u, hankel, v = svd(roots[1].T @ roots[0])
+    n = int(np.sum(hankel > KEPT * hankel[0]))
+    into, out = roots[0] @ v[:n].T / np.sqrt(hankel[:n]), (roots[1] @ u[:, :n] / np.sqrt(hankel[:n])).T
+    return out @ a @ into, out @ b, c @ into
+
+
+def plant(damper_area: float) -> tuple[np.ndarray, ...]:
+    """Reduced A, B of added forces (N), B of the track's noise, C and the forces' D.
+
+    Outputs are four accelerations, then of both bogies, left against right, the dampers' strokes and tensions.
+    """
+    model = VehicleModel(load_scenario("nominal", ["damper=sayd"]))
+    names, delays = wheelset_delays(model, POINT.speed)
+    whole = state_space(model, POINT).delayed(names, delays, order=6)
+    groups = {f"force.{bogie}": _turning("force", bogie, 1.0) for bogie in BOGIES}
+    system = whole.combined({**groups, "alignment": {"alignment": 1.0}, "cross_level": {"cross_level": 1.0}})
+    rows = [{name: 1.0} for name in system.outputs if name.startswith("lateral_acceleration")]
+    rows += [_turning("stroke", bogie, 0.25) for bogie in BOGIES]
+    for bogie in BOGIES:  # a damper's tension is minus A (p_A - p_B)
+        tension = _turning("pressure_a", bogie, -0.25 * damper_area)
+        rows.append({**tension, **_turning("pressure_b", bogie, 0.25 * damper_area)})
+    shares = np.array([[row.get(name, 0.0) for name in system.outputs] for row in rows])
+    return _shaped(system, shares @ system.c, shares @ system.d)
+
+
+def _turning(kind: str, bogie: str, share: float) -> dict[str, float]:
+    """Shares of a bogie's four dampers that turn it."""
+    sides = (("left", share), ("right", -share))
+    return {f"{kind}.{bogie}.{side}.{place}": x for side, x in sides for place in ("upper", "lower")}
+
+
+def _shaped(system: StateSpace, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Put the track's low-passes before the system, scale what comes out to RMS 1 and reduce it."""
+    n, corner = len(system.a), 2.0 * np.pi * CORNER
+    a = np.block([[system.a, system.b[:, 2:]], [np.zeros((2, n)), -corner * np.eye(2)]])
+    force = np.vstack([system.b[:, :2], np.zeros((2, 2))])
+    noise = np.vstack([np.zeros((n, 2)), corner * np.eye(2)])
+    c = np.hstack([c, d[:, 2:]])
+    # Alignment and cross-level, each such that it alone gives the first sensor an RMS of 0.5 m/s2; forces of
+    # 1 kN. Units of this order make the truncation fair.
+    for k in range(2):
+        spread = solve_continuous_lyapunov(a, -np.outer(noise[:, k], noise[:, k]))
+        noise[:, k] *= 0.5 / np.sqrt(c[0] @ spread @ c[0])
+    rms = np.sqrt(np.diag(c @ solve_continuous_lyapunov(a, -noise @ noise.T) @ c.T))
+    small_a, small_b, small_c = balanced(a, np.hstack([1e3 * force, noise]), c / rms[:, None])
+    return small_a, small_b[:, :2] * 1e-3, small_b[:, 2:], small_c * rms[:, None], d[:, :2]
+
+
+class Lqg:
+    """The policy: what `sayd evaluate` and `mean_cost` call."""
+
+    def __init__(self, interface: Interface) -> None:
+        self.interface, period, damper = interface, interface.control_period, interface.damper
+        self.area = damper.cylinder.area
+        a, force, noise, c, d = plant(self.area)
+        n = len(a)
+        # Sampling: exact for forces that hold over a period and for white noise (Van Loan 1978).
+        step = expm(np.block([[a, force], [np.zeros((2, n + 2))]]) * period)
+        self.a, self.force = step[:n, :n], step[:n, n:]
+        spread = expm(np.block([[-a, noise @ noise.T], [np.zeros((n, n)), a.T]]) * period)
+        drift = self.a @ spread[:n, n:]
+        self.c, self.d = c, d
+        # x, and the forces that are on their way: the command of now acts from the next period on.
+        late = np.block([[self.a, self.force], [np.zeros((2, n + 2))]])
+        entry = np.vstack([np.zeros((n, 2)), np.eye(2)])
+        weights = np.diag(
+            [0.25 / interface.acceleration_limit**2] * 4 + [0.25 / interface.force_reference**2] * 2
+        )
+        seen = np.vstack([np.hstack([c[:4], d[:4]]), np.hstack([c[6:], np.eye(2)])])
+        cost = seen.T @ weights @ seen
+        penalty = FORCE_PENALTY / interface.force_reference**2 * np.eye(2)
+        s = solve_discrete_are(late, entry, cost + 1e-12 * np.eye(n + 2), penalty)
+        self.gain = np.linalg.solve(penalty + entry.T @ s @ entry, entry.T @ s @ late)
+        # Readings are means over the period: near enough the mean of the outputs at its ends.
+        read = c[:6]
+        rms = np.sqrt(np.diag(read @ solve_continuous_lyapunov(a, -noise @ noise.T) @ read.T))
+        errors = np.diag((NOISE * rms) ** 2)
+        p = solve_discrete_are(self.a.T, read.T, drift, errors)
+        self.observe = p @ read.T @ np.linalg.inv(read @ p @ read.T + errors)
+        self.rate = c[4:6] @ a
+        self.inverse = InverseDamper(damper, 0.0, 1.0)
+        self.grid = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 400)])
+        self.closed = steady_force(damper, self.grid, 0.0)
+        places = [f"{b}.{s}.{p}" for b in BOGIES for s in ("left", "right") for p in ("upper", "lower")]
+        self.columns = {
+            kind: [interface.index(f"{kind}.{place}") for place in places]
+            for kind in ("stroke", "pressure_a", "pressure_b")
+        }
+        accelerations = [s.name for s in interface.signals if s.name.startswith("lateral_acceleration")]
+        self.accelerations = [interface.index(name) for name in accelerations]
+
+    def predict(
+        self,
+        observation: np.ndarray,
+        state: tuple[np.ndarray, np.ndarray] | None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[np.ndarray, Any]:
+        """Valve commands of front and rear bogie."""
+        seen, single = self.interface.rows(observation, "lqg")
+        if state is None:
+            state = np.zeros((len(seen), len(self.a))), _yaw(seen[:, self.columns["stroke"]])
+        x, rest = state
+        if episode_start is not None and np.any(episode_start):
+            x[episode_start], rest[episode_start] = 0.0, _yaw(seen[:, self.columns["stroke"]])[episode_start]
+        strokes = _yaw(seen[:, self.columns["stroke"]])
+        rest += 0.005 * (strokes - rest)  # where the pistons stand is no motion
+        drop = seen[:, self.columns["pressure_a"]] - seen[:, self.columns["pressure_b"]]
+        force = -self.area * _yaw(drop)
+        added = force - x @ self.c[6:].T
+        x = x @ self.a.T + added @ self.force.T
+        readings = np.hstack([seen[:, self.accelerations], strokes - rest])
+        x += (readings - x @ self.c[:6].T - added @ self.d[:6].T) @ self.observe.T
+        # Where the next period begins and what it asks for.
+        ahead = x @ self.a.T + added @ self.force.T
+        wanted = ahead @ self.c[6:].T - np.hstack([x, added]) @ self.gain.T
+        rate = ahead @ self.rate.T
+        share = wanted * np.sign(rate) / np.maximum(np.interp(np.abs(rate), self.grid, self.closed), 1.0)
+        action = self.inverse.currents(np.abs(rate), share).astype(np.float32)
+        return (action[0] if single else action), (x, rest)
+
+
+def _yaw(values: np.ndarray) -> np.ndarray:
+    """Half the difference of the sides' means of eight dampers' values, shape (N, 2)."""
+    sides = values.reshape(-1, 2, 2, 2).mean(axis=3)
+    return 0.5 * (sides[:, :, 0] - sides[:, :, 1])
+
+
+def make(interface: Interface) -> Lqg:
+    """The policy for `sayd evaluate`."""
+    return Lqg(interface)
+
+
+make.environment = {**KEYWORDS, "valves": "bogie", "control_period": 0.01}
+
+
+def main(episodes: int = 4) -> dict[str, float]:
+    """J of LQG and of what does not know the model, in episodes of 20 s at 350 km/h on worn wheels."""
+    policy = make(gym.make(ID, **KEYWORDS).unwrapped.interface)
+    memory: Any = None
+
+    def act(observation: np.ndarray) -> np.ndarray:
+        nonlocal memory
+        action, memory = policy.predict(observation, memory)
+        return action
+
+    found = {"lqg": mean_cost(act, episodes, ID, **KEYWORDS)}
+    for name in ("constant:0", "constant:0.3", "constant:0.5", "mppt1", "mppt2"):
+        found[name] = mean_cost(controller(name, ID, **KEYWORDS), episodes, ID, **KEYWORDS)
+    return found
+
+
+if __name__ == "__main__":
+    for name, cost in main().items():
+        print(f"{name}: J = {cost:.4f}")
