@@ -69,7 +69,7 @@ class Stroke:
     """How yaw dampers move where they are linearised."""
 
     speed: float
-    """RMS of the stroke rate, m/s; of a passive damper that of its viscous part."""
+    """RMS of the stroke rate's sine (its fundamental), m/s; of a passive damper that of its viscous part."""
     frequency: float
     """Of the sine, Hz."""
     current: float | None = None
@@ -204,12 +204,7 @@ class _Fundamentals:
 
     @classmethod
     def of(cls, config: SaydDamperConfig, cycle: Array, current: float, frequency: float) -> _Fundamentals:
-        omega = 2.0 * math.pi * frequency
-        turn = 2.0 / len(cycle) * np.exp(-2j * np.pi * np.arange(1, len(cycle) + 1) / len(cycle))
-
-        def of(values: Array) -> complex:
-            return complex(turn @ values)
-
+        omega, of = 2.0 * math.pi * frequency, fundamental
         p_a, p_b = cycle[:, sayd.PRESSURE_A], cycle[:, sayd.PRESSURE_B]
         table = series_table(config.throttle, config.rectifier).ravel()
         # Friction is what the rod's other forces leave, also while it holds.
@@ -255,12 +250,19 @@ class _Gains:
         )
 
 
+def fundamental(values: Array) -> complex:
+    """Complex amplitude X of a cycle's values Re(X e^(i 2 pi k / n)) + ... at k = 1, ..., n."""
+    n = len(values)
+    return complex(2.0 / n * np.exp(-2j * np.pi * np.arange(1, n + 1) / n) @ values)
+
+
 def _elongation(config: SaydDamperConfig, stroke: Stroke, current: float) -> float:
     """Amplitude of the elongation on the rig that gives the stated stroke speed, m."""
 
     def excess(elongation: float) -> float:
         states = steady_sayd_states(config, elongation, stroke.frequency, [current], _POINTS)
-        return float(np.sqrt(np.mean(states[:, sayd.STROKE_RATE] ** 2))) / stroke.speed - 1.0
+        rate = fundamental(states[:, sayd.STROKE_RATE, 0])
+        return abs(rate) / (math.sqrt(2.0) * stroke.speed) - 1.0
 
     amplitude = math.sqrt(2.0) * stroke.speed / (2.0 * math.pi * stroke.frequency)
     if amplitude > 0.5 * config.cylinder.stroke:

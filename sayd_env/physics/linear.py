@@ -71,7 +71,7 @@ _FREQUENCY_TOLERANCE = 0.01
 _CREEP_TOLERANCE = 1e-3
 _PHASES = 32  # of a cycle
 _SMALL = 1e-4  # of an amplitude: creepages without saturation
-_SIDEWAYS = 0.1  # lateral motion of wheelsets over the largest of a mode that counts as hunting
+_SIDEWAYS = 0.1  # lateral motion of wheelsets over the largest one of a mode that is theirs
 
 
 @dataclass(frozen=True)
@@ -241,8 +241,8 @@ def equivalent(model: VehicleModel, point: OperatingPoint) -> Linearisation:
 
     Notes
     -----
-    RMS stands for a sine of root 2 times it. The creepages are those of the least damped mode of
-    `HUNTING_BAND` whose wheelsets have the stated shift (the RMS over all of them).
+    RMS stands for a sine of root 2 times it. The creepages are those of
+    `hunting_mode` with the stated shift of its wheelsets (the RMS over all of them).
     """
     amplitude = math.sqrt(2.0) * point.shift if point.shift > 0.0 else None
     frequency, factor = point.frequency or _FIRST_FREQUENCY, 1.0
@@ -266,7 +266,7 @@ def equivalent(model: VehicleModel, point: OperatingPoint) -> Linearisation:
 
 
 def hunting_mode(model: VehicleModel, steady: Linearisation) -> Mode:
-    """Least damped mode of `HUNTING_BAND` in which the wheelsets move sideways.
+    """Least damped bogie hunting in `HUNTING_BAND`; of a vehicle without it any mode of its wheelsets there.
 
     Raises
     ------
@@ -274,14 +274,12 @@ def hunting_mode(model: VehicleModel, steady: Linearisation) -> Mode:
         There is none.
     """
     lateral = model.multibody.wheelset_dofs[:, 1]
-    found = [
-        mode
-        for mode in modes_of(model, steady)
-        if HUNTING_BAND[0] <= mode.frequency_hz <= HUNTING_BAND[1]
-        and np.max(np.abs(mode.shape[lateral])) > _SIDEWAYS * np.max(np.abs(mode.shape))
-    ]
+    low, high = HUNTING_BAND
+    found = [mode for mode in modes_of(model, steady) if low <= mode.frequency_hz <= high]
+    found = [mode for mode in found if np.max(np.abs(mode.shape[lateral])) > _SIDEWAYS]
+    found = [mode for mode in found if "hunting" in mode.name] or found
     if not found:
-        raise StudyError(f"no mode of hunting between {HUNTING_BAND[0]:g} and {HUNTING_BAND[1]:g} Hz")
+        raise StudyError(f"no mode of the wheelsets between {low:g} and {high:g} Hz")
     return min(found, key=lambda mode: mode.damping_ratio)
 
 
@@ -541,25 +539,42 @@ def _with_sayds(body: Multibody, matrix: Array, sayd: EquivalentSayd) -> Array:
 def _saturation(model: VehicleModel, steady: Linearisation, mode: Mode, amplitude: float) -> float:
     """Gain that fits small creepages' forces, taken on in proportion, to those of a mode (least squares).
 
-    Its wheelsets have a lateral amplitude (m), the RMS over them all.
+    Its wheelsets have a lateral amplitude (m), the RMS over them all. Wheels carry their static load.
     """
     body, n, work = model.multibody, model.multibody.n, model.work()
     lateral = mode.shape[body.wheelset_dofs[:, 1]]
     vector = mode.vector[: 2 * n] / math.sqrt(float(np.mean(np.abs(lateral) ** 2)))
     plant = model.plant(steady.speed, steady.track, linearised(model.table, amplitude))
+    creepages = np.array([creep.XI_X, creep.XI_Y, creep.SPIN])
+
+    def read(motion: Array) -> Array:
+        contact_at(plant, steady.q + motion[:n], steady.v + motion[n:], 0.0, work)
+        return work.creep_in.reshape(-1, LANES).copy()
+
+    rest, small = read(np.zeros(2 * n)), _SMALL * amplitude
+    there = rest[creep.BOUND] > 0.0  # wheels that the vehicle has
+    parts = [(read(small * x) - rest)[creepages][:, there] / small for x in (vector.real, -vector.imag)]
+    rest = rest[:, there]
+    angle = 2.0 * np.pi * np.arange(_PHASES)[:, None] / _PHASES
+    contact, bound = model.scenario.contact, rest[creep.BOUND]
 
     def changes(size: float) -> Array:
         """How the wheels' creep forces come and go in a cycle, over the amplitude."""
-        rows = np.empty((_PHASES, 2, LANES))
-        for row, turn in zip(rows, np.exp(2j * np.pi * np.arange(_PHASES) / _PHASES), strict=True):
-            moved = size * (vector * turn).real
-            contact_at(plant, steady.q + moved[:n], steady.v + moved[n:], 0.0, work)
-            force = work.creep_out.reshape(-1, LANES)
-            row[:] = force[creep.FX], force[creep.FY]
-        return (rows - rows.mean(axis=0)) / size
+        swing = size * (parts[0][:, None] * np.cos(angle) + parts[1][:, None] * np.sin(angle))
+        forces = creep.creep_forces(
+            contact.creep_law,
+            *(rest[creepages][:, None] + swing),
+            normal=bound,
+            a=rest[creep.SEMI_A],
+            b=rest[creep.SEMI_B],
+            friction=1.0,
+            shear_modulus=contact.shear_modulus,
+            poisson_ratio=contact.poisson_ratio,
+        )[:2]
+        return np.asarray((forces - forces.mean(axis=1, keepdims=True)) / size)
 
-    small, large = changes(_SMALL * amplitude), changes(amplitude)
-    return float(np.sum(large * small) / np.sum(small * small))
+    little, much = changes(small), changes(amplitude)
+    return float(np.sum(much * little) / np.sum(little * little))
 
 
 def _spectrum(model: VehicleModel, matrix: Array) -> tuple[Complex, Complex]:
