@@ -1,4 +1,4 @@
-"""Equivalent linear dampers: closed forms, the compiled damper on the rig, its characteristic field, power."""
+"""Equivalent linear dampers: closed forms, the compiled damper on the rig, characteristic field, power."""
 
 from __future__ import annotations
 
