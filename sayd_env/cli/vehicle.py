@@ -179,7 +179,10 @@ def modes(
         "--amplitude MM", "Lateral amplitude at which contact is linearised.", positive("mm"), default=3.0
     ),
 ) -> Plan:
-    """Compute the vehicle's modes over speed and the linear critical speed, at which it starts to hunt."""
+    """Compute the vehicle's modes over speed and the linear critical speed, at which it starts to hunt.
+
+    Yaw dampers are at rest, semi-active ones held by friction; 'sayd linearise' has them in motion.
+    """
     from sayd_env.studies.modes import modes as study  # noqa: PLC0415 - keeps --help fast
 
     chosen = scenario.load()

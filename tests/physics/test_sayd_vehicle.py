@@ -14,7 +14,7 @@ from sayd_env.config.track import CHANNELS
 from sayd_env.physics import sayd
 from sayd_env.physics import step as kernels
 from sayd_env.physics.batch import BatchSimulator
-from sayd_env.physics.linear import linearise
+from sayd_env.physics.linear import modes
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.rows import SINGLE
 from sayd_env.physics.simulator import Simulator, VehicleModel
@@ -133,9 +133,20 @@ def test_a_passive_damper_has_no_valve() -> None:
     assert simulator.advance(5, sayds=True).sayds.shape == (5, 0, 8)
 
 
-def test_linear_analysis_refuses_semi_active_dampers(model: VehicleModel) -> None:
-    with pytest.raises(ConfigError, match="needs passive yaw dampers"):
-        linearise(model, SPEED, None)
+def test_at_rest_the_linear_vehicle_has_the_mounts_as_springs(model: VehicleModel) -> None:
+    """Friction holds the pistons: the modes are those with Maxwell dampers too stiff to move."""
+    law = model.scenario.damper
+    assert isinstance(law, SaydDamperConfig)
+    series = 0.5 * law.bogie_mount.stiffness
+    springs = (
+        f"damper={{type: passive, name: springs, curve: [[0, 0], [1, 1e12]], series_stiffness: {series}}}"
+    )
+    other = VehicleModel(scenario(springs))
+    found, expected = (
+        {mode.name: mode.frequency_hz for mode in modes(m, SPEED, 3e-3) if mode.frequency_hz < 10.0}
+        for m in (model, other)
+    )
+    assert found == pytest.approx(expected, rel=0.01)
 
 
 def test_batch_gives_the_same_bits(model: VehicleModel) -> None:
