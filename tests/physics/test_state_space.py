@@ -129,7 +129,7 @@ def test_static_gain_is_a_static_solution_of_the_compiled_forces(
     """With a constant force on the bogie and the displacements that the gain tells, nothing accelerates."""
     body, n, m = model.multibody, model.multibody.n, len(model.dampers)
     _, bogie, car = body.yaw_dampers[0]
-    force = 10.0
+    force = 1e-3  # small: steady running with a yawed axle has terms of second order
     x = -force * np.linalg.lstsq(system.a, system.b[:, 0], rcond=1e-14)[0]
     full = np.concatenate([steady.q, steady.v, np.zeros(m)])
     names = {name: k for k, name in enumerate([*body.dof_names, *(f"{d}.rate" for d in body.dof_names)])}
@@ -146,7 +146,7 @@ def test_delays_make_one_track_of_four(model: VehicleModel, system: StateSpace) 
     places, delays = wheelset_delays(model, SPEED)
     assert places[0] == "front.leading"
     assert delays[1] == pytest.approx(2.5 / SPEED)  # the bogie's wheelbase
-    one = system.delayed(places, delays, 12).select(CHANNELS)
+    one = system.delayed(places, delays, 20).select(CHANNELS)
     for f in (0.5, 4.0, 12.0):
         late = np.exp(-2j * np.pi * f * np.array(delays))
         for k, channel in enumerate(CHANNELS):
