@@ -34,8 +34,9 @@ from sayd_env.physics.state_space import StateSpace, state_space, wheelset_delay
 
 ID = "sayd_env:SAYD/Nominal-v1"
 KEYWORDS: dict[str, Any] = {"observation": "signals"}
-POINT = OperatingPoint(speed=350.0 / 3.6, shift=2e-3, stroke_speed=10e-3, current=0.3)
-"""Where the vehicle is linearised: about the amplitudes at which it runs there, see `docs/linearise.md`."""
+POINT = OperatingPoint(speed=350.0 / 3.6, shift=1e-3, stroke_speed=6e-3, current=0.0)
+"""Where the vehicle is linearised: closed valves, with the stroke speed at which it runs there and a shift at
+which it is stable."""
 FORCE_PENALTY = 0.02
 """Weight of the added force over F_max, squared, beside J's own of the whole force."""
 NOISE = 0.05
@@ -63,7 +64,7 @@ def balanced(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, n
 def plant(damper_area: float) -> tuple[np.ndarray, ...]:
     """Reduced A, B of added forces (N), B of the track's noise, C and the forces' D.
 
-    Outputs are four accelerations, then of both bogies, left against right, the dampers' strokes and tensions.
+    Outputs are four accelerations, then of both bogies the dampers' strokes and tensions, left against right.
     """
     model = VehicleModel(load_scenario("nominal", ["damper=sayd"]))
     names, delays = wheelset_delays(model, POINT.speed)
@@ -115,6 +116,7 @@ class Lqg:
         self.a, self.force = step[:n, :n], step[:n, n:]
         spread = expm(np.block([[-a, noise @ noise.T], [np.zeros((n, n)), a.T]]) * period)
         drift = self.a @ spread[:n, n:]
+        drift = 0.5 * (drift + drift.T)
         self.c, self.d = c, d
         # x, and the forces that are on their way: the command of now acts from the next period on.
         late = np.block([[self.a, self.force], [np.zeros((2, n + 2))]])
@@ -123,9 +125,9 @@ class Lqg:
             [0.25 / interface.acceleration_limit**2] * 4 + [0.25 / interface.force_reference**2] * 2
         )
         seen = np.vstack([np.hstack([c[:4], d[:4]]), np.hstack([c[6:], np.eye(2)])])
-        cost = seen.T @ weights @ seen
+        cost = seen.T @ weights @ seen + 1e-12 * np.eye(n + 2)
         penalty = FORCE_PENALTY / interface.force_reference**2 * np.eye(2)
-        s = solve_discrete_are(late, entry, cost + 1e-12 * np.eye(n + 2), penalty)
+        s = solve_discrete_are(late, entry, 0.5 * (cost + cost.T), penalty)
         self.gain = np.linalg.solve(penalty + entry.T @ s @ entry, entry.T @ s @ late)
         # Readings are means over the period: near enough the mean of the outputs at its ends.
         read = c[:6]

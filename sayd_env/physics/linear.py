@@ -69,6 +69,7 @@ _SPEED_TOLERANCE = 1e-6  # m/s
 _FIRST_FREQUENCY = 5.0  # Hz, from which the hunting mode's is found
 _FREQUENCY_TOLERANCE = 0.01
 _CREEP_TOLERANCE = 1e-3
+_WHOLE_STEPS = 6
 _PHASES = 32  # of a cycle
 _SMALL = 1e-4  # of an amplitude: creepages without saturation
 _SIDEWAYS = 0.1  # lateral motion of wheelsets over the largest one of a mode that is theirs
@@ -247,7 +248,7 @@ def equivalent(model: VehicleModel, point: OperatingPoint) -> Linearisation:
     amplitude = math.sqrt(2.0) * point.shift if point.shift > 0.0 else None
     frequency, factor = point.frequency or _FIRST_FREQUENCY, 1.0
     settled = point.frequency is not None or point.stroke_speed == 0.0
-    for _ in range(_ITERATIONS):
+    for iteration in range(_ITERATIONS):
         stroke = Stroke(point.stroke_speed, frequency, point.current) if point.stroke_speed > 0.0 else None
         steady = linearise(model, point.speed, amplitude, stroke, factor)
         if amplitude is None and settled:
@@ -258,7 +259,10 @@ def equivalent(model: VehicleModel, point: OperatingPoint) -> Linearisation:
         near = abs(wanted - frequency) <= _FREQUENCY_TOLERANCE * frequency
         if near and abs(new - factor) < _CREEP_TOLERANCE:
             return steady
-        frequency, factor = (frequency if near else wanted), new
+        # Two modes may take turns to be the least damped one: then go half the way.
+        part = 1.0 if iteration < _WHOLE_STEPS else 0.5
+        factor += part * (new - factor)
+        frequency += 0.0 if near else part * (wanted - frequency)
     raise StudyError(
         f"no equivalent linear creep forces found at {point.speed * 3.6:g} km/h and a shift of "
         f"{point.shift * 1e3:g} mm (RMS): a factor of {factor:.3f} does not settle"
@@ -561,9 +565,12 @@ def _saturation(model: VehicleModel, steady: Linearisation, mode: Mode, amplitud
     def changes(size: float) -> Array:
         """How the wheels' creep forces come and go in a cycle, over the amplitude."""
         swing = size * (parts[0][:, None] * np.cos(angle) + parts[1][:, None] * np.sin(angle))
+        xi_x, xi_y, spin = rest[creepages][:, None] + swing
         forces = creep.creep_forces(
             contact.creep_law,
-            *(rest[creepages][:, None] + swing),
+            xi_x,
+            xi_y,
+            spin,
             normal=bound,
             a=rest[creep.SEMI_A],
             b=rest[creep.SEMI_B],

@@ -146,18 +146,18 @@ class StateSpace:
         """
         if not 1 <= order <= 25:
             raise ConfigError(f"order of a delay: found {order}, expected a whole number from 1 to 25")
-        if list(delays) != sorted(delays) or delays[0] != 0.0:
-            raise ConfigError(f"delays: found {list(delays)}, expected numbers that rise from 0")
+        if len(delays) != len(wheelsets) or delays[0] != 0.0 or np.any(np.diff(delays) <= 0.0):
+            raise ConfigError(
+                f"delays: found {list(delays)}, expected {len(wheelsets)} numbers that rise from 0"
+            )
         kept = [name for name in self.inputs if name.partition(".")[0] not in CHANNELS]
         tracks = [name for name in CHANNELS if any(i.startswith(f"{name}.") for i in self.inputs)]
-        a, b, c, d, states = _chain(delays, order)
-        count, ends = len(tracks), len(delays)
+        *chain, states = _chain(delays, order)
+        count = len(tracks)
         own = [f"{name}.{place}" for name in tracks for place in wheelsets]
         seen, rest = self.select(own), self.select(kept)
-        a, b, c, d = (np.kron(np.eye(count), part) for part in (a, b, c, d))
+        a, b, c, d = (np.kron(np.eye(count), part) for part in chain)
         zero = np.zeros((len(a), len(kept)))
-        if c.shape[0] != count * ends:
-            raise ConfigError(f"delays: found {ends} for {len(wheelsets)} wheelsets")
         return StateSpace(
             a=np.block([[self.a, seen.b @ c], [np.zeros((len(a), len(self.a))), a]]),
             b=np.block([[rest.b, seen.b @ d], [zero, b]]),

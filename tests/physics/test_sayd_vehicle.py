@@ -133,9 +133,11 @@ def test_a_passive_damper_has_no_valve() -> None:
     assert simulator.advance(5, sayds=True).sayds.shape == (5, 0, 8)
 
 
-def test_at_rest_the_linear_vehicle_has_the_mounts_as_springs(model: VehicleModel) -> None:
+def test_at_rest_the_linear_vehicle_has_the_mounts_as_springs() -> None:
     """Friction holds the pistons: the modes are those with Maxwell dampers too stiff to move."""
-    law = model.scenario.damper
+    free = ("damper.bogie_mount.damping=0.0", "damper.carbody_mount.damping=0.0")
+    mounted = VehicleModel(scenario(*free))
+    law = mounted.scenario.damper
     assert isinstance(law, SaydDamperConfig)
     series = 0.5 * law.bogie_mount.stiffness
     springs = (
@@ -143,10 +145,12 @@ def test_at_rest_the_linear_vehicle_has_the_mounts_as_springs(model: VehicleMode
     )
     other = VehicleModel(scenario(springs))
     found, expected = (
-        {mode.name: mode.frequency_hz for mode in modes(m, SPEED, 3e-3) if mode.frequency_hz < 10.0}
-        for m in (model, other)
+        {mode.name: mode.frequency_hz for mode in modes(m, SPEED, 3e-3) if 0.1 < mode.frequency_hz < 8.0}
+        for m in (mounted, other)
     )
-    assert found == pytest.approx(expected, rel=0.01)
+    common = sorted(found.keys() & expected.keys())
+    assert {"carbody yaw", "carbody lower sway", "bogie hunting in phase"} <= set(common)
+    assert [found[name] for name in common] == pytest.approx([expected[name] for name in common], rel=1e-3)
 
 
 def test_batch_gives_the_same_bits(model: VehicleModel) -> None:

@@ -58,7 +58,7 @@ def test_semi_active_dampers_at_rest_and_one_track(capsys: pytest.CaptureFixture
     assert result["damper"]["force_per_command_n"] == 0.0
     assert result["creep_factor"] == 1.0
     assert {"alignment", "vertical", "cross_level", "gauge"} <= set(result["inputs"])
-    assert "held by friction: a command moves nothing" in captured.err
+    assert "held by friction: a command moves nothing" in " ".join(captured.err.split())
 
 
 @pytest.mark.parametrize(
