@@ -3,14 +3,14 @@
     python examples/lqg.py                    # its J beside constant commands and MPPT
     sayd evaluate --speeds 350 --policies examples/lqg.py:make,constant:0,mppt2
 
-1. `sayd_env.physics.state_space` linearises the vehicle with its semi-active dampers at 350 km/h and at the
-   amplitudes below. Inputs are a force for each bogie that its dampers should add, left against right.
+1. `sayd_env.physics.state_space` linearises the vehicle with its dampers closed, at 350 km/h and at
+   the amplitudes below. Inputs are a force for each bogie that its dampers should add, left against right.
 2. One track passes under all wheelsets. Its irregularities are white noise through a first-order low-pass:
    their density falls with the square of the frequency, as that of the German spectra does.
 3. Balanced truncation leaves some thirty of more than two hundred states (Moore, IEEE Trans. Autom. Control
    26 (1981) 17), which are sampled at the control period.
-4. The regulator minimises J of eq. (27), with one period between command and force. The observer reads
-   accelerometers and strokes, which are means over a period, and is told the forces that the pressures show.
+4. The regulator minimises J of eq. (27), with one period between command and force. The observer (a Kalman
+   filter) reads accelerometers and strokes, and is told the forces that the pressures show.
 5. A damper cannot push: the wanted force is cut to what it has at its stroke rate between closed and open
    valve, and the inverse of its characteristic gives the command ("clipped optimal control").
 """
@@ -34,13 +34,17 @@ from sayd_env.physics.state_space import StateSpace, state_space, wheelset_delay
 
 ID = "sayd_env:SAYD/Nominal-v1"
 KEYWORDS: dict[str, Any] = {"observation": "signals"}
-POINT = OperatingPoint(speed=350.0 / 3.6, shift=1e-3, stroke_speed=6e-3, current=0.0)
-"""Where the vehicle is linearised: closed valves, with the stroke speed at which it runs there and a shift at
-which it is stable."""
-FORCE_PENALTY = 0.02
+SPEED = 350.0 / 3.6
+STROKE_SPEED = 6e-3
+"""m/s (RMS), at which the dampers move there with closed valves."""
+SHIFTS = (1e-3, 2e-3, 3e-3, 4e-3)
+"""m (RMS); the smallest one at which the vehicle is stable counts: on worn wheels it hunts at less."""
+FORCE_PENALTY = 0.2
 """Weight of the added force over F_max, squared, beside J's own of the whole force."""
-NOISE = 0.05
+NOISE = 0.2
 """Error of the sensors that the observer reckons with, over the RMS of what it expects."""
+WIDEST = 0.3
+"""Widest command: a valve on its way from further open is late when the damper has to resist again."""
 CORNER = 0.5
 """Hz, from which the irregularities' density falls with the square of the frequency."""
 KEPT = 1e-3
@@ -67,8 +71,10 @@ def plant(damper_area: float) -> tuple[np.ndarray, ...]:
     Outputs are four accelerations, then of both bogies the dampers' strokes and tensions, left against right.
     """
     model = VehicleModel(load_scenario("nominal", ["damper=sayd"]))
-    names, delays = wheelset_delays(model, POINT.speed)
-    whole = state_space(model, POINT).delayed(names, delays, order=6)
+    points = (OperatingPoint(SPEED, shift, STROKE_SPEED, current=0.0) for shift in SHIFTS)
+    systems = (state_space(model, point) for point in points)
+    stable = next(s for s in systems if np.max(np.linalg.eigvals(s.a).real) < 0.0)
+    whole = stable.delayed(*wheelset_delays(model, SPEED), order=6)
     groups = {f"force.{bogie}": _turning("force", bogie, 1.0) for bogie in BOGIES}
     system = whole.combined({**groups, "alignment": {"alignment": 1.0}, "cross_level": {"cross_level": 1.0}})
     rows = [{name: 1.0} for name in system.outputs if name.startswith("lateral_acceleration")]
@@ -111,12 +117,7 @@ class Lqg:
         self.area = damper.cylinder.area
         a, force, noise, c, d = plant(self.area)
         n = len(a)
-        # Sampling: exact for forces that hold over a period and for white noise (Van Loan 1978).
-        step = expm(np.block([[a, force], [np.zeros((2, n + 2))]]) * period)
-        self.a, self.force = step[:n, :n], step[:n, n:]
-        spread = expm(np.block([[-a, noise @ noise.T], [np.zeros((n, n)), a.T]]) * period)
-        drift = self.a @ spread[:n, n:]
-        drift = 0.5 * (drift + drift.T)
+        self.a, self.force = _sampled(a, force, period)
         self.c, self.d = c, d
         # x, and the forces that are on their way: the command of now acts from the next period on.
         late = np.block([[self.a, self.force], [np.zeros((2, n + 2))]])
@@ -129,14 +130,19 @@ class Lqg:
         penalty = FORCE_PENALTY / interface.force_reference**2 * np.eye(2)
         s = solve_discrete_are(late, entry, 0.5 * (cost + cost.T), penalty)
         self.gain = np.linalg.solve(penalty + entry.T @ s @ entry, entry.T @ s @ late)
-        # Readings are means over the period: near enough the mean of the outputs at its ends.
-        read = c[:6]
-        rms = np.sqrt(np.diag(read @ solve_continuous_lyapunov(a, -noise @ noise.T) @ read.T))
+        # The observer sees what the dampers do: for it the vehicle has none, and their forces act on it.
+        bare, self.read = a - force @ c[6:], c[:6] - d[:6] @ c[6:]
+        self.bare, self.measured = _sampled(bare, force, period)
+        spread = expm(
+            np.block([[-bare, noise @ noise.T], [np.zeros((n, n)), bare.T]]) * period
+        )  # Van Loan 1978
+        drift = self.bare @ spread[:n, n:]
+        rms = np.sqrt(np.diag(c[:6] @ solve_continuous_lyapunov(a, -noise @ noise.T) @ c[:6].T))
         errors = np.diag((NOISE * rms) ** 2)
-        p = solve_discrete_are(self.a.T, read.T, drift, errors)
-        self.observe = p @ read.T @ np.linalg.inv(read @ p @ read.T + errors)
+        p = solve_discrete_are(self.bare.T, self.read.T, 0.5 * (drift + drift.T), errors)
+        self.observe = p @ self.read.T @ np.linalg.inv(self.read @ p @ self.read.T + errors)
         self.rate = c[4:6] @ a
-        self.inverse = InverseDamper(damper, 0.0, 1.0)
+        self.inverse = InverseDamper(damper, 0.0, WIDEST)
         self.grid = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 400)])
         self.closed = steady_force(damper, self.grid, 0.0)
         places = [f"{b}.{s}.{p}" for b in BOGIES for s in ("left", "right") for p in ("upper", "lower")]
@@ -165,17 +171,24 @@ class Lqg:
         rest += 0.005 * (strokes - rest)  # where the pistons stand is no motion
         drop = seen[:, self.columns["pressure_a"]] - seen[:, self.columns["pressure_b"]]
         force = -self.area * _yaw(drop)
-        added = force - x @ self.c[6:].T
-        x = x @ self.a.T + added @ self.force.T
         readings = np.hstack([seen[:, self.accelerations], strokes - rest])
-        x += (readings - x @ self.c[:6].T - added @ self.d[:6].T) @ self.observe.T
-        # Where the next period begins and what it asks for.
+        x = x @ self.bare.T + force @ self.measured.T
+        x += (readings - x @ self.read.T - force @ self.d[:6].T) @ self.observe.T
+        # What the dampers do beyond the model's, and where the next period begins.
+        added = force - x @ self.c[6:].T
         ahead = x @ self.a.T + added @ self.force.T
         wanted = ahead @ self.c[6:].T - np.hstack([x, added]) @ self.gain.T
         rate = ahead @ self.rate.T
         share = wanted * np.sign(rate) / np.maximum(np.interp(np.abs(rate), self.grid, self.closed), 1.0)
         action = self.inverse.currents(np.abs(rate), share).astype(np.float32)
         return (action[0] if single else action), (x, rest)
+
+
+def _sampled(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """A and B for inputs that hold over a period."""
+    n, m = b.shape
+    step = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * period)
+    return step[:n, :n], step[:n, n:]
 
 
 def _yaw(values: np.ndarray) -> np.ndarray:
