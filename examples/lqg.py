@@ -7,12 +7,12 @@
    the amplitudes below. Inputs are a force for each bogie that its dampers should add, left against right.
 2. One track passes under all wheelsets. Its irregularities are white noise through a first-order low-pass:
    their density falls with the square of the frequency, as that of the German spectra does.
-3. Balanced truncation leaves some thirty of more than two hundred states (Moore, IEEE Trans. Autom. Control
+3. Balanced truncation leaves some fifty of 254 states (Moore, IEEE Trans. Autom. Control
    26 (1981) 17), which are sampled at the control period.
 4. The regulator minimises J of eq. (27), with one period between command and force. The observer (a Kalman
    filter) reads accelerometers and strokes, and is told the forces that the pressures show.
-5. A damper cannot push: the wanted force is cut to what it has at its stroke rate between closed and open
-   valve, and the inverse of its characteristic gives the command ("clipped optimal control").
+5. A damper cannot push ("clipped optimal control"): the flow that would bring the oil to the wanted pressure
+   must pass the throttle, whose characteristic is solved for the current, cut to what there is.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ import numpy as np
 from judge import controller, mean_cost
 from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_are, svd
 
-from sayd_env.baselines.inverse_damper import InverseDamper
 from sayd_env.config.scenario import load_scenario
 from sayd_env.envs.interface import BOGIES, Interface
 from sayd_env.physics.linear import OperatingPoint
-from sayd_env.physics.sayd import steady_force
+from sayd_env.physics.sayd import rectified_flow
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.state_space import StateSpace, state_space, wheelset_delays
+from sayd_env.physics.throttle import series_table
 
 ID = "sayd_env:SAYD/Nominal-v1"
 KEYWORDS: dict[str, Any] = {"observation": "signals"}
@@ -39,7 +39,7 @@ STROKE_SPEED = 6e-3
 """m/s (RMS), at which the dampers move there with closed valves."""
 SHIFTS = (1e-3, 2e-3, 3e-3, 4e-3)
 """m (RMS); the smallest one at which the vehicle is stable counts: on worn wheels it hunts at less."""
-FORCE_PENALTY = 0.2
+FORCE_PENALTY = 0.02
 """Weight of the added force over F_max, squared, beside J's own of the whole force."""
 NOISE = 0.2
 """Error of the sensors that the observer reckons with, over the RMS of what it expects."""
@@ -142,9 +142,13 @@ class Lqg:
         p = solve_discrete_are(self.bare.T, self.read.T, 0.5 * (drift + drift.T), errors)
         self.observe = p @ self.read.T @ np.linalg.inv(self.read @ p @ self.read.T + errors)
         self.rate = c[4:6] @ a
-        self.inverse = InverseDamper(damper, 0.0, WIDEST)
-        self.grid = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 400)])
-        self.closed = steady_force(damper, self.grid, 0.0)
+        self.damper, self.period = damper, period
+        cylinder, oil = damper.cylinder, damper.oil
+        dead = np.pi / 4.0 * cylinder.bore**2 * 0.5 * (cylinder.dead_length_a + cylinder.dead_length_b)
+        # Oil that a chamber takes for each Pa of pressure drop, both chambers sharing it.
+        self.capacity = 0.5 * (0.5 * cylinder.stroke * cylinder.area + dead) / oil.bulk_modulus
+        self.currents = np.linspace(0.0, WIDEST, 61)
+        self.throttle = series_table(damper.throttle, damper.rectifier).ravel()
         places = [f"{b}.{s}.{p}" for b in BOGIES for s in ("left", "right") for p in ("upper", "lower")]
         self.columns = {
             kind: [interface.index(f"{kind}.{place}") for place in places]
@@ -179,9 +183,21 @@ class Lqg:
         ahead = x @ self.a.T + added @ self.force.T
         wanted = ahead @ self.c[6:].T - np.hstack([x, added]) @ self.gain.T
         rate = ahead @ self.rate.T
-        share = wanted * np.sign(rate) / np.maximum(np.interp(np.abs(rate), self.grid, self.closed), 1.0)
-        action = self.inverse.currents(np.abs(rate), share).astype(np.float32)
+        action = self._commands(force, wanted, rate).astype(np.float32)
         return (action[0] if single else action), (x, rest)
+
+    def _commands(self, force: np.ndarray, wanted: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Commands, (N, 2), with which the dampers come nearest to a tension (N) at the end of the period.
+
+        The flow that the piston drives, less what the oil takes on the way to the wanted pressure drop, has
+        to pass the throttle; by its characteristic this needs a current, as far as there is one.
+        """
+        drop, goal = -force / self.area, -wanted / self.area
+        flow = -self.area * rate - self.capacity * (goal - drop) / self.period
+        middle = 0.5 * (drop + goal)
+        through = rectified_flow(self.damper, self.throttle, np.abs(middle)[..., None], self.currents)
+        below = np.sum(through <= (flow * np.sign(middle))[..., None], axis=-1)
+        return np.asarray(self.currents[np.maximum(below - 1, 0)])
 
 
 def _sampled(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
