@@ -34,7 +34,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import brentq
 
-from sayd_env.config import ConfigError
+from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.units import Array
 from sayd_env.physics import sayd
@@ -61,6 +61,7 @@ _POINTS = 500  # steps of a cycle on the rig
 _CURRENT_STEP = 0.01  # of the derivative over the current
 _ELONGATION_STEP = 0.01  # of the derivative over the elongation
 _ELONGATION_TOLERANCE = 1e-4
+_FOUND = 0.02  # by how much the cycle's stroke speed may differ from the stated one
 _CIRCLE = (np.arange(720) + 0.5) * (2.0 * np.pi / 720)
 
 
@@ -147,7 +148,7 @@ def equivalent_sayd(config: SaydDamperConfig, stroke: Stroke | None) -> Equivale
     ConfigError
         A stroke speed that the damper's stroke does not allow at this frequency.
     StudyError
-        The rig found no steady cycle.
+        The rig found no steady cycle, or none with this stroke speed.
     DataError
         A throttle table that cannot be used.
     """
@@ -164,6 +165,12 @@ def equivalent_sayd(config: SaydDamperConfig, stroke: Stroke | None) -> Equivale
         [_Fundamentals.of(config, cycle[:, :, k], i, stroke.frequency) for k, i in enumerate(currents)]
         for cycle in cycles
     )
+    if abs(found.speed / (math.sqrt(2.0) * stroke.speed) - 1.0) > _FOUND:
+        raise StudyError(
+            f"damper '{config.name}': found no steady cycle with a stroke speed of "
+            f"{stroke.speed * 1e3:.3g} mm/s (RMS) at {stroke.frequency:g} Hz: friction holds it, or it breaks "
+            "away to more; take a larger one"
+        )
     # Over the current at a stroke rate of one size: what it changes at one elongation, less what that does.
     slower = (high.speed - low.speed) / (longer.speed - found.speed)
     change = (high.turned - low.turned - slower * (longer.turned - found.turned)) / (

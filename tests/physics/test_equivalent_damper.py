@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sayd_env.config import ConfigError
+from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import SaydDamperConfig, load_sayd
 from sayd_env.physics import sayd
 from sayd_env.physics.equivalent_damper import (
@@ -117,3 +117,8 @@ def test_at_rest_the_mounts_remain_and_a_command_moves_nothing(config: SaydDampe
 def test_a_stroke_that_the_cylinder_does_not_have_is_refused(config: SaydDamperConfig) -> None:
     with pytest.raises(ConfigError, match=r"stroke speed of 500 mm/s \(RMS\) at 0.5 Hz"):
         equivalent_sayd(config, Stroke(0.5, 0.5))
+
+
+def test_a_stroke_speed_at_which_friction_holds_is_refused(config: SaydDamperConfig) -> None:
+    with pytest.raises(StudyError, match="friction holds it, or it breaks away to more"):
+        equivalent_sayd(config, Stroke(1e-6, 5.0, 0.3))
