@@ -168,8 +168,8 @@ def equivalent_sayd(config: SaydDamperConfig, stroke: Stroke | None) -> Equivale
     if abs(found.speed / (math.sqrt(2.0) * stroke.speed) - 1.0) > _FOUND:
         raise StudyError(
             f"damper '{config.name}': found no steady cycle with a stroke speed of "
-            f"{stroke.speed * 1e3:.3g} mm/s (RMS) at {stroke.frequency:g} Hz: friction holds it, or it breaks "
-            "away to more; take a larger one"
+            f"{stroke.speed * 1e3:.3g} mm/s (RMS) at {stroke.frequency:g} Hz: friction holds it, or it "
+            "breaks away to more; take a larger one"
         )
     # Over the current at a stroke rate of one size: what it changes at one elongation, less what that does.
     slower = (high.speed - low.speed) / (longer.speed - found.speed)
