@@ -56,8 +56,8 @@ class StateSpace:
     Examples
     --------
     >>> one = StateSpace(*map(np.atleast_2d, (-2.0, 1.0, 1.0, 0.0)), ("x",), ("u",), ("y",), {})
-    >>> complex(one.response([1.0 / np.pi])[0, 0, 0]).__abs__().__round__(6)
-    0.353553
+    >>> f"{abs(one.response([1.0 / np.pi])[0, 0, 0]):.4f}"
+    '0.3536'
     """
 
     a: Array
