@@ -21,6 +21,7 @@ COMMANDS = (
     "conicity",
     "hysteresis",
     "modes",
+    "linearise",
     "calibrate",
     "hindsight",
     "bench",
