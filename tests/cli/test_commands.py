@@ -35,6 +35,8 @@ OFFERED = {
     | {"exaggeration", "seed", "line"},
     "policies": SHOWN,
     "tune": {*CONFIG, *RUNS, *SHOWN, "quick", "seed", "file"},
+    "simulate": {*VEHICLE, *SHOWN, *FOREIGN, "damper", "policy", "speed", "line", "environment", "seconds"}
+    | {"initial-current", "signals", "run-in", "format", "seed", "file"},
     "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed"} - {"wide"},
     "export": {*FOREIGN, *SHOWN, "onnx"} - {"wide"},
     "conicity": {*WHEELS, *SHOWN},
