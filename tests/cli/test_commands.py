@@ -43,6 +43,7 @@ OFFERED = {
     "hysteresis": {*CONFIG, *SHOWN, "damper", "amplitudes", "frequencies", "current"},
     "bench": {*VEHICLE, *SHOWN, "speed", "quick", "workers", "executor"},
     "soak": {*SHOWN, "set", "steps", "environment", "environments", "seed", "workers"},
+    "new": {"from", "json", "help"},
 }
 for _plain in ("render", "critical-speed", "map", "tune"):
     OFFERED[_plain] -= {"wide"}
