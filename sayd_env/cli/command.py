@@ -47,6 +47,8 @@ class Plan:
     """Where the result goes if not where `result_folder` says."""
     after: Callable[[Any, Output], None] | None = None
     """Called with the result when it is stored and shown."""
+    stored: bool = True
+    """Whether the result has a directory of its own."""
 
 
 Body = TypeVar("Body", bound=Callable[..., Plan])
@@ -87,7 +89,7 @@ def command(
 
         common: list[type[Group]] = [RunOptions] * runs + [OutputOptions]
         offered = _offered(own, common, without)
-        if offered["out"].annotation == Out:
+        if "out" in offered and offered["out"].annotation == Out:
             text = out_text(called, quick="quick" in offered)
             offered["out"] = offered["out"].replace(
                 annotation=Annotated[Path | None, output("--out DIR", text)]
@@ -114,7 +116,7 @@ def _own_output(as_json: bool) -> AbstractContextManager[Any]:
 
 def result_folder(name: str, given: Mapping[str, Any]) -> Path | None:
     """``--out``, none with ``--json`` alone, or a directory where a look replaces no result."""
-    folder: Path | None = given["out"]
+    folder: Path | None = given.get("out")
     if folder is not None or given["as_json"]:
         return folder
     return RESULTS / (f"{name}-quick" if given.get("quick") else name)
@@ -148,7 +150,7 @@ def _run(name: str, plan: Plan, given: Mapping[str, Any], keeps: bool) -> None:
 
     # Where nothing is kept, workers are what the command itself makes of them.
     executor = ExecutorChoice.parse(given["executor"], given["workers"]) if keeps else ExecutorChoice()
-    folder = plan.folder or result_folder(name, given)
+    folder = plan.folder or (result_folder(name, given) if plan.stored else None)
     output = Output(name, folder, as_json=given["as_json"], wide=given.get("wide", False))
     with _own_output(given["as_json"]):
         result = _compute(plan, output, executor, keeps=keeps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Callable
 from functools import partial
@@ -18,6 +19,7 @@ from sayd_env.cli.parsers import ListOf, Names, Number, Numbers, name, positive,
 if TYPE_CHECKING:
     from sayd_env.config.environment import EnvironmentConfig
     from sayd_env.config.scenario import Scenario
+    from sayd_env.config.sweep import Variant
     from sayd_env.runs.policies import ForeignReader
 
 WEAR_OF = {"new": 0.0, "worn": 1.0}
@@ -93,7 +95,12 @@ def policy_names(incomplete: str) -> list[str]:
 
 CONFIG = "Configuration: a packaged name or a YAML file."
 Config = Annotated[str | None, scenario("--config NAME|FILE", CONFIG, autocompletion=one_of(kind="study"))]
-Set = Annotated[list[str] | None, scenario("--set KEY=VALUE", "One key of the configuration; repeatable.")]
+SET_TEXT = (
+    "One key of the configuration; repeatable. evaluate, critical-speed and simulate run each of several "
+    "values, KEY=A,B,C, and of several such keys all combinations; a list is [1, 2], a text with commas is "
+    "in quotes."
+)
+Set = Annotated[list[str] | None, scenario("--set KEY=VALUE", SET_TEXT)]
 Seed = Annotated[int, runs("--seed S", "First random seed.", SEED)]
 SEEDS_TEXT = "Number of track realisations: seeds S to S+N-1"
 Seeds = Annotated[int, runs("--seeds N", f"{SEEDS_TEXT}.", SEEDS)]
@@ -213,9 +220,41 @@ class ScenarioOptions(Group):
         given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
         return load_scenario(config, [*given, *(self.assignments or ())])
 
+    def sweep(self, runs: int, most: int = 10_000) -> tuple[list[Variant], list[Scenario]]:
+        """Configurations by the values of ``--set``, each with its scenario.
+
+        Parameters
+        ----------
+        runs : int
+            Runs of each.
+        most : int
+            Runs of all together: some hours on two cores.
+
+        Raises
+        ------
+        ConfigError
+            As `read` and `variants`.
+        """
+        from sayd_env.config.sweep import variants  # noqa: PLC0415 - keeps --help fast
+
+        given = {name: getattr(self, name) for name in ("wear", "friction", "track", "damper")}
+        taken = [name for name, value in given.items() if value is not None]
+        found = variants(self.assignments, runs, taken=taken, most=most)
+        return found, [self._with(variant).load() for variant in found]
+
+    def _with(self, variant: Variant) -> ScenarioOptions:
+        """The same with the assignments of one configuration."""
+        other = copy.copy(self)
+        other.assignments = list(variant.assignments)
+        return other
+
+    def load(self) -> Scenario:
+        """Read the scenario."""
+        raise NotImplementedError
+
 
 class VehicleOptions(ScenarioOptions):
-    """Options that choose one scenario."""
+    """Options that choose one scenario, or those of a sweep."""
 
     wear: float | None = scenario("--wear 0..1", "Tread wear, 0 is new.", SHARE)
     friction: float | None = scenario("--friction MU", f"{MU}.", FRICTION)

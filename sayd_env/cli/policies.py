@@ -16,6 +16,10 @@ from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
     from sayd_env.cli.output import Output
+    from sayd_env.config.scenario import Scenario
+    from sayd_env.runs.context import RunContext
+    from sayd_env.studies.evaluate import EvaluateResult
+    from sayd_env.studies.line import LineResult
     from sayd_env.studies.tuning.tune import TuneResult
 
 GROUP = "Policies"
@@ -63,40 +67,37 @@ def evaluate(
     from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies import line as along  # noqa: PLC0415
     from sayd_env.studies.evaluate import evaluate as study  # noqa: PLC0415
+    from sayd_env.studies.sweep import over_variants  # noqa: PLC0415
 
-    chosen, setup = grid.load(), load_environment(grid.environment)
+    setup = load_environment(grid.environment)
     specs = policy_specs(policies or (), foreign.reader(setup))
+    wear, friction = grid.wear or (), grid.friction or ()
+    runs = seeds * max(1, len(specs)) * len(grid.speeds or SPEEDS) * max(1, len(wear)) * max(1, len(friction))
+    variants, scenarios = grid.sweep(runs)
+    speeds, where = grid.speeds or SPEEDS, {}
     if line is not None:
-        speeds = along.line_speeds(line, chosen, grid.speeds, SPEEDS)
-        return Plan(
-            lambda run: along.evaluate_line(
-                chosen,
-                line,
-                speeds,
-                range(seed, seed + seeds),
-                policies=specs,
-                wear=grid.wear or (),
-                friction=grid.friction or (),
-                environment=setup,
-                initial_current=initial_current,
-                context=run,
-            ),
-            {**dict(chosen), "environment": setup, "line": line_content(line)},
-            seed,
+        speeds, where = (
+            along.line_speeds(line, scenarios[0], grid.speeds, SPEEDS),
+            {"line": line_content(line)},
         )
+
+    def one(chosen: Scenario, run: RunContext) -> EvaluateResult | LineResult:
+        given: dict[str, Any] = {
+            "policies": specs,
+            "wear": wear,
+            "friction": friction,
+            "environment": setup,
+            "initial_current": initial_current,
+            "context": run,
+        }
+        seeded = range(seed, seed + seeds)
+        if line is not None:
+            return along.evaluate_line(chosen, line, speeds, seeded, **given)
+        return study(chosen, speeds, seeded, **given)
+
     return Plan(
-        lambda run: study(
-            chosen,
-            grid.speeds or SPEEDS,
-            range(seed, seed + seeds),
-            policies=specs,
-            wear=grid.wear or (),
-            friction=grid.friction or (),
-            environment=setup,
-            initial_current=initial_current,
-            context=run,
-        ),
-        {**dict(chosen), "environment": setup},
+        lambda run: over_variants(variants, scenarios, runs, one, run),
+        {**dict(scenarios[0]), "environment": setup, **where},
         seed,
     )
 

@@ -13,6 +13,8 @@ from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
     from sayd_env.cli.output import Output
+    from sayd_env.config.scenario import Scenario
+    from sayd_env.runs.context import RunContext
     from sayd_env.studies.paper.reproduce import ReproduceResult
     from sayd_env.studies.tuning.calibrate import CalibrationResult
 
@@ -38,18 +40,23 @@ def critical_speed(
     Default speeds: the paper's grid, 280 to 400 km/h on new and 320 to 445 km/h on worn wheels. With
     --policy, semi-active dampers replace passive ones.
     """
-    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.policies import for_policy, policy_spec  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies import critical_speed as study  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.sweep import over_variants  # noqa: PLC0415
 
     laws = creep_laws or ()
     study.check_laws(laws, "--creep-laws")
-    chosen, spec = scenario.load(), None if who is None else policy_spec(who)
-    numbers = range(seed, seed + seeds)
+    spec, numbers = None if who is None else policy_spec(who), range(seed, seed + seeds)
+    runs = seeds * len(speeds or study.default_speeds(1.0)) * (1 + len(laws))
+    variants, scenarios = scenario.sweep(runs)
+
+    def one(chosen: Scenario, run: RunContext) -> study.CriticalSpeedResult:
+        return study.find_critical_speed(chosen, speeds, numbers, policy=spec, creep_laws=laws, context=run)
+
+    first = scenarios[0] if spec is None else for_policy(scenarios[0], spec)
     return Plan(
-        lambda run: study.find_critical_speed(
-            chosen, speeds, numbers, policy=spec, creep_laws=laws, context=run
-        ),
-        lambda result: {**dict(result.scenario), "policy": None if spec is None else spec.identity()},
+        lambda run: over_variants(variants, scenarios, runs, one, run),
+        {**dict(first), "policy": None if spec is None else spec.identity()},
         seed,
     )
 

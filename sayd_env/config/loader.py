@@ -22,6 +22,7 @@ __all__ = [
     "is_path",
     "nearest",
     "packaged_names",
+    "packaged_text",
     "parse_yaml",
     "placed",
     "read_config",
@@ -140,11 +141,14 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
             f"unknown {kind} {shown(name_or_path)}{nearest(name_or_path, names)}; "
             f"available: {', '.join(names)}, or a path to a YAML file"
         )
-    source = f"configs/{kind}/{name_or_path}.yaml"
-    text = (
-        resources.files("sayd_env.configs").joinpath(kind, f"{name_or_path}.yaml").read_text(encoding="utf-8")
-    )
+    source, text = packaged_text(kind, name_or_path)
     return parse_yaml(text, source), source
+
+
+def packaged_text(kind: str, name: str) -> tuple[str, str]:
+    """What messages call a packaged configuration, and its text."""
+    file = resources.files("sayd_env.configs").joinpath(kind, f"{name}.yaml")
+    return f"configs/{kind}/{name}.yaml", file.read_text(encoding="utf-8")
 
 
 def section(data: Any, source: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -92,6 +92,8 @@ class EpisodeBatch:
         The scenario in place of the one that the configuration names.
     num_threads : int, optional
         Threads, as in `VehicleBatch`.
+    motion : bool
+        Trace the motion of all unknowns, too.
 
     Raises
     ------
@@ -123,6 +125,7 @@ class EpisodeBatch:
         *,
         scenario: Scenario | None = None,
         num_threads: int | None = None,
+        motion: bool = False,
     ) -> None:
         if count < 1:
             raise ConfigError(f"found {count} vehicles; expected at least 1")
@@ -138,6 +141,7 @@ class EpisodeBatch:
         self._model = VehicleModel(self.scenario)
         self._band = on_line_band(self._model, self.settings)
         self._num_threads = None if num_threads is None else checked_threads(num_threads)
+        self._motion = motion
         self._vehicles: VehicleBatch | None = None
         self._faults: list[FaultSchedule | None] = [None] * count
         self.limits = [model_limits(self._model)] * count
@@ -150,6 +154,9 @@ class EpisodeBatch:
         self._commanded = np.zeros((count, DAMPERS))
         self._faulty = False
         self.heard: RunIn | None = None
+
+    def _batch(self, vehicles: Sequence[Vehicle]) -> VehicleBatch:
+        return VehicleBatch(self.settings, self._band, vehicles, self._num_threads, motion=self._motion)
 
     @property
     def vehicles(self) -> VehicleBatch:
@@ -171,6 +178,7 @@ class EpisodeBatch:
         *,
         log: bool = False,
         listen: bool = False,
+        watch: Callable[[int], None] | None = None,
         whole_track: bool = True,
     ) -> list[Array]:
         """Begin episodes: build the vehicles and run them in.
@@ -185,6 +193,8 @@ class EpisodeBatch:
             Return the true signals of the run-in, as `VehicleBatch.run_in` does.
         listen : bool
             Keep the observations of the run-in in `heard`.
+        watch : callable, optional
+            Called after each control period of the run-in with its number, see `VehicleBatch.run_in`.
         whole_track : bool
             Make the track for an assessed run. False: so far as the episode goes by its configuration.
 
@@ -204,12 +214,13 @@ class EpisodeBatch:
             if sorted(which) != list(range(self.count)):
                 raise ConfigError("the first reset must be one of all vehicles")
             ordered = [built[list(which).index(i)] for i in range(self.count)]
-            self._vehicles = VehicleBatch(self.settings, self._band, ordered, self._num_threads)
+            self._vehicles = self._batch(ordered)
         else:
             for i, vehicle in zip(which, built, strict=True):
                 self._vehicles.put(i, vehicle)
         self.heard = self._prepared(self._vehicles, which) if listen else None
-        logs = self._vehicles.run_in(which, log=log, hear=self._hear if listen else None)
+        told = [call for call in (self._hear if listen else None, watch) if call is not None]
+        logs = self._vehicles.run_in(which, log=log, hear=_in_turn(told) if told else None)
         for i, model, episode, line in zip(which, models, episodes, lines, strict=True):
             self.episodes[i], self.lines[i] = episode, line
             self.limits[i] = model_limits(model)
@@ -414,7 +425,7 @@ class EpisodeBatch:
             raise ConfigError("state: found one of another environment; expected one of equal configuration")
         if self._vehicles is None:
             vehicles = [state.vehicle.built for state in states]
-            self._vehicles = VehicleBatch(self.settings, self._band, vehicles, self._num_threads)
+            self._vehicles = self._batch(vehicles)
         for i, state in enumerate(states):
             self._vehicles.set_state(i, state.vehicle)
             self.episodes[i], self.lines[i] = state.episode, state.line
@@ -458,6 +469,16 @@ class EpisodeBatch:
         else:
             self._history[rows, :-1] = self._history[rows, 1:]
             self._history[rows, -1] = values[rows]
+
+
+def _in_turn(calls: Sequence[Callable[[int], None]]) -> Callable[[int], None]:
+    """All of these as one."""
+
+    def every(period: int) -> None:
+        for call in calls:
+            call(period)
+
+    return every
 
 
 def _on_line(episode: Episode, line: Line | None) -> Episode:

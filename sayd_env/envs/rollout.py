@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,8 +18,6 @@ from sayd_env.envs.cost import EpisodeCost, episode_cost, mean_squares
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
 from sayd_env.envs.loop import LOG, RUNNING, TERMS
-from sayd_env.envs.trace import WHEEL_VERTICAL
-from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import RUN_OUT
 
 
@@ -66,6 +64,8 @@ class Rollout:
     """Samples before step 0."""
     true: Array
     """(t, LOG) true signals from the start of the run-in, by the columns of `sayd_env.envs.loop`."""
+    traced: Array
+    """(t, kept) further true signals, those columns of `sayd_env.envs.trace` that were asked for."""
     actions: npt.NDArray[np.float32]
     """(n, A) valve commands."""
     rewards: Array
@@ -74,9 +74,13 @@ class Rollout:
     """(n, TERMS) cost of each period."""
     ending: str | None
     """Why the run ended early; None if it did not."""
-    wheel_load: Array | None = None
-    """(t, LANES) vertical force of each wheel on its rail from step 0 on, left and right in turn (N); None
-    where it was not asked for."""
+    samples: int
+    """How many there are of the run; the rest of the period in which it ended has no meaning."""
+
+    @property
+    def times(self) -> Array:
+        """(t,) times of the samples, counted from step 0 (s)."""
+        return np.asarray((np.arange(len(self.true)) + 1 - self.run_in) / self.sample_rate)
 
     def cost(self, seconds: float | None = None) -> tuple[float, float]:
         """Means over the first seconds of (psi_y / y_lim)^2 and (psi_F / F_max)^2, on-line filter.
@@ -106,7 +110,7 @@ def roll_out(
     episodes: Sequence[Episode],
     steps: Sequence[int],
     *,
-    wheel_loads: bool = False,
+    keep: Sequence[int] = (),
 ) -> list[Rollout]:
     """Run one episode with each vehicle of a batch.
 
@@ -119,8 +123,8 @@ def roll_out(
     episodes : sequence of Episode
     steps : sequence of int
         Control periods of each; the episode's own end by time does not count.
-    wheel_loads : bool
-        Keep the forces of the wheels on their rails, too.
+    keep : sequence of int
+        Columns of the trace that are kept, too; those of the motion only where the batch traces it.
 
     Raises
     ------
@@ -130,16 +134,28 @@ def roll_out(
         A run whose numbers did not stay finite.
     """
     count, samples = batch.count, batch.settings.samples
-    run_in = batch.reset(range(count), episodes, log=True, listen=listens(policy))
+    columns, seen = list(keep), list[Array]()
+
+    def watch(_: int) -> None:
+        seen.append(batch.vehicles.trace[:, :, columns])
+
+    run_in = batch.reset(
+        range(count), episodes, log=True, listen=listens(policy), watch=watch if columns else None
+    )
     before = [len(rows) for rows in run_in]
-    true = [np.empty((first + n * samples, LOG)) for first, n in zip(before, steps, strict=True)]
-    for rows, head in zip(true, run_in, strict=True):
-        rows[: len(head)] = head
+    lengths = [first + n * samples for first, n in zip(before, steps, strict=True)]
+    true = [np.empty((length, LOG)) for length in lengths]
+    traced = [np.empty((length, len(columns))) for length in lengths]
+    for vehicle, head in enumerate(run_in):
+        true[vehicle][: len(head)] = head
+        # All run-ins end together, those of slow vehicles have begun before the others.
+        for place, rows in enumerate(seen[len(seen) - len(head) // samples :]):
+            traced[vehicle][place * samples : (place + 1) * samples] = rows[vehicle]
+    seen.clear()
     most, shape = max(steps), (count, batch.interface.actions)
     actions = np.zeros((most, *shape), dtype=np.float32)
     rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
     log = np.empty((count, samples, LOG))
-    loads = [np.empty((n * samples if wheel_loads else 0, LANES)) for n in steps]
     length = np.array(steps)
     observation = batch.observations()
     state, start = first_state(policy, batch)
@@ -155,15 +171,11 @@ def roll_out(
         for i in np.flatnonzero(active):
             first = before[i] + n * samples
             true[i][first : first + samples] = log[i]
-            if wheel_loads:
-                wheels = batch.vehicles.trace[i, :, WHEEL_VERTICAL : WHEEL_VERTICAL + LANES]
-                loads[i][n * samples : (n + 1) * samples] = wheels
-    found = [_rollout(batch, i, before[i], true[i], actions, rewards, terms, steps[i]) for i in range(count)]
-    if not wheel_loads:
-        return found
+            if columns:
+                traced[i][first : first + samples] = batch.vehicles.trace[i][:, columns]
     return [
-        replace(rollout, wheel_load=rows[: len(rollout.terms) * samples])
-        for rollout, rows in zip(found, loads, strict=True)
+        _rollout(batch, i, before[i], true[i], traced[i], actions, rewards, terms, steps[i])
+        for i in range(count)
     ]
 
 
@@ -172,6 +184,7 @@ def _rollout(
     i: int,
     before: int,
     true: Array,
+    traced: Array,
     actions: npt.NDArray[np.float32],
     rewards: Array,
     terms: Array,
@@ -183,14 +196,17 @@ def _rollout(
     taken = int(batch.elapsed[i]) if ended else steps
     if ended and not np.all(np.isfinite(terms[:taken, i])):
         raise StudyError(f"the run of seed {episode.seed} at {episode.speed * 3.6:g} km/h diverged")
+    end = before + taken * batch.settings.samples
     return Rollout(
         episode=episode,
         control_period=batch.settings.control_period,
         sample_rate=batch.settings.sample_rate,
         run_in=before,
-        true=true[: before + taken * batch.settings.samples],
+        true=true[:end],
+        traced=traced[:end],
         actions=actions[:taken, i].copy(),
         rewards=rewards[:taken, i].copy(),
         terms=terms[:taken, i].copy(),
         ending=batch.ending(i) if ended else None,
+        samples=min(end, before + int(batch.vehicles.memory.view(i).counter[0])),
     )

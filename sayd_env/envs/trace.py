@@ -35,6 +35,9 @@ PULSE = CLIMB + 1  # velocity of the first unknown: finite as long as all of the
 SPEED = PULSE + 1  # V, m/s
 POSITION = SPEED + 1  # of the vehicle's centre along the track, m
 TRACE = POSITION + 1
+MOTIONS = (
+    3  # of the n unknowns, with which a wider trace goes on: displacement, velocity, acceleration, n each
+)
 
 
 @kernel(allocates=False)
@@ -57,7 +60,7 @@ def trace_period(
         Their numbers in the batch; negative for a place whose results nobody wants.
     substeps : int
         Steps in a sample.
-    trace : ndarray, shape (v, samples, TRACE)
+    trace : ndarray, shape (v, samples, TRACE or TRACE + MOTIONS n)
         Receives the members' rows.
     """
     for t in range(trace.shape[1]):
@@ -80,6 +83,11 @@ def _write(lanes: Lanes, k: int, plant: Plant, state: State, work: Work, row: Ar
     row[PULSE] = state.v[k]
     row[SPEED] = speed_of(lanes, k, plant, work)
     row[POSITION] = state.clock[w + k]
+    unknowns = (row.shape[0] - TRACE) // MOTIONS
+    for j in range(unknowns):
+        row[TRACE + j] = state.q[j * w + k]
+        row[TRACE + unknowns + j] = state.v[j * w + k]
+        row[TRACE + 2 * unknowns + j] = state.a[j * w + k]
     if state.sayd.shape[0] == 0:
         for j in range(DAMPERS):
             row[STROKE + j] = state.elongation[j * w + k]

@@ -29,7 +29,7 @@ from sayd_env.envs.loop import (
     run_units,
     run_units_in_parallel,
 )
-from sayd_env.envs.trace import DAMPERS, POSITION, SPEED, TRACE
+from sayd_env.envs.trace import DAMPERS, MOTIONS, POSITION, SPEED, TRACE
 from sayd_env.envs.vehicle import LoopSettings, Vehicle
 from sayd_env.physics.aligned import copied
 from sayd_env.physics.batch import checked_threads
@@ -80,6 +80,8 @@ class VehicleBatch:
     num_threads : int, optional
         Threads; 1 runs the vehicles one after another without numba's threads. Default: all cores for several
         vehicles, one for a single vehicle. The results do not depend on it.
+    motion : bool
+        Write the motion of all unknowns into the trace, too.
 
     Attributes
     ----------
@@ -98,7 +100,13 @@ class VehicleBatch:
     """
 
     def __init__(
-        self, settings: LoopSettings, band: Band, vehicles: Sequence[Vehicle], num_threads: int | None = None
+        self,
+        settings: LoopSettings,
+        band: Band,
+        vehicles: Sequence[Vehicle],
+        num_threads: int | None = None,
+        *,
+        motion: bool = False,
     ) -> None:
         if not vehicles:
             raise ConfigError("a batch needs at least one vehicle")
@@ -121,7 +129,8 @@ class VehicleBatch:
         self.command = np.zeros((count, DAMPERS))
         self._noise = np.zeros((count, settings.samples, SIGNALS))
         self._silent = np.zeros((count, 0, SIGNALS))
-        self.trace = np.zeros((count, settings.samples, TRACE))
+        width = TRACE + motion * MOTIONS * len(vehicles[0].state.q)
+        self.trace = np.zeros((count, settings.samples, width))
         self.signals = np.zeros((count, SIGNALS))
         self.features = np.zeros((count, FEATURES))
         self.terms = np.zeros((count, TERMS))

@@ -31,13 +31,17 @@ from sayd_env.envs.loop import (
     PEAK_TRACK_SHIFT,
 )
 from sayd_env.envs.rollout import Rollout
+from sayd_env.envs.trace import WHEEL_VERTICAL
 from sayd_env.measured.lines import load_line
+from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.controlled import refuse_divergence
 from sayd_env.runs.policies import PolicySpec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
 from sayd_env.stability import assess
 from sayd_env.stability.signals import sliding_rms
+
+_WHEEL_LOADS = range(WHEEL_VERTICAL, WHEEL_VERTICAL + LANES)
 
 SECOND = 1.0
 """Time over which the damper force is averaged to tell what a curve needs (s): a step of the paper's MPPT."""
@@ -209,7 +213,7 @@ def along_lines(runs: list[Run]) -> list[LineRecord]:
     StudyError
         A run that diverged.
     """
-    rollouts = roll_out_runs(runs, episode=True, wheel_loads=True)
+    rollouts = roll_out_runs(runs, episode=True, keep=_WHEEL_LOADS)
     return [line_record(run, rollout) for run, rollout in zip(runs, rollouts, strict=True)]
 
 
@@ -296,18 +300,12 @@ def _second_means(rollout: Rollout) -> Array:
     return np.asarray(np.repeat(of_second, round(SECOND / rollout.control_period))[:periods])
 
 
-def _times(rollout: Rollout) -> Array:
-    """Times of the samples from the start of the run-in, counted from step 0 (s)."""
-    return np.asarray((np.arange(len(rollout.true)) + 1 - rollout.run_in) / rollout.sample_rate)
-
-
 def _unloading(run: Run, rollout: Rollout, trip: Trip) -> Array:
     """Largest share of its static load that a wheel has lost, mean over some distance, by period."""
-    assert rollout.wheel_load is not None
     length = run.environment.derailment.averaging
     static = np.repeat(VehicleModel(run.scenario).multibody.wheel_load, 2)
-    distance = trip.distance(_times(rollout)[rollout.run_in :])
-    loads = rollout.wheel_load / static
+    distance = trip.distance(rollout.times[rollout.run_in :])
+    loads = rollout.traced[rollout.run_in :] / static
     if not len(loads):
         return np.zeros(0)
     total = cumulative_trapezoid(loads, distance, axis=0, initial=0.0)
@@ -326,7 +324,7 @@ def _running_rms(run: Run, rollout: Rollout, trip: Trip) -> tuple[Array, Array]:
     NaN where there is no straight part as long as a segment of the spectrum; infinite where the run ended.
     """
     settings, signals = run.scenario.assessment, rollout.true[:, LOG_ACCELERATION:LOG_FORCE]
-    times = _times(rollout)
+    times = rollout.times
     distance = trip.distance(times)
     found = np.full((2, len(trip.line.sections)), np.nan)
     shortest = max(settings.segment_length, settings.window_length)
@@ -366,7 +364,7 @@ def _assessed(
 def _running(run: Run, rollout: Rollout, trip: Trip) -> Mapping[str, Array]:
     """Sliding RMS of the acceleration behind the on-line filter, for pictures."""
     settings = run.scenario.assessment
-    s = trip.distance(_times(rollout)[rollout.run_in :])
+    s = trip.distance(rollout.times[rollout.run_in :])
     filtered = rollout.true[rollout.run_in :, LOG_FILTERED:LOG_BODY]
     if len(s) < 2 or s[-1] - s[0] < settings.window_length:
         return {"position": np.zeros(0), "running_acceleration": np.zeros(0)}

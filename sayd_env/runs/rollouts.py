@@ -16,6 +16,7 @@ from sayd_env.config.units import KMH
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.rollout import Rollout, assessed_steps, roll_out
+from sayd_env.envs.trace import TRACE
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.policies import PASSIVE, PolicySpec, constant_spec, for_policy
 
@@ -47,7 +48,7 @@ class Run:
         return id(self.policy), id(self.scenario), id(self.environment), self.initial_current
 
 
-def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, wheel_loads: bool = False) -> list[Rollout]:
+def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, keep: Sequence[int] = ()) -> list[Rollout]:
     """Run-in and assessed length of runs that are companions, on one thread.
 
     Parameters
@@ -55,8 +56,8 @@ def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, wheel_loads: bo
     runs : sequence of Run
     episode : bool
         The environment's episode in place of the assessed length.
-    wheel_loads : bool
-        Keep the forces of the wheels on their rails, too.
+    keep : sequence of int
+        Columns of `sayd_env.envs.trace` that are kept, too; from `TRACE` on the motion of the unknowns.
 
     Raises
     ------
@@ -67,7 +68,8 @@ def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, wheel_loads: bo
     """
     first = runs[0]
     config = first.policy.environment(first.environment)
-    batch = EpisodeBatch(config, len(runs), scenario=first.scenario, num_threads=1)
+    motion = max(keep, default=0) >= TRACE
+    batch = EpisodeBatch(config, len(runs), scenario=first.scenario, num_threads=1, motion=motion)
     episodes = [
         replace(
             draw_episode(
@@ -78,7 +80,7 @@ def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, wheel_loads: bo
         for run in runs
     ]
     steps = [batch.steps if episode else assessed_steps(config, first.scenario, run.speed) for run in runs]
-    return roll_out(batch, first.policy.make(batch), episodes, steps, wheel_loads=wheel_loads)
+    return roll_out(batch, first.policy.make(batch), episodes, steps, keep=keep)
 
 
 def own_policy(scenario: Scenario) -> PolicySpec:

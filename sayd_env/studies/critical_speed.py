@@ -138,7 +138,15 @@ class CriticalSpeedResult:
     def tables(self) -> dict[str, Table]:
         """Every run, one line for each wheelset, and the critical speeds by creep law."""
         laws = {} if self.laws is None else {"creep_laws": self.laws.table()}
-        return {"runs": runs_table(self.sweep, self.wheelsets), **laws}
+        found = [
+            (name, None if c.speed is None else c.speed * KMH, c.crossing.name.lower())
+            for name, c in self.crossing().items()
+        ]
+        return {
+            "runs": runs_table(self.sweep, self.wheelsets),
+            "critical_speeds": (("criterion", "critical_speed_kmh", "status"), found),
+            **laws,
+        }
 
     def plots(self) -> dict[str, Plot]:
         """Counterparts of figure 10 (trends over speed) and figure 8 (a) (time history)."""
@@ -153,6 +161,11 @@ class CriticalSpeedResult:
             console.print(f"critical speed by {name.replace('_', ' ')}: [bold]{self.verdict(name)}[/]")
         if self.laws is not None:
             self.laws.summary(console, "critical speed by creep law, all else equal", wide)
+
+    def overview(self) -> tuple[Sequence[Column], list[dict[str, Any]]]:
+        """Critical speeds by criterion, as one of many results is shown."""
+        columns = (Column("criterion", "by"), Column("verdict", "critical speed"))
+        return columns, [{"criterion": name, "verdict": self.verdict(name)} for name in self.criteria]
 
     def _trends(self) -> list[dict[str, Any]]:
         """Values by `TRENDS`: the largest of the wheelsets at each speed."""

@@ -172,8 +172,7 @@ class EvaluateResult:
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the medians over the seeds of each condition and policy, then each policy as a whole."""
         about = f"{self.scenario.vehicle.name}, medians of {len({row.seed for row in self.rows})} seeds"
-        varied = {name for name in ("wear", "friction") if len({row[name] for row in self.medians}) > 1}
-        who = [column if column.name not in varied else replace(column, wide=False) for column in _WHO]
+        who = self._who()
         for title, columns in (
             ("cost (its terms unweighted), limits, comfort", _COST_COLUMNS),
             ("dampers and valves", _DAMPER_COLUMNS),
@@ -196,6 +195,16 @@ class EvaluateResult:
                     markup=False,
                     style="red",
                 )
+
+    def overview(self) -> tuple[Sequence[Column], list[dict[str, Any]]]:
+        """Medians over the seeds, as one of many results is shown."""
+        every = (*self._who(), *_COST_COLUMNS, *_DAMPER_COLUMNS[:2])
+        return [column for column in every if self._has(column)], self.medians
+
+    def _who(self) -> list[Column]:
+        """Columns that say which runs a row is of."""
+        varied = {name for name in ("wear", "friction") if len({row[name] for row in self.medians}) > 1}
+        return [column if column.name not in varied else replace(column, wide=False) for column in _WHO]
 
     def _summary(self, policy: str) -> dict[str, float]:
         """Means over all runs; the largest median of either ratio; how many runs derailed."""

@@ -211,6 +211,11 @@ class LineResult:
                     style="red",
                 )
 
+    def overview(self) -> tuple[Sequence[Column], list[dict[str, Any]]]:
+        """Medians over the seeds on the whole line, as one of many results is shown."""
+        whole = [row for row in self.medians if row["section"] == WHOLE]
+        return [Column("speed_kmh", "km/h"), *COLUMNS[1:]], whole
+
     def _sections(self, place: Place) -> list[dict[str, Any]]:
         trip = self.line(place)
         gauge, friction = self.scenario.track.gauge, place.friction

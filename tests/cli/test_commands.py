@@ -37,12 +37,15 @@ OFFERED = {
     | {"exaggeration", "seed", "line"},
     "policies": SHOWN,
     "tune": {*CONFIG, *RUNS, *SHOWN, "quick", "seed", "file"},
+    "simulate": {*VEHICLE, *SHOWN, *FOREIGN, "damper", "policy", "speed", "line", "environment", "seconds"}
+    | {"initial-current", "signals", "run-in", "format", "seed", "file"},
     "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed"} - {"wide"},
     "export": {*FOREIGN, *SHOWN, "onnx"} - {"wide"},
     "conicity": {*WHEELS, *SHOWN},
     "hysteresis": {*CONFIG, *SHOWN, "damper", "amplitudes", "frequencies", "current"},
     "bench": {*VEHICLE, *SHOWN, "speed", "quick", "workers", "executor"},
     "soak": {*SHOWN, "set", "steps", "environment", "environments", "seed", "workers"},
+    "new": {"from", "json", "help"},
 }
 for _plain in ("render", "critical-speed", "map", "tune"):
     OFFERED[_plain] -= {"wide"}

@@ -64,7 +64,19 @@ def rollout_of(signals: dict[str, Any], rate: float = RATE) -> Rollout:
     )
     episode: Any = SimpleNamespace(speed=SPEED, seed=7, initial_current=0.25)
     actions, run_in = signals["command"].astype(np.float32), round(5.01 * rate)
-    return Rollout(episode, 0.01, rate, run_in, true, actions, np.zeros(5150), np.zeros((5150, 4)), None)
+    return Rollout(
+        episode,
+        0.01,
+        rate,
+        run_in,
+        true,
+        true[:, :0],
+        actions,
+        np.zeros(5150),
+        np.zeros((5150, 4)),
+        None,
+        len(true),
+    )
 
 
 @pytest.fixture(scope="module")

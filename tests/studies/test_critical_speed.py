@@ -210,7 +210,8 @@ def test_the_command_prints_the_keys_and_writes_its_files(tmp_path: Path, capsys
     assert content["seed"] == 7
     assert content["config"]["assessment"]["length"] == 600
     files = {path.name for path in tmp_path.iterdir()}
-    assert files == {"result.json", "runs.csv", "critical_speed.png", "time_history.png", "runs"}
+    tables = {"runs.csv", "critical_speeds.csv"}
+    assert files == {"result.json", *tables, "critical_speed.png", "time_history.png", "runs"}
     runs = np.genfromtxt(tmp_path / "runs.csv", delimiter=",", names=True, dtype=None, encoding=None)
     at = (runs["speed_kmh"] == 300.0) & (runs["wheelset"] == "rear.trailing")
     median = np.median(runs["acceleration_rms"][at])
