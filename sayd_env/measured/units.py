@@ -109,7 +109,7 @@ def name_and_unit(header: str) -> tuple[str, str]:
     """
     bracket = _AT_END[0].fullmatch(header)
     if bracket:
-        return bracket["name"].strip(), bracket["unit"].strip()
+        return bracket["name"].rstrip(" /,").lstrip(), bracket["unit"].strip()
     parts = header.split("_")
     for count in (3, 2, 1):
         unit = "_".join(parts[-count:])

@@ -88,7 +88,7 @@ def test_numbers_of_some_columns_and_cells_without_a_value(file: Path) -> None:
         ("t;a\n1,234;2,345\n3,456;4,567\n", "line 2: column 't': found '1,234', which may be 1.234 or 1234"),
         ("t;a\n0;2.5\n1,25;2\n", "line 3: column 't': found '1,25', and elsewhere '2.5'"),
         ("t;a\n1.234,5;2\n3.456,5;4\n", r"line 2: column 't': found '1\.234,5'; expected a number"),
-        ("t,a\n0,5,1\n1,5,2,5\n2,5,1\n", "line 3: found 4 cells; expected 3 .*decimal comma"),
+        ("t,a\n0,5,1\n1,5,1\n1,5,2,5\n2,5,1\n3,5,1\n", "line 4: found 4 cells; expected 3 .*decimal comma"),
         ("t;a\n0;True\n1;True\n", "line 2: column 'a': found 'True'"),
         ("t;a\n0;1\n1;inf\n", "line 3: column 'a': found 'inf'; expected a finite number"),
         ("t;a\n0;1\n1;\n", "line 3: column 'a': found ''; expected a number"),
