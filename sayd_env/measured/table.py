@@ -90,6 +90,12 @@ class TextTable:
         name = self.names[column] if column < len(self.names) else ""
         return f"column '{name}'" if name else f"column {column + 1}"
 
+    def first(self, column: int) -> str:
+        """Text of a column in the first row, "" without one."""
+        text = self._body.partition("\n")[0]
+        cells = split(Line(int(self.lines[0]), text), self.head.separator, self.source) if text else []
+        return cells[column] if column < len(cells) else ""
+
     def cells(self, columns: Sequence[int]) -> NDArray[np.object_]:
         """Text of columns, shape (n, len(columns)); "" where a row ends before a column."""
         found = np.full((len(self), len(columns)), "", dtype=object)
