@@ -215,9 +215,9 @@ def _tail(lines: Sequence[Line]) -> Sequence[Line]:
 
 
 def _usual(rows: Sequence[Sequence[str]]) -> int:
-    """Number of cells of most rows; of two that are as frequent the larger, as last cells may be empty."""
+    """Number of cells of most rows."""
     count = Counter(map(len, rows))
-    return max(count, key=lambda cells: (count[cells], cells))
+    return max(count, key=lambda cells: (count[cells], -cells))
 
 
 def _is_one_column(lines: Sequence[Line]) -> bool:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import logging
 import re
+import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -65,8 +67,8 @@ class Contents:
     """Place of a column's value in the file, as a message begins."""
     rate: float | None = None
     """Samples per second (Hz), where the file states them apart."""
-    notes: tuple[str, ...] = ()
-    """How the file was read, where that is not plain."""
+    notes: list[str] = field(default_factory=list)
+    """How the file was read where that is not plain, and what a library found odd about it."""
 
 
 @contextmanager
@@ -81,13 +83,36 @@ def opened(path: Path) -> Iterator[Contents]:
         Its content cannot be used.
     """
     start = read_bytes(path, "recording", LARGEST, 128)
-    reader = next((each for mark, each in _READERS if start.startswith(mark)), _text)
-    # What a library has to say about a file is ours to say.
-    logging.getLogger("asammdf").setLevel(logging.CRITICAL)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with _refusals(path, reader.__name__[1:].upper()), reader(path) as contents:
+    reader = next((each for mark, each in _READERS if start.startswith(mark)), None)
+    if reader is None:
+        with _text(path) as contents:
             yield contents
+        return
+    with _overheard() as said, _refusals(path, reader.__name__[1:].upper()), reader(path) as contents:
+        yield contents
+        contents.notes.extend(dict.fromkeys(said))
+
+
+@contextmanager
+def _overheard() -> Iterator[list[str]]:
+    """What libraries would write on the screen: their warnings, and errors while they give up a file."""
+    said: list[str] = []
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: said.append(record.getMessage().strip())  # type: ignore[method-assign]
+    loggers = [logging.getLogger(name) for name in ("asammdf", "nptdms")]
+    before = [(each.handlers[:], each.propagate) for each in loggers]
+    unraisable = sys.unraisablehook
+    try:
+        for each in loggers:
+            each.handlers, each.propagate = [handler], False
+        sys.unraisablehook = lambda _: None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield said
+    finally:
+        sys.unraisablehook = unraisable
+        for each, (handlers, propagate) in zip(loggers, before, strict=True):
+            each.handlers, each.propagate = handlers, propagate
 
 
 @contextmanager
@@ -101,6 +126,8 @@ def _refusals(path: Path, kind: str) -> Iterator[None]:
         raise ConfigError(f"{path}: {kind} files need {error.name}: {EXTRA}") from None
     except Exception as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        # With its frames goes what the library has opened by half, while nobody hears it.
+        traceback.clear_frames(error.__traceback__)
         raise DataError(f"{path}: cannot be read as a {kind} file ({reason[:200]})") from None
 
 
@@ -133,7 +160,7 @@ def _text(path: Path) -> Iterator[Contents]:
         ),
         values,
         lambda place, row: table.where(row, place),
-        notes=() if table.encoding == "UTF-8" else (f"The text is {table.encoding}.",),
+        notes=[] if table.encoding == "UTF-8" else [f"The text is {table.encoding}."],
     )
 
 

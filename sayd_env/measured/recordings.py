@@ -275,6 +275,8 @@ def _series(
     result: list[Series] = []
     clocks: dict[bytes, Array] = {}
     for column, numbers in zip(columns, values, strict=True):
+        if not len(numbers):
+            raise DataError(f"{contents.source}: found 0 samples; expected a recording of at least 500 m")
         times, place = _times(contents, column, numbers, common, given), column.place
         at = time.place if time is not None and times is common else place
 

@@ -26,7 +26,7 @@ OFFERED = {
     | {"damper", "sayd", "controllers", "assumptions", "creep-laws", "quick", "seed", "seeds"},
     "calibrate": {*CONFIG, *RUNS, *SHOWN, "seed"},
     "modes": {*VEHICLE, *SHOWN, "speeds", "amplitude"},
-    "assess": {*CONFIG, *SHOWN, "speed", "sample-rate", "column", "run-in"},
+    "assess": {*CONFIG, *SHOWN, "speed", "sample-rate", "column", "run-in"} | {"bogie-mass", "axle-load"},
     "evaluate": {*GRID, *RUNS, *SHOWN, "line", "initial-current", "seed", "seeds"},
     "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"},
     "hindsight": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick"},
