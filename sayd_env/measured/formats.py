@@ -6,17 +6,18 @@ which the extra ``measured`` installs.
 
 from __future__ import annotations
 
+import gc
 import logging
 import re
 import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -83,24 +84,31 @@ def opened(path: Path) -> Iterator[Contents]:
         Its content cannot be used.
     """
     start = read_bytes(path, "recording", LARGEST, 128)
-    reader = next((each for mark, each in _READERS if start.startswith(mark)), None)
-    if reader is None:
+    kind = next((each for each in _KINDS if start.startswith(each.mark)), None)
+    if kind is None:
         with _text(path) as contents:
             yield contents
         return
-    with _overheard() as said, _refusals(path, reader.__name__[1:].upper()), reader(path) as contents:
+    try:
+        import_module(kind.library)
+    except ModuleNotFoundError:
+        raise ConfigError(f"{path}: {kind.name} files need {kind.library}: {EXTRA}") from None
+    with _overheard(kind.library) as said, _refusals(path, kind.name), kind.reader(path) as contents:
         yield contents
         contents.notes.extend(dict.fromkeys(said))
 
 
 @contextmanager
-def _overheard() -> Iterator[list[str]]:
-    """What libraries would write on the screen: their warnings, and errors while they give up a file."""
+def _overheard(library: str) -> Iterator[list[str]]:
+    """What a library would write on the screen: its warnings, and errors while it gives up a file."""
     said: list[str] = []
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: said.append(record.getMessage().strip())  # type: ignore[method-assign]
-    loggers = [logging.getLogger(name) for name in ("asammdf", "nptdms")]
-    before = [(each.handlers[:], each.propagate) for each in loggers]
+    root = library.partition(".")[0]
+    loggers = [
+        logging.getLogger(name) for name in [*logging.root.manager.loggerDict] if name.startswith(root)
+    ]
+    before = [(each, each.handlers, each.propagate) for each in loggers]
     unraisable = sys.unraisablehook
     try:
         for each in loggers:
@@ -111,7 +119,7 @@ def _overheard() -> Iterator[list[str]]:
             yield said
     finally:
         sys.unraisablehook = unraisable
-        for each, (handlers, propagate) in zip(loggers, before, strict=True):
+        for each, handlers, propagate in before:
             each.handlers, each.propagate = handlers, propagate
 
 
@@ -122,12 +130,14 @@ def _refusals(path: Path, kind: str) -> Iterator[None]:
         yield
     except (SaydError, MemoryError):
         raise
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"{path}: {kind} files need {error.name}: {EXTRA}") from None
     except Exception as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         # With its frames goes what the library has opened by half, while nobody hears it.
-        traceback.clear_frames(error.__traceback__)
+        cause: BaseException | None = error
+        while cause is not None:
+            traceback.clear_frames(cause.__traceback__)
+            cause = cause.__context__
+        gc.collect()
         raise DataError(f"{path}: cannot be read as a {kind} file ({reason[:200]})") from None
 
 
@@ -353,11 +363,19 @@ def _fits(names: Any, matrix: Any) -> bool:
     return isinstance(names, list) and len(names) == matrix.shape[1]
 
 
-_READERS: tuple[tuple[bytes, Callable[[Path], Any]], ...] = (
-    (b"MDF ", _mdf),
-    (b"UnFinMF", _mdf),
-    (b"TDSm", _tdms),
-    (b"PAR1", _parquet),
-    (b"MATLAB", _matlab),
+class _Kind(NamedTuple):
+    """A format, which the first bytes of a file tell."""
+
+    mark: bytes
+    name: str
+    library: str
+    reader: Callable[[Path], AbstractContextManager[Contents]]
+
+
+_KINDS = (
+    _Kind(b"MDF ", "MDF", "asammdf", _mdf),
+    _Kind(b"UnFinMF", "MDF", "asammdf", _mdf),
+    _Kind(b"TDSm", "TDMS", "nptdms", _tdms),
+    _Kind(b"PAR1", "Parquet", "pyarrow.parquet", _parquet),
+    _Kind(b"MATLAB", "MATLAB", "pymatreader", _matlab),
 )
-"""By the first bytes of a file."""

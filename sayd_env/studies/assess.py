@@ -499,7 +499,8 @@ def _page(result: RecordingResult, images: Mapping[str, bytes], document: Mappin
 _SLIDING = (
     "RMS of the band-passed signals over 100 m, every 10 m, as section 3 of Wang et al. (2022) applies EN "
     "14363. The limit of accelerations is (12 - m_b / 5) / 2 m/s² with the bogie's mass m_b in t, that of "
-    "track shift forces (10 + P / 3) / 2 kN with the axle load P in kN. A channel above it makes the ride unstable."
+    "track shift forces (10 + P / 3) / 2 kN with the axle load P in kN. A channel above its limit makes the "
+    "ride unstable."
 )
 _SIGNALS = (
     "Each signal as it was measured, and behind a band-pass filter of 2 Hz to both sides of its dominant "

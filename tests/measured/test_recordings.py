@@ -79,13 +79,14 @@ def test_result_goes_to_json_tables_plots_and_console(ride: Path) -> None:
 
 
 def test_the_page_has_verdict_pictures_sections_and_what_was_done(ride: Path) -> None:
-    """Sections of 500 m: a sine's RMS is A / sqrt(2), its quantiles are those of the arcsine distribution."""
+    """The RMS of a sine over x = 26 2/3 periods, a section of 500 m, and quantiles of the arcsine law."""
     result = assess_file(ride, SETTINGS, TRAIN)
     rows = result.sections()
     assert [row["start_m"] for row in rows] == [0, 0, 500, 500, 1000, 1000]
     assert rows[-1]["end_m"] == pytest.approx(1500.0)
-    assert rows[0]["rms"] == pytest.approx(4 / np.sqrt(2), rel=1e-3)
-    assert rows[2]["band_rms"] == pytest.approx(4 / np.sqrt(2), rel=1e-3)
+    angle = 4 * np.pi * 80 / 3
+    assert rows[0]["rms"] == pytest.approx(4 / np.sqrt(2) * np.sqrt(1 - np.sin(angle) / angle), rel=3e-4)
+    assert rows[2]["band_rms"] == pytest.approx(rows[2]["rms"], rel=1e-3)
     assert rows[0]["high"] == pytest.approx(4 * np.cos(np.pi * 0.0015), rel=1e-3)
     images = dict.fromkeys(result.plots(), b"picture")
     page = result.pages(images, {"config": {}, "command": "sayd assess <ride>"})["report"]
