@@ -188,7 +188,9 @@ def read_head(lines: Sequence[Line], comments: Sequence[Line], named: str, sourc
     commented = False
     # Names for a part of the columns are none: such a line belongs to what stands above a table. So does
     # free text above columns between blanks.
-    if first < len(lines) and (len(names) < usual or (separator == BLANKS and len(names) != usual)):
+    rows = list(map(len, sample))
+    short = len(names) < usual and rows.count(len(names)) < rows.count(usual)
+    if first < len(lines) and (short or (separator == BLANKS and len(names) != usual)):
         names, units, place = [], [], None
         last = above[-1].number if above else 0
         near = [each for each in comments if last < each.number < lines[first].number][-3:]
@@ -215,9 +217,9 @@ def _tail(lines: Sequence[Line]) -> Sequence[Line]:
 
 
 def _usual(rows: Sequence[Sequence[str]]) -> int:
-    """Number of cells of most rows."""
+    """Number of cells of most rows; of two that are as frequent the larger, as last cells may be empty."""
     count = Counter(map(len, rows))
-    return max(count, key=lambda cells: (count[cells], -cells))
+    return max(count, key=lambda cells: (count[cells], cells))
 
 
 def _is_one_column(lines: Sequence[Line]) -> bool:

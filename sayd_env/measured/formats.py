@@ -12,6 +12,7 @@ import re
 import sys
 import traceback
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -224,8 +225,9 @@ def _mdf(path: Path) -> Iterator[Contents]:
             numbers = _numeric(path, got.name, got.samples)
             return numbers if lost is None else np.where(np.asarray(lost, dtype=bool), np.nan, numbers)
 
+        names = _distinct([(str(group + 1), channel.name) for group, _, channel, _ in found])
         columns = tuple(
-            Column(channel.name, str(channel.unit or ""), count, time=_times_of(signal, place))
+            Column(names[place], str(channel.unit or ""), count, time=_times_of(signal, place))
             for place, (_, _, channel, count) in enumerate(found)
         )
         yield _of_channels(path, columns, values)
@@ -241,18 +243,25 @@ def _times_of(signal: Callable[[int], Any], place: int) -> Callable[[], Array]:
 def _tdms(path: Path) -> Iterator[Contents]:
     with import_module("nptdms").TdmsFile.open(path) as file:
         found = [channel for group in file.groups() for channel in group.channels()]
-        columns = tuple(_tdms_column(channel) for channel in found)
+        names = _distinct([(channel.group_name, channel.name) for channel in found])
+        columns = tuple(map(_tdms_column, names, found))
         yield _of_channels(path, columns, lambda k: _numeric(path, found[k].name, found[k][:]))
 
 
-def _tdms_column(channel: Any) -> Column:
+def _tdms_column(name: str, channel: Any) -> Column:
     about: Mapping[str, Any] = channel.properties
     unit = str(about.get("unit_string") or about.get("NI_UnitDescription") or "")
     count, step = len(channel), float(about.get("wf_increment") or 0.0)
     if not step:
-        return Column(channel.name, unit, count)
+        return Column(name, unit, count)
     start = float(about.get("wf_start_offset") or 0.0)
-    return Column(channel.name, unit, count, time=lambda: start + step * np.arange(count))
+    return Column(name, unit, count, time=lambda: start + step * np.arange(count))
+
+
+def _distinct(names: Sequence[tuple[str, str]]) -> list[str]:
+    """Names of channels; those that several groups have come with their group in front."""
+    count = Counter(name for _, name in names)
+    return [f"{group}/{name}" if count[name] > 1 else name for group, name in names]
 
 
 @contextmanager

@@ -60,8 +60,8 @@ class Recording:
 
 
 _ALLOWED = "s or ms (time), km/h or m/s (speed), m/s2 or g (acceleration), N or kN (track shift force)"
-_TIME = re.compile(r"(?:.*\.)?(?:t|time|zeit|elapsed|timestamp|time[ _]?stamp)\b.*", re.IGNORECASE)
-_SPEED = re.compile(r".*(?:speed|velocity|geschw|vitesse).*|(?:.*\.)?v(?:[ _-].*)?", re.IGNORECASE)
+_TIME = re.compile(r"(?:.*[./])?(?:t|time|zeit|elapsed|timestamp|time[ _]?stamp)\b.*", re.IGNORECASE)
+_SPEED = re.compile(r".*(?:speed|velocity|geschw|vitesse).*|(?:.*[./])?v(?:[ _-].*)?", re.IGNORECASE)
 # The limit of acceleration is one of lateral ones on the bogie frame: names of others pass for none.
 _ELSEWHERE = re.compile(r"vert|longit|car ?body|wagenkasten|axle[ _]?box", re.IGNORECASE)
 # Nothing on rails is faster: a speed beyond it was given in another unit than its header says.

@@ -6,7 +6,6 @@ import io
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -127,34 +126,42 @@ class TextTable:
         """
         if not (len(self) and len(columns)):
             return np.empty((len(self), len(columns)))
-        if self._plain and max(columns) < self.width:
-            try:
-                frame = self._read(columns, dtype=np.float64, keep_default_na=False, na_values=_MISSING)
-            except ValueError:
-                return self._converted(columns, gaps)
-            values = np.column_stack([frame[k].to_numpy(dtype=np.float64) for k in columns])
-            if not np.isinf(values).any() and (gaps or not np.isnan(values).any()):
+        for mark in (".", ",") if max(columns) < self.width and not _TRUTH.search(self._body) else ():
+            values = self._parsed(columns, mark)
+            if values is not None and not np.isinf(values).any() and (gaps or not np.isnan(values).any()):
                 return values
         return self._converted(columns, gaps)
 
-    @cached_property
-    def _plain(self) -> bool:
-        """Whether no comma can be a decimal mark, and no word passes for a number with pandas."""
-        comma = self.head.separator != "," and "," in self._body
-        return not (comma or '"' in self._body or _TRUTH.search(self._body))
+    def _parsed(self, columns: Sequence[int], mark: str) -> Array | None:
+        """Numbers with a decimal mark, None if there are others, or the mark could be one of thousands."""
+        how = {"dtype": np.float64, "decimal": mark, "keep_default_na": False, "na_values": _MISSING}
+        try:
+            frame = self._read(columns, **how)
+        except ValueError:
+            return None
+        values = np.column_stack([frame[k].to_numpy(dtype=np.float64) for k in columns])
+        if mark == ".":
+            return values
+        # 0,5 and 1,2345 and 1234,5 have no mark between thousands.
+        part = np.abs(values[np.isfinite(values) & (values != np.round(values))])
+        decisive = (part < 1.0) | (part >= 1000.0) | (np.abs(1e3 * part - np.round(1e3 * part)) > 1e-3)
+        return values if decisive.any() else None
 
     def _converted(self, columns: Sequence[int], gaps: bool) -> Array:
         """Numbers cell by cell, so that a bad one has a place."""
         cells = self.cells(columns)
-        known = set(cells.ravel())
 
         def place(cell: str) -> str:
             row, k = (int(i) for i in np.argwhere(cells == cell)[0])
             return self.where(row, columns[k])
 
-        mark = decimal_mark(known, place)
-        values = {cell: _value(cell, mark) for cell in known}
-        found = np.array([[values[cell] for cell in row] for row in cells], dtype=np.float64)
+        mark = decimal_mark({cell for cell in cells.ravel() if "," in cell or "." in cell}, place)
+        text = pd.Series(cells.ravel())
+        numbers = pd.to_numeric(text.str.replace(",", ".") if mark == "," else text, errors="coerce")
+        found = numbers.to_numpy(dtype=np.float64, copy=True)
+        odd = np.flatnonzero(~np.isfinite(found))
+        found[odd] = [_value(cell, mark) for cell in cells.ravel()[odd]]
+        found = found.reshape(cells.shape)
         wrong = np.isinf(found) if gaps else ~np.isfinite(found)
         if wrong.any():
             row, k = (int(i) for i in np.argwhere(wrong)[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
@@ -78,7 +78,7 @@ class Stated(NamedTuple):
 
 @dataclass(frozen=True)
 class Train:
-    """What the limits need to know of a train."""
+    """What the limits follow from."""
 
     bogie_mass: Stated | None = None
     """Mass of the whole bogie, wheelsets included (kg)."""
@@ -106,27 +106,31 @@ class Train:
         )
 
     def limit(self, quantity: Quantity) -> float:
-        """Limit of a quantity's sliding RMS (m/s2 or N).
+        """Limit of a quantity's sliding RMS (m/s2 or N), see `check`."""
+        self.check([quantity])
+        if quantity is Quantity.ACCELERATION:
+            return acceleration_limit(self.bogie_mass.value if self.bogie_mass else math.nan)
+        return track_shift_limit(self.axle_load.value if self.axle_load else math.nan)
+
+    def check(self, quantities: Iterable[Quantity]) -> None:
+        """Refuse a train of which a number is missing that the limit of a quantity follows from.
 
         Raises
         ------
         ConfigError
-            The train's number that it follows from is not known, or is none of a train.
+            It names all that is missing, and how to give it.
         """
-        if quantity is Quantity.ACCELERATION:
-            if self.bogie_mass is None:
-                raise ConfigError(_missing("accelerations", "bogie's mass", "--bogie-mass KG"))
-            return acceleration_limit(self.bogie_mass.value)
-        if self.axle_load is None:
-            raise ConfigError(_missing("track shift forces", "axle load", "--axle-load KN"))
-        return track_shift_limit(self.axle_load.value)
-
-
-def _missing(what: str, number: str, option: str) -> str:
-    return (
-        f"the limit of {what} follows from the {number} of the recorded train: give {option}, or --config"
-        " with a study whose vehicle is that train"
-    )
+        found = set(quantities)
+        missing = []
+        if Quantity.ACCELERATION in found and self.bogie_mass is None:
+            missing.append("the limit of accelerations follows from the bogie's mass: give --bogie-mass KG")
+        if Quantity.TRACK_SHIFT_FORCE in found and self.axle_load is None:
+            missing.append("the limit of track shift forces follows from the axle load: give --axle-load KN")
+        if missing:
+            raise ConfigError(
+                f"the recorded train is not known: {'; '.join(missing)}; or --config with a study whose"
+                " vehicle is that train"
+            )
 
 
 @dataclass(frozen=True)
@@ -378,10 +382,11 @@ class RecordingResult:
                     linewidth=1.0,
                     label=label(self.recording.channels[k].name),
                 )
-            limit_line(axis, self.train.limit(quantity) * unit.scale, "limit")
-            axis.set_ylim(bottom=0.0)
+            limit = self.train.limit(quantity) * unit.scale
+            limit_line(axis, limit, "limit")
+            axis.set_ylim(0.0, 1.15 * max(limit, axis.dataLim.y1))
             axis.set(ylabel=f"sliding RMS ({unit.name})", title=_TITLES[quantity])
-            axis.legend(fontsize="small", ncols=3)
+            _legend_beside(axis)
         axes[-1].set_xlabel("distance (m)")
 
     def _draw_spectra(self, figure: Figure) -> None:
@@ -405,7 +410,7 @@ class RecordingResult:
                 )
             axis.set_ylim(bottom=0.0)
             axis.set(ylabel=f"RMS ({unit.name})", title=_TITLES[quantity])
-            axis.legend(fontsize="small")
+            _legend_beside(axis)
         axes[-1].set_xlabel("frequency (Hz)")
 
     def _head(self, axis: Axes, k: int) -> None:
@@ -420,6 +425,10 @@ class RecordingResult:
 
 def _of(stated: Stated | None, scale: float = 1.0) -> dict[str, Any] | None:
     return None if stated is None else {"value": stated.value * scale, "from": stated.source}
+
+
+def _legend_beside(axis: Axes) -> None:
+    axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
 
 
 def _line(number: int) -> str:
@@ -554,8 +563,7 @@ def assess_file(
         raise ConfigError(f"run-in: found {run_in:g} m; it must be 0 or more")
     settings = settings.model_copy(update={"run_in": run_in, "length": None})
     recording = read_recording(path, settings, speed=speed, sample_rate=sample_rate, columns=columns)
-    for channel in recording.channels:
-        train.limit(channel.quantity)
+    train.check(channel.quantity for channel in recording.channels)
     try:
         assessment = assess(recording.signals, recording.sample_rate, recording.speed, settings)
     except DataError as error:

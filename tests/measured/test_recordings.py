@@ -102,10 +102,12 @@ def test_the_page_has_verdict_pictures_sections_and_what_was_done(ride: Path) ->
 
 
 def test_the_limit_asks_for_the_train(ride: Path) -> None:
-    with pytest.raises(ConfigError, match="bogie's mass of the recorded train: give --bogie-mass KG, or"):
+    with pytest.raises(ConfigError, match="bogie's mass: give --bogie-mass KG; or --config"):
         assess_file(ride, SETTINGS, Train.of(axle_load=150e3))
-    with pytest.raises(ConfigError, match="axle load of the recorded train: give --axle-load KN, or"):
+    with pytest.raises(ConfigError, match="axle load: give --axle-load KN; or --config"):
         assess_file(ride, SETTINGS, Train.of(bogie_mass=5600.0))
+    with pytest.raises(ConfigError, match=r"--bogie-mass KG; .* --axle-load KN; or --config"):
+        assess_file(ride, SETTINGS, Train.of())
     emu = Train.of(scenario=load_scenario("estimates"), bogie_mass=6000.0)
     assert emu.bogie_mass == Stated(6000.0, "--bogie-mass")
     # Carbody 49,962 kg, two frames of 2,500 kg and four wheelsets of 1,550 kg on four wheelsets.
@@ -300,7 +302,7 @@ def parquet(path: Path, speed: np.ndarray, at: np.ndarray) -> None:
 
 @pytest.mark.parametrize("save", [mdf, tdms, matlab, parquet])
 def test_formats_of_measuring_systems(tmp_path: Path, save: Callable[..., None]) -> None:
-    """Each with a speed of 10 Hz and a channel that is not asked for, under any name of file."""
+    """Each with a speed of 10 Hz and a channel that is not asked for."""
     pytest.importorskip("pymatreader")
     at = np.arange(220) / 10.0
     save(tmp_path / "a.dat" if save is not mdf else tmp_path / "a.mf4", np.full(220, 270.0), at)
