@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import math
 import re
 import sys
 import traceback
@@ -32,6 +33,8 @@ LARGEST = 4096 * MIB
 """Most that a file of a measuring system may have; only the columns that are used are read of it."""
 LARGEST_MATLAB = 512 * MIB
 """Most that a MATLAB file may have, which is read as a whole, and compressed as a rule."""
+MOST_VALUES = 200_000_000
+"""Most values of a channel, and of a MATLAB file, that are read: an hour has 4 million at 1 kHz."""
 FORMATS = "text tables (.csv, .txt), MDF (.mf4, .mdf), TDMS, MATLAB (.mat) and Parquet"
 EXTRA = "pip install 'sayd-env[measured]'"
 
@@ -316,6 +319,7 @@ _UNIT = ("unit", "units")
 @contextmanager
 def _matlab(path: Path) -> Iterator[Contents]:
     read_bytes(path, "MATLAB file", LARGEST_MATLAB, 1)
+    _check_declared(path)
     content = import_module("pymatreader").read_mat(str(path))
     own = {key: value for key, value in content.items() if not key.startswith("__")}
     found = list(_matlab_channels(own, ""))
@@ -323,6 +327,18 @@ def _matlab(path: Path) -> Iterator[Contents]:
     rate = _part(own, _RATES)
     contents = _of_channels(path, columns, lambda k: _numeric(path, columns[k].header, found[k][1]))
     yield replace(contents, rate=float(rate) if isinstance(rate, int | float) else None)
+
+
+def _check_declared(path: Path) -> None:
+    """Refuse a MATLAB file that declares more values than it could hold, before they are read."""
+    try:
+        sizes = [math.prod(shape) for _, shape, _ in import_module("scipy.io").whosmat(str(path))]
+    except NotImplementedError:  # of version 7.3
+        sizes = []
+        with import_module("h5py").File(path) as file:
+            file.visititems(lambda _, item: sizes.append(int(getattr(item, "size", 0))))
+    if sum(sizes) > MOST_VALUES:
+        raise DataError(f"{path}: declares {sum(sizes):.3g} values; at most {MOST_VALUES:.3g} are read")
 
 
 def _matlab_channels(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[Column, Any]]:
@@ -357,7 +373,7 @@ def _matlab_structure(content: Mapping[str, Any], name: str) -> tuple[Column, An
     if isinstance(times, np.ndarray) and times.size == data.size:
         own = lambda: np.asarray(times, dtype=np.float64)  # noqa: E731 - one of two
     elif isinstance(rate, int | float) and rate > 0:
-        own = lambda: np.arange(data.size) / float(rate)  # noqa: E731
+        own = lambda: np.arange(data.size, dtype=np.float64) / float(rate)  # noqa: E731
     return Column(
         label if isinstance(label, str) else name, unit if isinstance(unit, str) else "", data.size, own
     ), data

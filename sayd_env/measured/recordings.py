@@ -14,7 +14,7 @@ import numpy as np
 from sayd_env.config import DataError, nearest
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.units import KMH, Array
-from sayd_env.measured.formats import Contents, opened
+from sayd_env.measured.formats import MOST_VALUES, Contents, opened
 from sayd_env.measured.sampling import Series, put_right, sampled
 from sayd_env.measured.units import Unit, name_and_unit, unit_of
 
@@ -145,33 +145,48 @@ def read_recording(
 
 def _columns(contents: Contents, chosen: Sequence[str] | None) -> list[_Column]:
     """Columns that are understood, those of time and speed included."""
-    parsed = []
-    for place, column in enumerate(contents.columns):
-        name, unit = name_and_unit(column.header)
-        parsed.append((place, column.header, name, column.unit or unit))
+    parsed = [_parsed(contents, place) for place in range(len(contents.columns))]
     _check_names(contents, parsed, chosen)
     result = []
     for place, header, name, text in parsed:
         # An index that a program wrote in front of the columns has no name.
         if not header and place == 0:
             continue
-        unit = unit_of(text) if text else None
+        known = unit_of(text) if text else None
         wanted = chosen is None or header in chosen or name in chosen
-        meaning = unit.quantity if unit else ""
-        if unit is None or (wanted and meaning not in ("time", "speed", *_QUANTITIES)):
+        meaning = known.quantity if known else ""
+        if known is None or (wanted and meaning not in ("time", "speed", *_QUANTITIES)):
             if wanted:
                 _refuse(contents, header or f"number {place + 1}", text, parsed)
             continue
         if wanted or (meaning == "time" and _TIME.fullmatch(name)) or meaning == "speed":
-            result.append(_Column(place, header, name, unit))
+            result.append(_Column(place, header, name, known))
     return result
 
 
-def _check_names(
-    contents: Contents, parsed: Sequence[tuple[int, str, str, str]], chosen: Sequence[str] | None
-) -> None:
-    headers = [header for _, header, _, _ in parsed]
-    known = {*headers, *(name for _, _, name, _ in parsed)} - {""}
+class _Parsed(NamedTuple):
+    """What a header says."""
+
+    place: int
+    header: str
+    name: str
+    unit: str
+
+
+def _parsed(contents: Contents, place: int) -> _Parsed:
+    column = contents.columns[place]
+    name, unit = name_and_unit(column.header)
+    if column.unit and unit and unit_of(column.unit) != unit_of(unit):
+        raise DataError(
+            f"{contents.source}: column '{column.header}': its name says {unit!r}, the file beside it or below"
+            f" {column.unit!r}; expected one unit"
+        )
+    return _Parsed(place, column.header, name, column.unit or unit)
+
+
+def _check_names(contents: Contents, parsed: Sequence[_Parsed], chosen: Sequence[str] | None) -> None:
+    headers = [each.header for each in parsed]
+    known = {*headers, *(each.name for each in parsed)} - {""}
     for name in chosen or ():
         if name not in known:
             listed = ", ".join(f"'{header}'" for header in headers[:20] if header)
@@ -183,8 +198,8 @@ def _check_names(
             raise DataError(f"{contents.source}: column '{header}' appears twice")
 
 
-def _refuse(contents: Contents, header: str, text: str, parsed: Sequence[tuple[int, str, str, str]]) -> None:
-    usable = [name for _, _, name, unit in parsed if (u := unit_of(unit)) and u.quantity in _QUANTITIES]
+def _refuse(contents: Contents, header: str, text: str, parsed: Sequence[_Parsed]) -> None:
+    usable = [each.name for each in parsed if (u := unit_of(each.unit)) and u.quantity in _QUANTITIES]
     shown = " ".join(f'--column "{name}"' for name in usable[:4])
     hint = f", for example {shown}" if usable else ""
     raise DataError(
@@ -268,6 +283,10 @@ def _series(
     """Columns in SI units with their times, and what was done to these."""
     # All are read together, as one decimal mark holds for all.
     shared = [] if time is None or given is not None else [time]
+    for column in (*columns, *shared):
+        if (count := contents.columns[column.place].count) > MOST_VALUES:
+            where = f"{contents.source}: column '{column.header}'"
+            raise DataError(f"{where}: declares {count:.3g} values; at most {MOST_VALUES:.3g} are read")
     found = contents.values([c.place for c in (*columns, *shared)])
     values = [each * c.unit.factor for each, c in zip(found, (*columns, *shared), strict=True)]
     common = values.pop() if shared else None

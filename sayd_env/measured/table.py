@@ -134,12 +134,17 @@ class TextTable:
 
     def _parsed(self, columns: Sequence[int], mark: str) -> Array | None:
         """Numbers with a decimal mark, None if there are others, or the mark could be one of thousands."""
-        how = {"dtype": np.float64, "decimal": mark, "keep_default_na": False, "na_values": _MISSING}
+        how: dict[str, Any] = {
+            "dtype": np.float64,
+            "decimal": mark,
+            "keep_default_na": False,
+            "na_values": _MISSING,
+        }
         try:
             frame = self._read(columns, **how)
         except ValueError:
             return None
-        values = np.column_stack([frame[k].to_numpy(dtype=np.float64) for k in columns])
+        values: Array = np.column_stack([np.asarray(frame[k], dtype=np.float64) for k in columns])
         if mark == ".":
             return values
         # 0,5 and 1,2345 and 1234,5 have no mark between thousands.
@@ -158,7 +163,7 @@ class TextTable:
         mark = decimal_mark({cell for cell in cells.ravel() if "," in cell or "." in cell}, place)
         text = pd.Series(cells.ravel())
         numbers = pd.to_numeric(text.str.replace(",", ".") if mark == "," else text, errors="coerce")
-        found = numbers.to_numpy(dtype=np.float64, copy=True)
+        found: Array = np.array(numbers, dtype=np.float64)
         odd = np.flatnonzero(~np.isfinite(found))
         found[odd] = [_value(cell, mark) for cell in cells.ravel()[odd]]
         found = found.reshape(cells.shape)

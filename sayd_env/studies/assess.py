@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 _PLOTS_PER_FIGURE = 4
+_LONGEST_NAME = 36
 _POINTS = 3000
 """Of a drawn signal: its extremes in as many parts, so that a long recording loses no peak."""
 # EN 14363 takes these quantiles of a quantity in a section for its extremes.
@@ -380,7 +381,7 @@ class RecordingResult:
                     color=CYCLE[number % len(CYCLE)],
                     linestyle=_line(number),
                     linewidth=1.0,
-                    label=label(self.recording.channels[k].name),
+                    label=_short(self.recording.channels[k].name),
                 )
             limit = self.train.limit(quantity) * unit.scale
             limit_line(axis, limit, "limit")
@@ -406,7 +407,7 @@ class RecordingResult:
                     color=CYCLE[number % len(CYCLE)],
                     linestyle=_line(number),
                     linewidth=1.0,
-                    label=label(f"{found.channels[k].name}: f0 = {f0:.2f} Hz"),
+                    label=f"{_short(found.channels[k].name)}: f0 = {f0:.2f} Hz",
                 )
             axis.set_ylim(bottom=0.0)
             axis.set(ylabel=f"RMS ({unit.name})", title=_TITLES[quantity])
@@ -417,7 +418,7 @@ class RecordingResult:
         channel = self.recording.channels[k]
         axis.set_ylabel(_UNITS[channel.quantity].name)
         frequency = self.assessment.dominant_frequency[k]
-        axis.set_title(f"{channel.name}, f0 = {frequency:.2f} Hz", fontsize="small")
+        axis.set_title(f"{_short(channel.name)}, f0 = {frequency:.2f} Hz", fontsize="small")
 
     def _of(self, quantity: Quantity) -> list[int]:
         return [k for k, channel in enumerate(self.recording.channels) if channel.quantity is quantity]
@@ -425,6 +426,11 @@ class RecordingResult:
 
 def _of(stated: Stated | None, scale: float = 1.0) -> dict[str, Any] | None:
     return None if stated is None else {"value": stated.value * scale, "from": stated.source}
+
+
+def _short(name: str) -> str:
+    """A channel's name as a picture has room for it."""
+    return label(name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…")
 
 
 def _legend_beside(axis: Axes) -> None:

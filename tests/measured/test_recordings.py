@@ -19,6 +19,7 @@ from scipy.io import savemat
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.scenario import load_scenario
+from sayd_env.measured import formats, recordings
 from sayd_env.report.files import csv_bytes, json_text
 from sayd_env.stability import Quantity, Recording, read_recording
 from sayd_env.studies.assess import Stated, Train, assess_file
@@ -301,7 +302,9 @@ def parquet(path: Path, speed: np.ndarray, at: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("save", [mdf, tdms, matlab, parquet])
-def test_formats_of_measuring_systems(tmp_path: Path, save: Callable[..., None]) -> None:
+def test_formats_of_measuring_systems(
+    tmp_path: Path, save: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each with a speed of 10 Hz and a channel that is not asked for."""
     pytest.importorskip("pymatreader")
     at = np.arange(220) / 10.0
@@ -312,6 +315,11 @@ def test_formats_of_measuring_systems(tmp_path: Path, save: Callable[..., None])
     if save is not matlab:
         with pytest.raises(DataError, match="unit 'bar'; allowed"):
             read_recording(path, SETTINGS)
+    monkeypatch.setattr(formats, "MOST_VALUES", 5000)
+    monkeypatch.setattr(recordings, "MOST_VALUES", 5000)
+    with pytest.raises(DataError, match="declares .* values; at most 5e"):
+        read_recording(path, SETTINGS, columns=["bogie"])
+    monkeypatch.undo()
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2] + bytes(50))
     with pytest.raises(DataError, match=r"cannot be read as|samples|gap|speed"):
@@ -358,6 +366,7 @@ SHORT = "time_s,speed_kmh,a_n"
         ("time_s,speed_kmh,a_furlong\n0,300,1\n0.001,300,1\n", "column 'a_furlong': found no unit"),
         ("time_s,speed_kmh,a [bar],b_g\n0,3,1,1\n1,3,1,1\n", "'a .bar.': found unit 'bar'.*--column \"b\""),
         ("time_s,speed_kmh,a\n0,300,1\n0.001,300,1\n", "column 'a': found no unit"),
+        ("time_s;v_kmh;a_n\nms;km/h;N\n0;1;1\n1;1;1\n", "column 'time_s': its name says 's', .* 'ms'"),
         ("time_kn,speed_kmh,a_n\n0,300,1\n0.001,300,1\n", "column 'time_kn': found a unit of force"),
         ("time_s,speed_kn,a_n\n0,300,1\n0.001,300,1\n", "column 'speed_kn': found a unit of force"),
         ("time_s,delay_s,speed_kmh,a_n\n0,1,1,1\n1,1,1,1\n", "column 'delay_s': found a unit of time"),
