@@ -258,7 +258,7 @@ def _tdms_column(name: str, channel: Any) -> Column:
     if not step:
         return Column(name, unit, count)
     start = float(about.get("wf_start_offset") or 0.0)
-    return Column(name, unit, count, time=lambda: start + step * np.arange(count))
+    return Column(name, unit, count, time=lambda: start + step * np.arange(count, dtype=np.float64))
 
 
 def _distinct(names: Sequence[tuple[str, str]]) -> list[str]:

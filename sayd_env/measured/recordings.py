@@ -178,8 +178,8 @@ def _parsed(contents: Contents, place: int) -> _Parsed:
     name, unit = name_and_unit(column.header)
     if column.unit and unit and unit_of(column.unit) != unit_of(unit):
         raise DataError(
-            f"{contents.source}: column '{column.header}': its name says {unit!r}, the file beside it or below"
-            f" {column.unit!r}; expected one unit"
+            f"{contents.source}: column '{column.header}': its name says {unit!r}, the file beside it or"
+            f" below {column.unit!r}; expected one unit"
         )
     return _Parsed(place, column.header, name, column.unit or unit)
 
@@ -285,8 +285,10 @@ def _series(
     shared = [] if time is None or given is not None else [time]
     for column in (*columns, *shared):
         if (count := contents.columns[column.place].count) > MOST_VALUES:
-            where = f"{contents.source}: column '{column.header}'"
-            raise DataError(f"{where}: declares {count:.3g} values; at most {MOST_VALUES:.3g} are read")
+            raise DataError(
+                f"{contents.source}: column '{column.header}': declares {count:.3g} values; at most"
+                f" {MOST_VALUES:.3g} are read"
+            )
     found = contents.values([c.place for c in (*columns, *shared)])
     values = [each * c.unit.factor for each, c in zip(found, (*columns, *shared), strict=True)]
     common = values.pop() if shared else None

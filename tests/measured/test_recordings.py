@@ -317,7 +317,7 @@ def test_formats_of_measuring_systems(
             read_recording(path, SETTINGS)
     monkeypatch.setattr(formats, "MOST_VALUES", 5000)
     monkeypatch.setattr(recordings, "MOST_VALUES", 5000)
-    with pytest.raises(DataError, match="declares .* values; at most 5e"):
+    with pytest.raises(DataError, match=r"declares .* values; at most 5e"):
         read_recording(path, SETTINGS, columns=["bogie"])
     monkeypatch.undo()
     content = path.read_bytes()
