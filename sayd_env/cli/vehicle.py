@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 GROUP = "Vehicle and paper"
 # What no bogie and no wheelset has, in another unit as a rule.
-BOGIE_MASS, AXLE_LOAD = Number(500, 50_000, "kg"), Number(10, 500, "kN")
+BOGIE_MASS, AXLE_LOAD = Number(500, 50_000, "kg"), Number(30, 500, "kN")
 COMPONENTS = "Components"
 
 

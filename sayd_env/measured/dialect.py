@@ -68,7 +68,9 @@ def decode(content: bytes, source: str) -> tuple[str, str]:
 
 def _unmarked(content: bytes) -> tuple[str, str]:
     """Codec and name of an encoding without a mark."""
-    if zeros := content[:1000].count(0):
+    # In UTF-16 every other byte of Western text is zero.
+    zeros = content[:1000].count(0)
+    if zeros > 0.3 * len(content[:1000]):
         even = content[:1000:2].count(0)
         return ("utf-16-be" if 2 * even > zeros else "utf-16-le"), "UTF-16"
     try:

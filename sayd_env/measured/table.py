@@ -238,7 +238,7 @@ def read_text_table(path: str | Path, what: str = "table", largest: int = LARGES
     text, encoding = decode(read_bytes(Path(path), what, largest), source)
     lines, comments, separator = lines_of(text)
     if not lines:
-        raise DataError(f"{source}: is empty; expected a {what}")
+        raise DataError(f"{source}: is empty; expected a header and rows of numbers")
     return table_of(lines, source, comments=comments, separator=separator, encoding=encoding)
 
 
@@ -343,7 +343,7 @@ def read_table(path: str | Path, needed: Collection[str], rows: int) -> Table:
         No, unknown, missing or repeated columns; cells that are not finite numbers; too few rows; distances
         that do not ascend.
     """
-    text = read_text_table(path, "table over distance")
+    text = read_text_table(path, "file")
     where = f"{text.source}: line {text.head.line}"
     names = _with_units(text.head, where)
     _check_header(names, needed, where)
