@@ -1,19 +1,31 @@
-"""The README's Python snippets run as they stand."""
+"""The Python snippets of the README and of pages that stand alone run as they stand."""
 
 import re
 from pathlib import Path
 
 import pytest
 
-README = Path(__file__).parents[1] / "README.md"
-SNIPPETS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.DOTALL)
+ROOT = Path(__file__).parents[1]
+PAGES = ("README.md", "docs/en14363.md", "docs/recordings.md")
+SNIPPETS = [
+    (page, snippet)
+    for page in PAGES
+    for snippet in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
+]
 
 
-@pytest.mark.parametrize("snippet", SNIPPETS)
-def test_snippet_runs(snippet: str, capsys: pytest.CaptureFixture[str]):
-    exec(compile(snippet, str(README), "exec"), {})
+@pytest.mark.parametrize(("page", "snippet"), SNIPPETS)
+def test_snippet_runs(
+    page: str,
+    snippet: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(snippet, page, "exec"), {})
     assert capsys.readouterr().out
 
 
 def test_there_are_snippets():
-    assert SNIPPETS
+    assert {page for page, _ in SNIPPETS} == set(PAGES)

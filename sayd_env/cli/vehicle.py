@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from sayd_env.studies.tuning.calibrate import CalibrationResult
 
 GROUP = "Vehicle and paper"
+# What no bogie and no wheelset has, in another unit as a rule.
+BOGIE_MASS, AXLE_LOAD = Number(500, 50_000, "kg"), Number(30, 500, "kN")
 COMPONENTS = "Components"
 
 
@@ -253,12 +255,20 @@ def linearise(
     )
 
 
-@command(GROUP, "ride.csv --speed 300")
+@command(GROUP, "ride.csv --speed 300 --bogie-mass 5600 --axle-load 150")
 def assess(
-    file: Path = argument("FILE", "CSV file of the recording."),
+    file: Path = argument("FILE", "Recording: text table (.csv, .txt), MDF, TDMS, MATLAB or Parquet."),
     *,
+    bogie_mass: float | None = option(
+        "--bogie-mass KG", "Mass of the bogie with its wheelsets: limit of accelerations.", BOGIE_MASS
+    ),
+    axle_load: float | None = option(
+        "--axle-load KN", "Static load of a wheelset: limit of track shift forces.", AXLE_LOAD
+    ),
     speed: float | None = option("--speed KMH", "Speed, if no column gives it.", SPEED),
-    sample_rate: float | None = option("--sample-rate HZ", "If no column gives the time.", positive("Hz")),
+    sample_rate: float | None = option(
+        "--sample-rate HZ", "Sampling rate in place of the times in the file.", positive("Hz")
+    ),
     column: list[str] | None = option(
         "--column NAME", "Column to assess; repeatable. Default: every signal."
     ),
@@ -268,18 +278,34 @@ def assess(
 ) -> Plan:
     """Say whether a recorded run of a train meets the stability limits of EN 14363.
 
-    The header of the file names columns with their units: time_s, speed_kmh or speed_m_s, NAME_m_s2 (lateral
-    acceleration of the bogie frame above a wheelset), NAME_kn or NAME_n (track shift force of a wheelset).
+    Columns have names with units: time_s, speed_kmh or speed_m_s, NAME_m_s2 or NAME_g (lateral acceleration
+    of the bogie frame above a wheelset), NAME_kn or NAME_n (track shift force of a wheelset); NAME [m/s2] and
+    a row of units are read, too. The limits need --bogie-mass and --axle-load of the train, or --config with
+    its vehicle.
     """
-    from sayd_env.config.assessment import load_assessment  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies.assess import assess_file  # noqa: PLC0415
+    from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.assess import Train, assess_file  # noqa: PLC0415
 
-    settings = load_assessment("en14363" if config is None else config, assignments or ())
+    given = tuple(assignments or ())
+    scenario = load_scenario(config, given)
+    # The default vehicle is the paper's, and nobody's train.
+    known = config is not None or any(item.strip().startswith("vehicle") for item in given)
+    train = Train.of(
+        bogie_mass=bogie_mass,
+        axle_load=None if axle_load is None else axle_load * 1e3,
+        scenario=scenario if known else None,
+    )
     metric = None if speed is None else speed / KMH
 
     return Plan(
         lambda _: assess_file(
-            file, settings, speed=metric, sample_rate=sample_rate, columns=column, run_in=run_in
+            file,
+            scenario.assessment,
+            train,
+            speed=metric,
+            sample_rate=sample_rate,
+            columns=column,
+            run_in=run_in,
         ),
         lambda result: result.settings,
     )

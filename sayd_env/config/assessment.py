@@ -13,7 +13,7 @@ ASSESSMENT = Kind("study")
 
 
 class AssessmentConfig(Model):
-    """How a signal is assessed, and against which limits."""
+    """How a signal is assessed. The limits follow from the vehicle, see `sayd_env.stability.limits`."""
 
     run_in: float = quantity("m", "distance at the start that is not assessed", ge=0)
     length: float | None = quantity("m", "assessed distance; null: all that follows the run-in", gt=0)
@@ -34,16 +34,6 @@ class AssessmentConfig(Model):
     window_length: float = quantity("m", "window of the sliding RMS", gt=0)
     window_step: float = quantity("m", "step of the sliding RMS", gt=0)
 
-    axle_load: float = quantity(
-        "N",
-        "static load of one wheelset, P in eq. 25, of a recorded vehicle; a simulated one brings its own",
-        gt=0,
-    )
-    bogie_mass: float = quantity(
-        "kg",
-        "mass of the bogie with its wheelsets, m_b in eq. 26, of a recorded vehicle (simulated: its own)",
-        gt=0,
-    )
     grid_tolerance: float = quantity(
         "m/s", "a critical speed that moves further on another speed grid is sensitive to the grid", gt=0
     )

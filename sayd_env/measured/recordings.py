@@ -1,20 +1,22 @@
-"""Recordings of a real train: CSV files with units in their header."""
+"""Recordings of a real train: which columns hold time, speed and signals, in SI units on one time grid."""
 
 from __future__ import annotations
 
 import enum
-import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple
 
 import numpy as np
 
-from sayd_env.config import DataError, nearest, read_text
+from sayd_env.config import DataError, nearest
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
+from sayd_env.measured.formats import MOST_VALUES, Contents, opened
+from sayd_env.measured.sampling import Series, put_right, sampled
+from sayd_env.measured.units import Unit, name_and_unit, unit_of
 
 
 class Quantity(enum.Enum):
@@ -26,6 +28,9 @@ class Quantity(enum.Enum):
     """Sum of the guiding forces of one wheelset (N)."""
 
 
+_QUANTITIES = {"acceleration": Quantity.ACCELERATION, "force": Quantity.TRACK_SHIFT_FORCE}
+
+
 @dataclass(frozen=True)
 class Channel:
     """One recorded quantity."""
@@ -34,6 +39,8 @@ class Channel:
     """Name in the header, without the unit."""
     quantity: Quantity
     """Decides which limit applies."""
+    unit: str = ""
+    """Unit in the file, as it was understood."""
 
 
 @dataclass(frozen=True)
@@ -48,41 +55,31 @@ class Recording:
     """The columns of `signals`."""
     signals: Array
     """Shape (n, channels): m/s2 or N."""
+    notes: tuple[str, ...] = ()
+    """What was done to the data of the file."""
 
 
-class _Unit(NamedTuple):
-    meaning: str
-    factor: float
-
-
-_UNITS = {
-    "s": _Unit("time", 1.0),
-    "ms": _Unit("time", 1e-3),
-    "kmh": _Unit("speed", 1 / 3.6),
-    "km_h": _Unit("speed", 1 / 3.6),
-    "m_s": _Unit("speed", 1.0),
-    "m_s2": _Unit("acceleration", 1.0),
-    "g": _Unit("acceleration", 9.80665),
-    "n": _Unit("track_shift_force", 1.0),
-    "kn": _Unit("track_shift_force", 1e3),
-}
-_ALLOWED = "s or ms (time), kmh or m_s (speed), m_s2 or g (acceleration), n or kn (track shift force)"
+_ALLOWED = "s or ms (time), km/h or m/s (speed), m/s2 or g (acceleration), N or kN (track shift force)"
+_TIME = re.compile(r"(?:.*[./])?(?:t|time|zeit|elapsed|timestamp|time[ _]?stamp)\b.*", re.IGNORECASE)
+_SPEED = re.compile(r".*(?:speed|velocity|geschw|vitesse).*|(?:.*[./])?v(?:[ _-].*)?", re.IGNORECASE)
+# The limit of acceleration is one of lateral ones on the bogie frame: names of others pass for none.
+_ELSEWHERE = re.compile(r"vert|longit|car ?body|wagenkasten|axle[ _]?box", re.IGNORECASE)
 # Nothing on rails is faster: a speed beyond it was given in another unit than its header says.
 _FASTEST = 200.0
-# Times are written with few digits, so steps scatter; a missing sample makes a step twice as long.
-_STEP_SCATTER = 0.25
+_FASTEST_RATE = 1e6
 
 
 class _Column(NamedTuple):
     place: int
     header: str
     name: str
-    unit: _Unit
+    unit: Unit
 
 
-class _Row(NamedTuple):
-    line: int
-    text: str
+class _Roles(NamedTuple):
+    time: _Column | None
+    speed: _Column | None
+    channels: list[_Column]
 
 
 def read_recording(
@@ -93,10 +90,9 @@ def read_recording(
     sample_rate: float | None = None,
     columns: Sequence[str] | None = None,
 ) -> Recording:
-    """Read a recording.
+    """Read a recording: a text table, an MDF, TDMS, MATLAB or Parquet file.
 
-    The file holds one header line and one line for each sample, separated by commas, semicolons or tabs;
-    lines that start with ``#`` are comments. A column's unit stands at the end of its name or in brackets:
+    A column's unit stands in the file beside it, below its name, at the end of its name or in brackets:
     ``time_s``, ``speed_kmh``, ``bogie1_front_m_s2``, ``wheelset1_kn``, ``bogie1 front [m/s^2]``. Columns of
     acceleration are lateral accelerations of the bogie frame above a wheelset, columns of force are track
     shift forces.
@@ -104,239 +100,264 @@ def read_recording(
     Parameters
     ----------
     path : Path
-        CSV file.
+        The file; its format is found out from its content.
     settings : AssessmentConfig
         Gives the lowest sampling rate.
     speed : float, optional
         Constant speed (m/s) of a file without a speed column.
     sample_rate : float, optional
-        Sampling rate (Hz); a time column is then not read.
+        Sampling rate (Hz); times in the file are then not read.
     columns : sequence of str, optional
-        Names of the channels to read (with or without their unit). By default all columns are read, and
-        one that cannot be understood is an error.
+        Names of the channels to read (with or without their unit), and of the speed where there are several.
+        By default all columns are read, and one that cannot be understood is an error.
+
+    Returns
+    -------
+    Recording
+        Uniformly sampled, with notes on what was done for that.
 
     Raises
     ------
     DataError
-        The content cannot be used: empty, not numeric, not finite, without units or with unknown ones, not
-        uniform in time, sampled too slowly, without speed or without a channel.
+        The content cannot be used: empty, not numeric, not finite, without units or with unknown ones, with
+        gaps, sampled too slowly, without speed or without a channel.
     ConfigError
         The file cannot be read.
     """
-    header, delimiter, rows = _split(path)
-    found = _columns(path, header, columns, with_time=sample_rate is None)
-    time, velocity, channels = _roles(path, found)
-    table = _numbers(path, rows, delimiter, header, [c.place for c in found])
-    values = {c.place: table[:, k] * c.unit.factor for k, c in enumerate(found)}
-    rate = sample_rate if sample_rate is not None else _rate(path, time, values, rows)
-    if not (math.isfinite(rate) and rate >= settings.minimum_sample_rate * (1 - 1e-6)):
-        raise DataError(
-            f"{path}: sampling rate {rate:.6g} Hz; expected {settings.minimum_sample_rate:g} Hz or more"
-        )
+    if sample_rate is not None and not 0 < sample_rate <= _FASTEST_RATE:
+        raise DataError(f"sampling rate: found {sample_rate:g} Hz; allowed: above 0 to {_FASTEST_RATE:g} Hz")
+    with opened(path) as contents:
+        roles = _roles(contents, _columns(contents, columns), columns)
+        _check_speed_source(contents, roles, speed)
+        used = [*roles.channels, *([roles.speed] if roles.speed else [])]
+        series, timing = _series(contents, used, roles.time, sample_rate)
+    count = len(roles.channels)
+    along = series[count] if roles.speed else None
+    result = sampled(series[:count], along, settings.minimum_sample_rate, contents.source)
     return Recording(
-        sample_rate=rate,
-        speed=_speed(path, velocity, speed, values, rows),
-        channels=tuple(Channel(c.name, Quantity(c.unit.meaning)) for c in channels),
-        signals=np.column_stack([values[c.place] for c in channels]),
+        sample_rate=result.rate,
+        speed=float(speed or 0.0) if result.speed is None else result.speed,
+        channels=tuple(Channel(c.name, _QUANTITIES[c.unit.quantity], c.unit.name) for c in roles.channels),
+        signals=result.signals,
+        notes=(*contents.notes, *timing, *result.notes, *_said(roles, speed)),
     )
 
 
-def _split(path: Path) -> tuple[list[str], str, list[_Row]]:
-    text = read_text(path, "recording").removeprefix("\ufeff")
-    rows = [
-        _Row(number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not rows:
-        raise DataError(f"{path}: is empty; expected a header line and samples")
-    first = rows[0].text.rstrip()
-    delimiter = max(",;\t", key=first.count)
-    header = [name.strip().strip('"') for name in first.split(delimiter)]
-    if all(_is_number(name) for name in header):
-        raise DataError(
-            f"{path}: line {rows[0].line}: found numbers; expected a header with units such as time_s,"
-            " speed_kmh, bogie1_front_m_s2, wheelset1_kn"
-        )
-    if len(rows) < 3:
-        raise DataError(f"{path}: {len(rows) - 1} samples; expected a recording of at least 500 m")
-    return header, delimiter, rows[1:]
-
-
-def _columns(
-    path: Path, header: list[str], chosen: Sequence[str] | None, *, with_time: bool
-) -> list[_Column]:
-    repeated = {name for name in header if header.count(name) > 1}
-    if repeated:
-        raise DataError(f"{path}: column '{sorted(repeated)[0]}' appears twice")
-    _check_chosen(path, header, chosen)
+def _columns(contents: Contents, chosen: Sequence[str] | None) -> list[_Column]:
+    """Columns that are understood, those of time and speed included."""
+    parsed = [_parsed(contents, place) for place in range(len(contents.columns))]
+    _check_names(contents, parsed, chosen)
     result = []
-    for index, name in enumerate(header):
-        bare, unit = _parse(name)
-        if _is_time(bare) and not with_time:
+    for place, header, name, text in parsed:
+        # An index that a program wrote in front of the columns has no name.
+        if not header and place == 0:
             continue
-        role = _is_time(bare) or _is_speed(bare)
-        if chosen is not None and not role and name not in chosen and bare not in chosen:
+        known = unit_of(text) if text else None
+        wanted = chosen is None or header in chosen or name in chosen
+        meaning = known.quantity if known else ""
+        if known is None or (wanted and meaning not in ("time", "speed", *_QUANTITIES)):
+            if wanted:
+                _refuse(contents, header or f"number {place + 1}", text, parsed)
             continue
-        if unit not in _UNITS:
-            what = f"unit '{unit}'" if unit else "no unit"
-            raise DataError(
-                f"{path}: column '{name}': found {what}; allowed at the end of the name or in brackets:"
-                f" {_ALLOWED}. Name the columns to read to leave others out"
-            )
-        column = _Column(index, name, bare, _UNITS[unit])
-        _check_meaning(path, column)
-        result.append(column)
+        if wanted or (meaning == "time" and _TIME.fullmatch(name)) or meaning == "speed":
+            result.append(_Column(place, header, name, known))
     return result
 
 
-def _check_chosen(path: Path, header: list[str], chosen: Sequence[str] | None) -> None:
-    known = set(header) | {_parse(name)[0] for name in header}
+class _Parsed(NamedTuple):
+    """What a header says."""
+
+    place: int
+    header: str
+    name: str
+    unit: str
+
+
+def _parsed(contents: Contents, place: int) -> _Parsed:
+    column = contents.columns[place]
+    name, unit = name_and_unit(column.header)
+    if column.unit and unit and unit_of(column.unit) != unit_of(unit):
+        raise DataError(
+            f"{contents.source}: column '{column.header}': its name says {unit!r}, the file beside it or"
+            f" below {column.unit!r}; expected one unit"
+        )
+    return _Parsed(place, column.header, name, column.unit or unit)
+
+
+def _check_names(contents: Contents, parsed: Sequence[_Parsed], chosen: Sequence[str] | None) -> None:
+    headers = [each.header for each in parsed]
+    known = {*headers, *(each.name for each in parsed)} - {""}
     for name in chosen or ():
         if name not in known:
+            listed = ", ".join(f"'{header}'" for header in headers[:20] if header)
+            more = f" and {len(headers) - 20} more" if len(headers) > 20 else ""
+            like = nearest(name, sorted(known))
+            raise DataError(f"{contents.source}: no column '{name}'{like}; the file has {listed}{more}")
+    for header in {each for each in headers if each and headers.count(each) > 1}:
+        if chosen is None or header in chosen or name_and_unit(header)[0] in chosen:
+            raise DataError(f"{contents.source}: column '{header}' appears twice")
+
+
+def _refuse(contents: Contents, header: str, text: str, parsed: Sequence[_Parsed]) -> None:
+    usable = [each.name for each in parsed if (u := unit_of(each.unit)) and u.quantity in _QUANTITIES]
+    shown = " ".join(f'--column "{name}"' for name in usable[:4])
+    hint = f", for example {shown}" if usable else ""
+    raise DataError(
+        f"{contents.source}: column '{header}': found {f'unit {text!r}' if text else 'no unit'}; allowed, in"
+        f" brackets, at the end of the name or in a row below it: {_ALLOWED}. Name the columns to read to"
+        f" leave others out{hint}"
+    )
+
+
+def _roles(contents: Contents, columns: list[_Column], chosen: Sequence[str] | None) -> _Roles:
+    source = contents.source
+    own = any(column.time is not None for column in contents.columns)
+    times = [c for c in columns if c.unit.quantity == "time"]
+    timed = [c for c in columns if _TIME.fullmatch(c.name)]
+    for column in timed:
+        if (
+            column.unit.quantity != "time"
+            and not _SPEED.fullmatch(column.name)
+            and column.name.lower() in ("t", "time")
+        ):
+            _wrong_unit(source, column, "time")
+    for column in times:
+        if column not in timed and not own:
             raise DataError(
-                f"{path}: no column '{name}'{nearest(name, sorted(known))}; the file has {', '.join(header)}"
+                f"{source}: column '{column.header}': found a unit of time, but it is not called time"
             )
-
-
-def _parse(header: str) -> tuple[str, str]:
-    """Name and normalised unit of a column; the unit is "" where none is given."""
-    bracket = re.fullmatch(r"(.*?)[\s_]*[\[(](.*)[\])]", header)
-    if bracket:
-        unit = bracket[2].strip().lower().replace("²", "2").replace("^", "").replace("/", "_")
-        return bracket[1].strip(), unit
-    lower = header.lower()
-    for unit in sorted(_UNITS, key=len, reverse=True):
-        if lower.endswith("_" + unit):
-            return header[: -len(unit) - 1], unit
-    name, _, last = header.rpartition("_")
-    return (name, last.lower()) if name else (header, "")
-
-
-def _is_time(name: str) -> bool:
-    return name.lower() in ("time", "t")
-
-
-def _is_speed(name: str) -> bool:
-    return name.lower() in ("speed", "velocity", "v")
-
-
-def _check_meaning(path: Path, column: _Column) -> None:
-    meaning = column.unit.meaning
-    expected = "time" if _is_time(column.name) else "speed" if _is_speed(column.name) else None
-    if expected is None and meaning in ("time", "speed"):
-        raise DataError(
-            f"{path}: column '{column.header}': found a unit of {meaning}; a channel has one of m_s2, g, n,"
-            " kn, and the columns of time and speed are called time and speed"
-        )
-    if expected is not None and meaning != expected:
-        raise DataError(
-            f"{path}: column '{column.header}': found a unit of {meaning.replace('_', ' ')};"
-            f" expected one of {expected}"
-        )
-
-
-def _roles(path: Path, columns: list[_Column]) -> tuple[_Column | None, _Column | None, list[_Column]]:
-    time = [c for c in columns if c.unit.meaning == "time"]
-    speed = [c for c in columns if c.unit.meaning == "speed"]
-    for group in (time, speed):
+    speeds = [c for c in columns if c.unit.quantity == "speed"]
+    for column in columns:
+        if _SPEED.fullmatch(column.name) and column.unit.quantity not in ("speed", "acceleration"):
+            _wrong_unit(source, column, "speed")
+    asked = [c for c in speeds if chosen is not None and (c.header in chosen or c.name in chosen)]
+    named = [c for c in speeds if _SPEED.fullmatch(c.name)]
+    speeds = asked or (speeds if chosen is None else named or speeds)
+    for group, what in ((times if not own else [], "time"), (speeds, "speed")):
         if len(group) > 1:
             raise DataError(
-                f"{path}: columns '{group[0].header}' and '{group[1].header}': expected one of them"
+                f"{source}: columns '{group[0].header}' and '{group[1].header}' both give the {what};"
+                " name the one to use and the signals with --column"
             )
-    channels = [c for c in columns if c not in time and c not in speed]
+    if speeds and speeds[0].unit.name != "km/h" and not _SPEED.fullmatch(speeds[0].name):
+        raise DataError(
+            f"{source}: column '{speeds[0].header}': found a unit of speed; a channel has one of"
+            " acceleration or force, and the column of the train's speed is called speed"
+        )
+    channels = [c for c in columns if c.unit.quantity in _QUANTITIES]
+    for column in channels:
+        if chosen is None and (found := _ELSEWHERE.search(column.name)):
+            raise DataError(
+                f"{source}: column '{column.header}': its name says '{found[0]}', and the limit is one of"
+                " lateral accelerations of the bogie frame; name the columns to assess with --column"
+            )
     if not channels:
         raise DataError(
-            f"{path}: no column to assess; expected accelerations (..._m_s2, ..._g) or track shift forces"
-            " (..._n, ..._kn)"
+            f"{source}: no column to assess; expected accelerations (..._m_s2, ... [g]) or track shift forces"
+            " (..._kn, ... [N])"
         )
-    return (time[0] if time else None), (speed[0] if speed else None), channels
+    return _Roles(times[0] if times and not own else None, speeds[0] if speeds else None, channels)
 
 
-def _numbers(path: Path, rows: list[_Row], delimiter: str, header: list[str], indices: list[int]) -> Array:
-    for line, text in rows:
-        cells = text.rstrip().removesuffix(delimiter).count(delimiter) + 1
-        if cells != len(header):
+def _wrong_unit(source: str, column: _Column, expected: str) -> None:
+    found = f"found a unit of {column.unit.quantity}; expected one of {expected}"
+    raise DataError(f"{source}: column '{column.header}': {found}")
+
+
+def _check_speed_source(contents: Contents, roles: _Roles, given: float | None) -> None:
+    if roles.speed is not None and given is not None:
+        raise DataError(
+            f"{contents.source}: has a column '{roles.speed.header}' and a given speed; use one of them"
+        )
+    if given is not None and not 0 < given <= _FASTEST:
+        raise DataError(f"speed: found {given * KMH:g} km/h; allowed: above 0 to {_FASTEST * KMH:g} km/h")
+    if roles.speed is None and given is None:
+        raise DataError(
+            f"{contents.source}: no column speed_kmh or speed_m_s; add one or give the speed (--speed)"
+        )
+
+
+def _series(
+    contents: Contents, columns: Sequence[_Column], time: _Column | None, given: float | None
+) -> tuple[list[Series], list[str]]:
+    """Columns in SI units with their times, and what was done to these."""
+    # All are read together, as one decimal mark holds for all.
+    shared = [] if time is None or given is not None else [time]
+    for column in (*columns, *shared):
+        if (count := contents.columns[column.place].count) > MOST_VALUES:
             raise DataError(
-                f"{path}: line {line}: found {cells} columns; the header has {len(header)}"
-                " (numbers need a decimal point, not a comma)"
+                f"{contents.source}: column '{column.header}': declares {count:.3g} values; at most"
+                f" {MOST_VALUES:.3g} are read"
             )
-    try:
-        table = np.loadtxt(
-            [row.text for row in rows],
-            delimiter=delimiter,
-            usecols=indices,
-            ndmin=2,
-            comments=None,
-            quotechar='"',
-        )
-    except ValueError:
-        _name_bad_cell(path, rows, delimiter, header, indices)
-    if not np.isfinite(table).all():
-        row, column = np.argwhere(~np.isfinite(table))[0]
+    found = contents.values([c.place for c in (*columns, *shared)])
+    values = [each * c.unit.factor for each, c in zip(found, (*columns, *shared), strict=True)]
+    common = values.pop() if shared else None
+    notes: dict[str, None] = {}
+    result: list[Series] = []
+    clocks: dict[bytes, Array] = {}
+    for column, numbers in zip(columns, values, strict=True):
+        if not len(numbers):
+            raise DataError(f"{contents.source}: found 0 samples; expected a recording of at least 500 m")
+        times, place = _times(contents, column, numbers, common, given), column.place
+        at = time.place if time is not None and times is common else place
+
+        def where(row: int, place: int = place) -> str:
+            return contents.where(place, row)
+
+        def time_at(row: int, at: int = at) -> str:
+            return contents.where(at, row)
+
+        _check(column, numbers, where)
+        if len(times) != len(numbers):
+            raise DataError(f"{where(0)}: {len(numbers)} values, but the time has {len(times)}")
+        key = times.tobytes()
+        if key not in clocks:
+            if (lost := np.flatnonzero(~np.isfinite(times))).size:
+                raise DataError(f"{time_at(int(lost[0]))}: found no time")
+            clocks[key], note = put_right(times, time_at)
+            notes |= {note: None} if note else {}
+        kept = np.flatnonzero(~np.isnan(numbers))
+        result.append(Series(clocks[key][kept], numbers[kept], kept, where))
+    return result, list(notes)
+
+
+def _times(
+    contents: Contents, column: _Column, numbers: Array, common: Array | None, given: float | None
+) -> Array:
+    """Times of a column (s): its own, the file's, or those that a sampling rate gives."""
+    own, rate = contents.columns[column.place].time, contents.rate if given is None else given
+    if given is None and own is not None:
+        return own()
+    if common is not None:
+        return common
+    if rate is None:
         raise DataError(
-            f"{path}: line {rows[row].line}: column '{header[indices[column]]}': found {table[row, column]};"
-            " expected a finite number"
+            f"{contents.source}: no column time_s; add one or give the sampling rate (--sample-rate)"
         )
-    return table
+    return np.arange(len(numbers)) / rate
 
 
-def _name_bad_cell(
-    path: Path, rows: list[_Row], delimiter: str, header: list[str], indices: list[int]
-) -> NoReturn:
-    for line, text in rows:
-        cells = text.split(delimiter)
-        for index in indices:
-            if not _is_number(cells[index].strip().strip('"')):
-                raise DataError(
-                    f"{path}: line {line}: column '{header[index]}': found {cells[index].strip()!r};"
-                    " expected a number with a decimal point"
-                )
-    raise DataError(f"{path}: cannot be read as a table separated by {delimiter!r}")
-
-
-def _rate(path: Path, column: _Column | None, values: dict[int, Array], rows: list[_Row]) -> float:
-    if column is None:
-        raise DataError(f"{path}: no column time_s; add one or give the sampling rate")
-    time = values[column.place]
-    steps = np.diff(time)
-    typical = float(np.median(steps))
-    wrong = (steps <= 0) | (np.abs(steps - typical) > _STEP_SCATTER * abs(typical))
-    if wrong.any():
-        i = int(np.argmax(wrong))
+def _check(column: _Column, numbers: Array, where: Callable[[int], str]) -> None:
+    if (infinite := np.flatnonzero(np.isinf(numbers))).size:
+        raise DataError(f"{where(int(infinite[0]))}: found an infinite number")
+    if column.unit.quantity != "speed":
+        return
+    wrong = np.flatnonzero((numbers <= 0) | (numbers > _FASTEST))
+    if wrong.size:
+        row = int(wrong[0])
         raise DataError(
-            f"{path}: line {rows[i + 1].line}: the time steps by {steps[i]:.6g} s; expected a uniform step,"
-            f" here {typical:.6g} s"
-        )
-    return float((len(time) - 1) / (time[-1] - time[0]))
-
-
-def _speed(
-    path: Path, column: _Column | None, given: float | None, values: dict[int, Array], rows: list[_Row]
-) -> float | Array:
-    if column is not None and given is not None:
-        raise DataError(f"{path}: has a column '{column.header}' and a given speed; use one of them")
-    allowed = f"allowed: above 0 to {_FASTEST * 3.6:g} km/h"
-    if given is not None:
-        if not 0 < given <= _FASTEST:
-            raise DataError(f"speed: found {given * 3.6:g} km/h; {allowed}")
-        return given
-    if column is None:
-        raise DataError(f"{path}: no column speed_kmh or speed_m_s; add one or give the speed")
-    speed = values[column.place]
-    wrong = (speed <= 0) | (speed > _FASTEST)
-    if wrong.any():
-        i = int(np.argmax(wrong))
-        raise DataError(
-            f"{path}: line {rows[i].line}: speed {speed[i] * 3.6:g} km/h; {allowed}"
+            f"{where(row)}: speed {numbers[row] * KMH:g} km/h; allowed: above 0 to {_FASTEST * KMH:g} km/h"
             " (is the unit in the header right? cut standstill off)"
         )
-    return speed
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+def _said(roles: _Roles, speed: float | None) -> list[str]:
+    """Source of the speed, and units that were not SI."""
+    notes = [f"Speed as given: {speed * KMH:g} km/h."] if speed is not None else []
+    if roles.speed is not None:
+        notes.append(f"Speed from column '{roles.speed.header}'.")
+    scaled = dict.fromkeys(column.unit for column in roles.channels if column.unit.factor != 1.0)
+    for unit in scaled:
+        si = "m/s2" if unit.quantity == "acceleration" else "N"
+        notes.append(f"{unit.name} was taken as {unit.factor:g} {si}.")
+    return notes

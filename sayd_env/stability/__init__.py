@@ -10,7 +10,7 @@ from sayd_env.stability.critical import (
     grid_sensitivity,
     thinned_grids,
 )
-from sayd_env.stability.limits import Limits, limits
+from sayd_env.stability.limits import Limits, acceleration_limit, limits, track_shift_limit
 from sayd_env.stability.signals import (
     averaged_spectra,
     band_pass,
@@ -28,6 +28,7 @@ __all__ = [
     "Limits",
     "Quantity",
     "Recording",
+    "acceleration_limit",
     "assess",
     "assessed_span",
     "averaged_spectra",
@@ -40,4 +41,5 @@ __all__ = [
     "read_recording",
     "sliding_rms",
     "thinned_grids",
+    "track_shift_limit",
 ]

@@ -43,11 +43,18 @@ def limits(axle_load: float, bogie_mass: float) -> Limits:
     ConfigError
         A load or mass that is not positive, or a mass for which eq. 26 leaves no limit (60 t and above).
     """
+    return Limits(track_shift_limit(axle_load), acceleration_limit(bogie_mass))
+
+
+def track_shift_limit(axle_load: float) -> float:
+    """Limit of the track shift force's sliding RMS (N), see `limits`."""
     if not (math.isfinite(axle_load) and axle_load > 0):
         raise ConfigError(f"axle load: found {axle_load:g} N; it must be positive")
+    return 0.5 * (10e3 + axle_load / 3)
+
+
+def acceleration_limit(bogie_mass: float) -> float:
+    """Limit of the sliding RMS of the bogie frame's lateral acceleration (m/s2), see `limits`."""
     if not 0 < bogie_mass < 60e3:
         raise ConfigError(f"bogie mass: found {bogie_mass:g} kg; it must lie between 0 and 60,000 kg")
-    return Limits(
-        track_shift_force=0.5 * (10e3 + axle_load / 3),
-        acceleration=0.5 * (12 - bogie_mass / 1e3 / 5),
-    )
+    return 0.5 * (12 - bogie_mass / 1e3 / 5)

@@ -28,7 +28,7 @@ OFFERED = {
     "modes": {*VEHICLE, *SHOWN, "speeds", "amplitude"},
     "linearise": {*VEHICLE, *SHOWN, "damper", "speed", "shift", "stroke-speed", "current", "frequency"}
     | {"delay-order"},
-    "assess": {*CONFIG, *SHOWN, "speed", "sample-rate", "column", "run-in"},
+    "assess": {*CONFIG, *SHOWN, "speed", "sample-rate", "column", "run-in"} | {"bogie-mass", "axle-load"},
     "evaluate": {*GRID, *RUNS, *SHOWN, "line", "initial-current", "seed", "seeds"},
     "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"},
     "hindsight": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick"},

@@ -282,14 +282,16 @@ def ride(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_assess_judges_a_recording_by_the_limits_of_en_14363(ride: Path, tmp_path: Path):
     """Limits 5.44 m/s2 and 30 kN: Wang et al. (2022), eq. 25 and 26, for P = 150 kN and m_b = 5.6 t."""
-    done = sayd("assess", str(ride), "--speed", "300", "--json", "--out", "here", cwd=tmp_path)
+    train = ("--bogie-mass", "5600", "--axle-load", "150")
+    done = sayd("assess", str(ride), "--speed", "300", *train, "--json", "--out", "here", cwd=tmp_path)
     assert done.returncode == 0
     content = json.loads(done.stdout)
     assert content["limits"] == pytest.approx({"acceleration_rms": 5.44, "track_shift_rms_kn": 30.0})
     assert [channel["stable"] for channel in content["channels"]] == [True, False]
     for channel in content["channels"]:
         assert channel["dominant_frequency_hz"] == pytest.approx(4.0, abs=0.01)
-    assert {"result.json", "channels.csv", "signals.png"} <= {
+    assert content["train"]["axle_load_kn"] == {"value": 150.0, "from": "--axle-load"}
+    assert {"result.json", "channels.csv", "sections.csv", "signals.png", "report.html"} <= {
         path.name for path in (tmp_path / "here").iterdir()
     }
 
@@ -302,8 +304,11 @@ def test_assess_judges_a_recording_by_the_limits_of_en_14363(ride: Path, tmp_pat
         (["RIDE", "--speed", "-300"], "--speed -300: expected a finite number above 0 km/h"),
         (["RIDE", "--speed", "300", "--run-in", "nan"], "run-in"),
         (["RIDE", "--speed", "300", "--column", "frame_ms2"], "frame_ms2"),
-        (["RIDE", "--speed", "300", "--set", "filter_ordr=2"], "did you mean 'filter_order'"),
-        (["RIDE", "--speed", "300", "--set", "axle_load=-1"], "axle_load"),
+        (["RIDE", "--speed", "300", "--set", "assessment.filter_ordr=2"], "did you mean 'filter_order'"),
+        (["RIDE", "--speed", "300", "--axle-load", "150"], "mass: give --bogie-mass KG; or --config"),
+        (["RIDE", "--speed", "300", "--bogie-mass", "5600"], "load: give --axle-load KN; or --config"),
+        (["RIDE", "--speed", "300", "--axle-load", "15"], "--axle-load 15: expected"),
+        (["RIDE", "--speed", "300", "--bogie-mass", "5.6"], "--bogie-mass 5.6: expected a number from 500"),
         (["RIDE", "--speed", "300", "--config", "en14364"], "did you mean 'en14363'"),
     ],
 )

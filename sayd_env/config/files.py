@@ -1,0 +1,52 @@
+"""Files of a user: regular files of a limited size, refused before anything is read of them."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from sayd_env.config.errors import ConfigError
+
+MIB = 2**20
+
+
+def read_bytes(path: Path, what: str, largest: int, most: int | None = None) -> bytes:
+    """Content of a regular file.
+
+    Parameters
+    ----------
+    path : Path
+        The file. A pipe or a device is not waited for: it might never begin, or never end.
+    what : str
+        What it should be, for messages.
+    largest : int
+        Most bytes that it may have.
+    most : int, optional
+        Bytes that are read of its beginning; all by default.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file, it is a directory, a pipe or a device, cannot be read, or is too large.
+    """
+    try:
+        # Without waiting: to open a pipe for reading otherwise lasts until somebody writes to it.
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(descriptor, "rb") as file:
+            about = os.fstat(descriptor)
+            if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
+                raise ConfigError(f"{path}: is a device or a pipe, expected a {what}")
+            # A file under /proc has no size before it is read.
+            content = b"" if about.st_size > largest else file.read(largest + 1 if most is None else most)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such {what}") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{path}: is a directory, expected a {what}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError:  # a NUL or half of a surrogate pair
+        raise ConfigError(f"{path}: is not a valid file name") from None
+    if max(about.st_size, len(content)) > largest:
+        raise ConfigError(f"{path}: is larger than {largest // MIB} MiB, the most that is read of a {what}")
+    return content
