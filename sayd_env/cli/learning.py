@@ -10,8 +10,9 @@ from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
 from sayd_env.cli.options import argument, option, output, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
-from sayd_env.cli.parsers import Number
+from sayd_env.cli.parsers import SPEED, Number
 from sayd_env.config.errors import ConfigError
+from sayd_env.config.units import KMH
 
 GROUP = "Learning"
 
@@ -93,19 +94,74 @@ def train(
 @command(GROUP, "results/train-ppo-s0 --onnx --out my-policy", without=("wide",))
 def export(
     foreign: options.ForeignOptions,
-    source: Path = argument(
+    choice: options.VehicleOptions,
+    source: Path | None = argument(
         "DIR|FILE|NAME",
         "Directory of a run (its best policy), a policy file, or the name of a ready policy.",
         autocompletion=options.policy_names,
+        default=None,
     ),
     *,
     onnx: bool = option("--onnx", "Write an ONNX model besides; needs 'sayd-env[onnx]'.", default=False),
+    fmu: Literal["damper", "vehicle"] | None = option(
+        "--fmu KIND", "Write a unit for other simulation tools instead of a policy: damper or vehicle."
+    ),
+    speed: float | None = scenario("--speed KMH", "Speed of --fmu vehicle. Default: 300.", SPEED),
+    seed: int | None = runs("--seed S", "Seed of the track of --fmu vehicle. Default: 0.", options.SEED),
     out: options.Out = None,
 ) -> Plan:
-    """Write a learned policy as files for others: weights with their description, and an ONNX model."""
+    """Write what others use: a learned policy (weights, an ONNX model), or the damper or the vehicle as an FMU.
+
+    --fmu damper writes the semi-active damper as a Functional Mock-up Unit for co-simulation, for FMI 2.0 and
+    3.0: machine code, which runs without Python. --fmu vehicle writes the vehicle on its track, with its own
+    dampers or for outside ones; where it runs, Python with sayd-env is needed. Both need a C compiler and pip
+    install 'sayd-env[fmu]'. The scenario's options belong to --fmu.
+    """
+    target = out or RESULTS / "export"
+    if fmu is None:
+        return _export_policy(foreign, choice, source, target, speed, seed, onnx=onnx)
+    from sayd_env.config.damper import SaydDamperConfig  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies import fmu as units  # noqa: PLC0415
+
+    for name, given in {"DIR|FILE|NAME": source, "--onnx": onnx or None}.items():
+        if given is not None:
+            raise ConfigError(f"--fmu {fmu}: writes no policy; leave out {name}")
+    if fmu == "damper" and (speed is not None or seed is not None):
+        raise ConfigError("--fmu damper: has no track; leave out --speed and --seed")
+    if choice.damper is None:
+        choice.damper = "sayd"
+    chosen = choice.load()
+    metric, track = (300.0 if speed is None else speed) / KMH, seed or 0
+    if fmu == "vehicle":
+        return Plan(lambda _: units.export_vehicle(chosen, metric, track, target), chosen, track, target)
+    damper = chosen.damper
+    if not isinstance(damper, SaydDamperConfig):
+        raise ConfigError(
+            f"--fmu damper: '{damper.name}' is passive; expected a semi-active one: --damper sayd"
+        )
+    return Plan(lambda _: units.export_damper(damper, target), chosen, folder=target)
+
+
+def _export_policy(
+    foreign: options.ForeignOptions,
+    choice: options.VehicleOptions,
+    source: Path | None,
+    target: Path,
+    speed: float | None,
+    seed: int | None,
+    *,
+    onnx: bool,
+) -> Plan:
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies import learning as study  # noqa: PLC0415
 
+    if source is None:
+        raise ConfigError(
+            "export: what? Give a run's directory, a policy's file or name, --fmu damper or --fmu vehicle"
+        )
+    fits = {"--speed": speed, "--seed": seed, **choice.given()}
+    for name, value in fits.items():
+        if value is not None:
+            raise ConfigError(f"{name}: belongs to --fmu; a policy has none")
     stored = study.read_source(source, foreign.reader(load_environment()))
-    target = out or RESULTS / "export"
     return Plan(lambda _: study.export(stored, target, onnx=onnx), folder=target)

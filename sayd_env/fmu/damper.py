@@ -237,7 +237,9 @@ def _hydraulic_steps(step: float, memory: Array) -> int:
 
 
 @kernel(inline=True, allocates=False)
-def _path(h: float, x: float, v: float, before: float, memory: Array, how: float) -> tuple[float, float, float]:
+def _path(
+    h: float, x: float, v: float, before: float, memory: Array, how: float
+) -> tuple[float, float, float]:
     """Position, velocity and acceleration at the start of a step from the inputs and the velocity before it."""
     if how >= REACHED:
         return x - 0.5 * h * (before + v), before, (v - before) / h

@@ -166,11 +166,15 @@ def _headers() -> Path:
 def _compilers(unit: Unit) -> dict[str, list[str]]:
     """Commands of the C compilers of this machine by what they make."""
     found: dict[str, list[str]] = {}
-    own = shlex.split(os.environ.get("CC", "")) or next(([c] for c in ("cc", "gcc", "clang") if shutil.which(c)), [])
+    own = shlex.split(os.environ.get("CC", "")) or next(
+        ([c] for c in ("cc", "gcc", "clang") if shutil.which(c)), []
+    )
     if own and sys.platform == "linux" and platform.machine() == "x86_64":
         found[LINUX] = own
     if importlib.util.find_spec("ziglang") is not None:
-        found |= {target: [sys.executable, "-m", "ziglang", "cc", "-target", name] for target, name in _ZIG.items()}
+        found |= {
+            target: [sys.executable, "-m", "ziglang", "cc", "-target", name] for target, name in _ZIG.items()
+        }
     found = {target: command for target, command in found.items() if target in unit.targets}
     if not found:
         raise ConfigError(
@@ -283,7 +287,9 @@ def description(unit: Unit, version: str, token: str) -> bytes:
         ElementTree.SubElement(each, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()})
     categories = ElementTree.SubElement(root, "LogCategories")
     ElementTree.SubElement(categories, "Category", {"name": "logStatusError"})
-    ElementTree.SubElement(root, "DefaultExperiment", {"startTime": "0", "stopTime": "1", "stepSize": f"{unit.step:g}"})
+    ElementTree.SubElement(
+        root, "DefaultExperiment", {"startTime": "0", "stopTime": "1", "stepSize": f"{unit.step:g}"}
+    )
     variables = ElementTree.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(unit.variables):
         _describe(variables, variable, reference, third)

@@ -54,7 +54,10 @@ def vehicle_variables(scenario: Scenario, speed: float, seed: int) -> tuple[Vari
     tank = damper.oil.tank_pressure
     inputs = [
         *((f"current.{d}", "1", "Command of the vehicle's own damper", damper.current) for d in DAMPERS),
-        *((f"F_1.{d}", "N", "Tension of an outside damper on its rod; the bogie gets -F_1", 0.0) for d in DAMPERS),
+        *(
+            (f"F_1.{d}", "N", "Tension of an outside damper on its rod; the bogie gets -F_1", 0.0)
+            for d in DAMPERS
+        ),
         *((f"F_2.{d}", "N", "Force of an outside damper's mount on its housing", 0.0) for d in DAMPERS),
     ]
     outputs = [
@@ -73,7 +76,14 @@ def vehicle_variables(scenario: Scenario, speed: float, seed: int) -> tuple[Vari
         *(Variable(n, unit, text, OUTPUT, tank if n[:2] == "p_" else 0.0) for n, unit, text in outputs),
         Variable("speed", "m/s", "Running speed", PARAMETER, speed, low, high),
         Variable(
-            "seed", "1", "Of the track's irregularities", PARAMETER, float(seed), 0.0, 2.0**31 - 1, integer=True
+            "seed",
+            "1",
+            "Of the track's irregularities",
+            PARAMETER,
+            float(seed),
+            0.0,
+            2.0**31 - 1,
+            integer=True,
         ),
         Variable(
             "outside_dampers",
@@ -95,11 +105,17 @@ class VehicleUnit:
     ----------
     scenario : Scenario
         With semi-active dampers, a vehicle with two bogies.
+
+    Attributes
+    ----------
+    variables : tuple of Variable
+        In the order of the values.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self.model = VehicleModel(scenario)
-        names = [v.name for v in vehicle_variables(scenario, 1.0, 0)]
+        self.variables = vehicle_variables(scenario, scenario.vehicle.speed_range[0], 0)
+        names = [v.name for v in self.variables]
         self._first = {name.partition(".")[0]: i for i, name in reversed(list(enumerate(names)))}
         ends = self.model.multibody.yaw_dampers
         self._bogie = np.array([bogie for _, bogie, _ in ends])

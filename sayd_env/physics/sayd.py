@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import elementwise
 
-from sayd_env.config.damper import SaydDamperConfig, SpringValve, ValveDynamics
+from sayd_env.config.damper import SaydDamperConfig, SpringValve
 from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import LANES
@@ -575,7 +575,7 @@ def sayd_arrays(config: SaydDamperConfig, step: float) -> SaydArrays:
 @kernel(allocates=False)
 def delay_steps(delay: float, step: float) -> int:
     """Number of vehicle steps (s) that a driver's delay (s) begins in."""
-    return int(math.ceil(delay / step - 1e-9))
+    return math.ceil(delay / step - 1e-9)
 
 
 @kernel(allocates=False)
@@ -583,8 +583,8 @@ def set_step(constant: Array, i: int, n: int, step: float, substeps: int) -> Non
     """Set what of damper i's constants depends on the vehicle's step (s) and the sub-steps in it.
 
     The spool's are the exact solution of y'' + 2 zeta omega y' + omega^2 (y - target) = 0 over a step with a
-    constant target. With sigma = zeta omega and d = sigma^2 - omega^2 the exponential of the system's matrix A
-    is ``exp(-sigma h) (C + (A + sigma) S)``, C = cosh(sqrt(d) h) and S = sinh(sqrt(d) h) / sqrt(d).
+    constant target. With sigma = zeta omega and d = sigma^2 - omega^2 the exponential of the system's matrix
+    A is ``exp(-sigma h) (C + (A + sigma) S)``, C = cosh(sqrt(d) h) and S = sinh(sqrt(d) h) / sqrt(d).
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ OFFERED = {
     "policies": SHOWN,
     "tune": {*CONFIG, *RUNS, *SHOWN, "quick", "seed", "file"},
     "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed"} - {"wide"},
-    "export": {*FOREIGN, *SHOWN, "onnx"} - {"wide"},
+    "export": {*FOREIGN, *VEHICLE, *SHOWN, "onnx", "fmu", "damper", "speed", "seed"} - {"wide"},
     "conicity": {*WHEELS, *SHOWN},
     "hysteresis": {*CONFIG, *SHOWN, "damper", "amplitudes", "frequencies", "current"},
     "bench": {*VEHICLE, *SHOWN, "speed", "quick", "workers", "executor"},
