@@ -110,7 +110,7 @@ def export(
     seed: int | None = runs("--seed S", "Seed of the track of --fmu vehicle. Default: 0.", options.SEED),
     out: options.Out = None,
 ) -> Plan:
-    """Write what others use: a learned policy (weights, an ONNX model), or the damper or the vehicle as an FMU.
+    """Write what others use: a learned policy (weights, an ONNX model), or damper or vehicle as an FMU.
 
     --fmu damper writes the semi-active damper as a Functional Mock-up Unit for co-simulation, for FMI 2.0 and
     3.0: machine code, which runs without Python. --fmu vehicle writes the vehicle on its track, with its own

@@ -1,4 +1,4 @@
-"""The semi-active damper as a co-simulation unit: what it is told and tells, and its step between two instants.
+"""The semi-active damper as a co-simulation unit: what it is told and tells, and its communication step.
 
 The step calls the vehicle's own damper kernels and is compiled like them; `sayd_env.fmu.machine_code` makes
 an object file of it. Everything that changes lives in one flat array, so that a unit's state can be copied.
@@ -126,8 +126,8 @@ def damper_model(config: SaydDamperConfig) -> DamperModel:
         Variable(
             "motion",
             "1",
-            "Ends within a communication step: 0 go on at the velocities of its start, 1 go on as in the step "
-            "before, 2 arrive at the inputs, which are those of its end",
+            "Ends within a communication step: 0 go on at the velocities of its start, 1 go on as in the "
+            "step before, 2 arrive at the inputs, which are those of its end",
             PARAMETER,
             float(CONTINUED),
             low=0.0,
@@ -175,7 +175,7 @@ def damper_step(h: float, value: Array, memory: Array, table: Array) -> int:
     if h == 0.0:
         _begin(value, memory, state)
     else:
-        count = int(math.ceil(h / LONGEST - 1e-9))
+        count = math.ceil(h / LONGEST - 1e-9)
         if not _set_step(h / count, memory):
             return TOO_SHORT
         _advance(h, count, value, memory, state, table)
@@ -233,14 +233,14 @@ def _set_step(step: float, memory: Array) -> bool:
 
 @kernel(inline=True, allocates=False)
 def _hydraulic_steps(step: float, memory: Array) -> int:
-    return int(math.ceil(step / memory[HYDRAULIC] - 1e-9))
+    return math.ceil(step / memory[HYDRAULIC] - 1e-9)
 
 
 @kernel(inline=True, allocates=False)
 def _path(
     h: float, x: float, v: float, before: float, memory: Array, how: float
 ) -> tuple[float, float, float]:
-    """Position, velocity and acceleration at the start of a step from the inputs and the velocity before it."""
+    """Position, velocity and acceleration of an end at the start of a step."""
     if how >= REACHED:
         return x - 0.5 * h * (before + v), before, (v - before) / h
     if how >= CONTINUED and memory[LAST] > 0.0:

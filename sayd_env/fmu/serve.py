@@ -46,9 +46,7 @@ def restored(resources: Path) -> tuple[Stepped, int]:
         content = json.loads((resources / MODEL).read_text())
         return VehicleUnit(Scenario.model_validate(content["scenario"])), int(content["variables"])
     except (OSError, ValueError, KeyError) as error:
-        raise ConfigError(
-            f"{resources / MODEL}: cannot be used by this version of sayd-env ({error})"
-        ) from None
+        raise ConfigError(f"{resources / MODEL}: another version of sayd-env has made it ({error})") from None
 
 
 def serve(connection: socket.socket, resources: Path) -> None:

@@ -47,8 +47,8 @@ def vehicle_variables(scenario: Scenario, speed: float, seed: int) -> tuple[Vari
     damper = scenario.damper
     if not isinstance(damper, SaydDamperConfig):
         raise ConfigError(
-            f"damper '{damper.name}': the vehicle's unit needs semi-active dampers: --damper sayd (their forces "
-            "can come from outside)"
+            f"damper '{damper.name}': the vehicle's unit needs semi-active dampers: --damper sayd (their "
+            "forces can come from outside)"
         )
     low, high = scenario.vehicle.speed_range
     tank = damper.oil.tank_pressure
@@ -156,8 +156,8 @@ class VehicleUnit:
         count = round(h / own)
         if count < 1 or abs(h - count * own) > 1e-6 * own:
             raise ConfigError(
-                f"found a communication step of {h:g} s; expected a multiple of {own:g} s, the vehicle's own at "
-                f"this speed (numerics.step)"
+                f"found a communication step of {h:g} s; expected a multiple of {own:g} s, the vehicle's "
+                "own at this speed (numerics.step)"
             )
         state = self._run.state
         rows = state.sayd.reshape(sayd.STATES, LANES)
