@@ -178,7 +178,7 @@ def _compilers(unit: Unit) -> dict[str, list[str]]:
     found = {target: command for target, command in found.items() if target in unit.targets}
     if not found:
         raise ConfigError(
-            "export --fmu needs a C compiler: on 64-bit Linux 'cc' (apt install gcc; the environment variable "
+            "export --fmu needs a C compiler: 'cc' on 64-bit Linux (apt install gcc; the variable "
             "CC names another one), or on any system pip install ziglang"
         )
     return found
