@@ -103,19 +103,20 @@ def export(
     ),
     *,
     onnx: bool = option("--onnx", "Write an ONNX model besides; needs 'sayd-env[onnx]'.", default=False),
-    fmu: Literal["damper", "vehicle"] | None = option(
-        "--fmu KIND", "Write a unit for other simulation tools instead of a policy: damper or vehicle."
+    fmu: Literal["damper", "vehicle", "controller"] | None = option(
+        "--fmu KIND", "Write a unit for other simulation tools: damper, vehicle, or controller (of a policy)."
     ),
     speed: float | None = scenario("--speed KMH", "Speed of --fmu vehicle. Default: 300.", SPEED),
     seed: int | None = runs("--seed S", "Seed of the track of --fmu vehicle. Default: 0.", options.SEED),
     out: options.Out = None,
 ) -> Plan:
-    """Write what others use: a learned policy (weights, an ONNX model), or damper or vehicle as an FMU.
+    """Write what others use: a learned policy (weights, an ONNX model), or an FMU for their simulation tools.
 
     --fmu damper writes the semi-active damper as a Functional Mock-up Unit for co-simulation, for FMI 2.0 and
     3.0: machine code, which runs without Python. --fmu vehicle writes the vehicle on its track, with its own
-    dampers or for outside ones; where it runs, Python with sayd-env is needed. Both need a C compiler and pip
-    install 'sayd-env[fmu]'. The scenario's options belong to --fmu.
+    dampers or for outside ones, and NAME --fmu controller a policy, from sensors' signals to valve commands;
+    where these two run, Python with sayd-env is needed. All need a C compiler and pip install
+    'sayd-env[fmu]'. The scenario's options belong to --fmu.
     """
     target = out or RESULTS / "export"
     if fmu is None:
@@ -123,21 +124,24 @@ def export(
     from sayd_env.config.damper import SaydDamperConfig  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies import fmu as units  # noqa: PLC0415
 
-    for name, given in {"DIR|FILE|NAME": source, "--onnx": onnx or None}.items():
-        if given is not None:
-            raise ConfigError(f"--fmu {fmu}: writes no policy; leave out {name}")
-    if fmu == "damper" and (speed is not None or seed is not None):
-        raise ConfigError("--fmu damper: has no track; leave out --speed and --seed")
+    if onnx:
+        raise ConfigError(f"--fmu {fmu}: leave out --onnx")
+    if (source is None) == (fmu == "controller"):
+        raise ConfigError(f"--fmu {fmu}: {'of which policy?' if source is None else f'leave out {source}'}")
+    if fmu != "vehicle" and (speed is not None or seed is not None):
+        raise ConfigError(f"--fmu {fmu}: has no track; leave out --speed and --seed")
     if choice.damper is None:
         choice.damper = "sayd"
     chosen = choice.load()
-    metric, track = (300.0 if speed is None else speed) / KMH, seed or 0
-    if fmu == "vehicle":
-        return Plan(lambda _: units.export_vehicle(chosen, metric, track, target), chosen, track, target)
     damper = chosen.damper
+    if fmu == "vehicle":
+        metric, track = (300.0 if speed is None else speed) / KMH, seed or 0
+        return Plan(lambda _: units.export_vehicle(chosen, metric, track, target), chosen, track, target)
+    if fmu == "controller":
+        return Plan(lambda _: units.export_controller(str(source), chosen, target), chosen, folder=target)
     if not isinstance(damper, SaydDamperConfig):
         raise ConfigError(
-            f"--fmu damper: '{damper.name}' is passive; expected a semi-active one: --damper sayd"
+            f"--fmu damper: '{damper.name}' is passive; expected one of type sayd: --damper sayd"
         )
     return Plan(lambda _: units.export_damper(damper, target), chosen, folder=target)
 
@@ -157,7 +161,7 @@ def _export_policy(
 
     if source is None:
         raise ConfigError(
-            "export: what? Give a run's directory, a policy's file or name, --fmu damper or --fmu vehicle"
+            "export: what? Give a run's directory, a policy's file or name, or --fmu damper or vehicle"
         )
     fits = {"--speed": speed, "--seed": seed, **choice.given()}
     for name, value in fits.items():

@@ -17,6 +17,9 @@ import numpy as np
 from sayd_env.config import ConfigError, SaydError
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import Array
+from sayd_env.fmu.controller import ControllerUnit, read_policy
+from sayd_env.fmu.variable import Variable
+from sayd_env.fmu.vehicle import VehicleUnit
 
 MODEL = "model.json"
 """File among a unit's resources that says what it is."""
@@ -25,6 +28,10 @@ MODEL = "model.json"
 class Stepped(Protocol):
     """What a unit's library asks of its Python side."""
 
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """In the order of the values."""
+
     def begin(self, value: Array) -> None:
         """Start; `value` holds all variables, outputs are set in place."""
 
@@ -32,19 +39,20 @@ class Stepped(Protocol):
         """Advance over a communication step (s)."""
 
 
-def restored(resources: Path) -> tuple[Stepped, int]:
-    """What a unit's resources describe, and its number of variables.
+def restored(resources: Path) -> Stepped:
+    """What a unit's resources describe.
 
     Raises
     ------
     ConfigError
         Resources of another version of this software.
     """
-    from sayd_env.fmu.vehicle import VehicleUnit  # noqa: PLC0415 - compiled code, needed last
-
     try:
         content = json.loads((resources / MODEL).read_text())
-        return VehicleUnit(Scenario.model_validate(content["scenario"])), int(content["variables"])
+        scenario = Scenario.model_validate(content["scenario"])
+        if content["kind"] == "vehicle":
+            return VehicleUnit(scenario)
+        return ControllerUnit(read_policy(content, resources), scenario)
     except (OSError, ValueError, KeyError) as error:
         raise ConfigError(f"{resources / MODEL}: another version of sayd-env has made it ({error})") from None
 
@@ -58,11 +66,11 @@ def serve(connection: socket.socket, resources: Path) -> None:
             what, h = head.unpack(request)
             if unit is None:
                 try:
-                    unit, count = restored(resources)
+                    unit = restored(resources)
                 except SaydError as error:
                     connection.sendall(b"\1" + _line(error))
                     return
-            value = np.frombuffer(asked.read(8 * count)).copy()
+            value = np.frombuffer(asked.read(8 * len(unit.variables))).copy()
             try:
                 if what == b"b":
                     unit.begin(value)

@@ -18,6 +18,8 @@ import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -27,11 +29,13 @@ from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import Array
+from sayd_env.fmu.controller import ControllerUnit, controller_content
 from sayd_env.fmu.damper import damper_model, damper_step
 from sayd_env.fmu.machine_code import ARRAY, FLOAT, LINUX, WINDOWS, object_file
 from sayd_env.fmu.serve import MODEL
 from sayd_env.fmu.variable import INPUT, OUTPUT, PARAMETER, TIME, UNITS, Variable
 from sayd_env.fmu.vehicle import vehicle_variables
+from sayd_env.runs.policies import policy_spec
 
 VERSIONS = ("2", "3")
 """Of FMI."""
@@ -112,17 +116,60 @@ def vehicle_unit(scenario: Scenario, speed: float, seed: int) -> Unit:
     ConfigError
         Passive dampers.
     """
-    variables = vehicle_variables(scenario, speed, seed)
-    content = {"scenario": scenario.model_dump(mode="json"), "variables": len(variables)}
+    return _process_unit(
+        "sayd_vehicle",
+        f"Rail vehicle '{scenario.vehicle.name}' on track '{scenario.track.name}'",
+        vehicle_variables(scenario, speed, seed),
+        1e-3,
+        {"kind": "vehicle", "scenario": scenario.model_dump(mode="json")},
+    )
+
+
+def controller_unit(policy: str, scenario: Scenario) -> Unit:
+    """A policy; where it runs, Python with this package is needed.
+
+    Parameters
+    ----------
+    policy : str
+        As on a command line, see `sayd_env.runs.policies.policy_spec`; a file goes into the unit.
+    scenario : Scenario
+        With the damper whose characteristic the policy may know.
+
+    Raises
+    ------
+    ConfigError
+        An unknown policy, or one that a unit cannot hold.
+    DataError
+        A damaged file.
+    """
+    content, files = controller_content(policy)
+    made = ControllerUnit(policy_spec(policy), scenario)
+    return _process_unit(
+        "sayd_controller",
+        f"Controller '{policy}' of the dampers of a vehicle, one step of {made.period:g} s",
+        made.variables,
+        made.period,
+        {"kind": "controller", "scenario": scenario.model_dump(mode="json"), **content},
+        files,
+    )
+
+
+def _process_unit(
+    name: str,
+    text: str,
+    variables: tuple[Variable, ...],
+    step: float,
+    content: Mapping[str, Any],
+    files: Mapping[str, bytes] = MappingProxyType({}),
+) -> Unit:
     return Unit(
-        name="sayd_vehicle",
-        text=f"Rail vehicle '{scenario.vehicle.name}' on track '{scenario.track.name}'; "
-        "runs in a Python process with sayd-env",
+        name=name,
+        text=f"{text}; runs in a Python process with sayd-env",
         variables=variables,
-        step=1e-3,
+        step=step,
         source="process.c",
         targets=(LINUX,),
-        resources={MODEL: json.dumps(content).encode()},
+        resources={MODEL: json.dumps(content).encode(), **files},
     )
 
 

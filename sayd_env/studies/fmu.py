@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.storage import write_files
-from sayd_env.fmu.unit import Unit, damper_unit, fmu_files, vehicle_unit
+from sayd_env.fmu.unit import Unit, controller_unit, damper_unit, fmu_files, vehicle_unit
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot
 
@@ -88,6 +88,21 @@ def export_vehicle(scenario: Scenario, speed: float, seed: int, target: Path) ->
         The C compiler failed, or a file cannot be written.
     """
     return _written(vehicle_unit(scenario, speed, seed), target)
+
+
+def export_controller(policy: str, scenario: Scenario, target: Path) -> UnitResult:
+    """Write a policy as units for FMI 2.0 and 3.0 into a folder.
+
+    Raises
+    ------
+    ConfigError
+        An unknown policy or one that a unit cannot hold, no C compiler, or FMPy is not installed.
+    DataError
+        A damaged file.
+    StudyError
+        The C compiler failed, or a file cannot be written.
+    """
+    return _written(controller_unit(policy, scenario), target)
 
 
 def _written(unit: Unit, target: Path) -> UnitResult:

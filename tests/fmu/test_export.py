@@ -30,9 +30,11 @@ def test_command_writes_a_vehicle(tmp_path: Path, capsys: pytest.CaptureFixture[
         (("--fmu", "damper", "--damper", "passive"), "is passive"),
         (("--fmu", "vehicle", "--damper", "passive"), "needs semi-active dampers"),
         (("--fmu", "damper", "--speed", "300"), "has no track"),
-        (("--fmu", "damper", "ppo"), "writes no policy"),
+        (("--fmu", "damper", "ppo"), "leave out ppo"),
+        (("--fmu", "controller"), "of which policy?"),
+        (("--fmu", "controller", "mppt3"), "mppt3"),
         (("--fmu", "bogie"), "bogie"),
-        ((), "--fmu damper"),
+        ((), "or --fmu damper"),
         (("ppo", "--track", "smooth"), "--track: belongs to --fmu"),
     ],
 )
