@@ -281,7 +281,7 @@ def test_saved_states_go_on_alike_also_from_bytes(damper_units: list[Path]) -> N
         unit.unit.setFMUState(state)
         assert [unit.step(a, b) for a, b in pairwise(t + t[-1])] == further
         unit.unit.freeFMUState(state)
-        restored = other.unit.deSerializeFMUState(copy)
+        restored = other.unit.deserializeFMUState(copy)
         other.unit.setFMUState(restored)
         assert [other.step(a, b) for a, b in pairwise(t + t[-1])] == further
         other.unit.freeFMUState(restored)
