@@ -186,21 +186,27 @@ def fmu_files(unit: Unit) -> dict[str, bytes]:
     headers = _headers()
     compilers = _compilers(unit)
     objects = {target: unit.code(target) for target in compilers} if unit.code is not None else {}
-    token = hashlib.sha256(repr((unit, *sorted(objects.items()))).encode())
-    for array in (unit.memory, unit.table):
-        token.update(array.tobytes())
+    token = _token(unit, objects)
     found = {}
     for version in VERSIONS:
-        contents = {"modelDescription.xml": description(unit, version, token.hexdigest())}
+        contents = {"modelDescription.xml": description(unit, version, token)}
         contents |= {f"resources/{name}": data for name, data in unit.resources.items()}
         for target, compiler in compilers.items():
             place = _FOLDERS[target]
             library = f"binaries/{place[version]}/{unit.name}{place['suffix']}"
-            contents[library] = _library(
-                unit, version, compiler, objects.get(target), token.hexdigest(), headers
-            )
+            contents[library] = _library(unit, version, compiler, objects.get(target), token, headers)
         found[f"{unit.name}_fmi{version}.fmu"] = _archive(contents)
     return found
+
+
+def _token(unit: Unit, objects: Mapping[str, bytes]) -> str:
+    """What changes whenever a unit's content does: a library refuses another unit's description."""
+    digest = hashlib.sha256(repr((unit.name, unit.text, unit.variables, unit.step)).encode())
+    for name, data in sorted((dict(objects) | dict(unit.resources)).items()):
+        digest.update(f"{name}\0{len(data)}\0".encode() + data)
+    for array in (unit.memory, unit.table):
+        digest.update(array.tobytes())
+    return digest.hexdigest()
 
 
 def _headers() -> Path:

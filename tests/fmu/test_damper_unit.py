@@ -275,16 +275,16 @@ def test_saved_states_go_on_alike_also_from_bytes(damper_units: list[Path]) -> N
     with Stepped(damper_units[0], {"motion": REACHED}) as unit, Stepped(damper_units[0], {}) as other:
         for a, b in pairwise(t):
             unit.step(a, b)
-        state = unit.unit.getFMUState()
-        copy = unit.unit.serializeFMUState(state)
+        state = unit.unit.getFMUstate()
+        copy = unit.unit.serializeFMUstate(state)
         further = [unit.step(a, b) for a, b in pairwise(t + t[-1])]
-        unit.unit.setFMUState(state)
+        unit.unit.setFMUstate(state)
         assert [unit.step(a, b) for a, b in pairwise(t + t[-1])] == further
-        unit.unit.freeFMUState(state)
-        restored = other.unit.deserializeFMUState(copy)
-        other.unit.setFMUState(restored)
+        unit.unit.freeFMUstate(state)
+        restored = other.unit.deSerializeFMUstate(copy)
+        other.unit.setFMUstate(restored)
         assert [other.step(a, b) for a, b in pairwise(t + t[-1])] == further
-        other.unit.freeFMUState(restored)
+        other.unit.freeFMUstate(restored)
 
 
 def library(unit: Path, folder: Path) -> Path:

@@ -20,6 +20,7 @@ typedef struct {
     double memory[MEMORY + 1];
     double time;
     int phase;
+    char token[sizeof TOKEN];
 } State;
 
 typedef struct Instance {
@@ -74,6 +75,7 @@ static void rest(State *state) {
     memset(state, 0, sizeof *state);
     for (int i = 0; i < VARIABLES; i++) state->value[i] = START[i];
     state->phase = INSTANTIATED;
+    memcpy(state->token, TOKEN, sizeof TOKEN);
     model_rest(state);
 }
 
@@ -226,8 +228,9 @@ static int write_state(Instance *instance, const void *saved, void *bytes, size_
 
 static int read_state(Instance *instance, const void *bytes, size_t size, void **saved) {
     if (!can_save(instance, saved) || !bytes) return STATUS_ERROR;
-    if (size != sizeof(State)) return fail(instance, "FMU state: found %zu bytes", size);
-    if (!(*saved = malloc(sizeof(State)))) return fail(instance, "FMU state: no memory");
+    if (size != sizeof(State) || memcmp((const char *)bytes + offsetof(State, token), TOKEN, sizeof TOKEN))
+        return fail(instance, "FMU state: found %zu bytes that are not this unit's", size);
+    if (!*saved && !(*saved = malloc(sizeof(State)))) return fail(instance, "FMU state: no memory");
     memcpy(*saved, bytes, sizeof(State));
     return STATUS_OK;
 }
