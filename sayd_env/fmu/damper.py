@@ -57,8 +57,8 @@ _PHYSICAL = (
     ("valve.rate", "1/s", "Largest rate of the acting current", sayd.RATE_LIMIT),
 )
 _ROWS = np.array([row for *_, row in _PHYSICAL])
-_ZERO_ALLOWED = (sayd.DAMPING_1, sayd.DAMPING_2, sayd.FRICTION_SLIDING, sayd.FRICTION_STICTION)
-_ZERO_ALLOWED = (*_ZERO_ALLOWED, sayd.BLEED, sayd.FAILSAFE, sayd.DRIVER_DELAY)
+_DRY = (sayd.FRICTION_SLIDING, sayd.FRICTION_STICTION)
+_ZERO_ALLOWED = (sayd.DAMPING_1, sayd.DAMPING_2, *_DRY, sayd.BLEED, sayd.FAILSAFE, sayd.DRIVER_DELAY)
 
 # Numbers of the memory beside constants, state, inputs and delay line.
 (
@@ -233,7 +233,8 @@ def _set_step(step: float, memory: Array) -> bool:
 
 @kernel(inline=True, allocates=False)
 def _hydraulic_steps(step: float, memory: Array) -> int:
-    return math.ceil(step / memory[HYDRAULIC] - 1e-9)
+    count: int = math.ceil(step / memory[HYDRAULIC] - 1e-9)
+    return count
 
 
 @kernel(inline=True, allocates=False)

@@ -118,7 +118,7 @@ def vehicle_unit(scenario: Scenario, speed: float, seed: int) -> Unit:
     """
     return _process_unit(
         "sayd_vehicle",
-        f"Rail vehicle '{scenario.vehicle.name}' on track '{scenario.track.name}'",
+        f"Rail vehicle '{scenario.vehicle.name}' with '{scenario.damper.name}' yaw dampers",
         vehicle_variables(scenario, speed, seed),
         1e-3,
         {"kind": "vehicle", "scenario": scenario.model_dump(mode="json")},

@@ -136,7 +136,7 @@ static int reset(Instance *instance) {
 static int step(Instance *instance, double time, double h) {
     if (!ready(instance, STEPPING, "DoStep")) return STATUS_ERROR;
     State *state = &instance->state;
-    if (!(h > 0.0) || !isfinite(h)) return fail(instance, "DoStep: found a step of %g s", h);
+    if (!(h > 0.0 && h <= 1e3)) return fail(instance, "DoStep: found a step of %g s", h);
     if (!(fabs(time - state->time) <= 1e-3 * h + 1e-9))
         return fail(instance, "DoStep: found time %.9g s, the last step ended at %.9g s", time, state->time);
     const char *trouble = model_step(instance, h);
