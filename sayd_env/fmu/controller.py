@@ -17,9 +17,6 @@ from sayd_env.envs.episode_batch import make_interface
 from sayd_env.fmu.variable import INPUT, OUTPUT, TIME, Variable
 from sayd_env.runs.policies import PolicySpec, policy_spec
 
-FILE = "policy"
-"""Name among a unit's resources, before its suffix, of the file that a policy comes from."""
-
 
 def controller_content(policy: str) -> tuple[dict[str, str], Mapping[str, bytes]]:
     """What a unit's model says of a policy, and the file that it needs.
@@ -38,8 +35,7 @@ def controller_content(policy: str) -> tuple[dict[str, str], Mapping[str, bytes]
                 f"policy {policy}: code of one's own cannot be packed; export it as .npz or .onnx"
             )
         return {"policy": policy}, {}
-    name = FILE + path.suffix
-    return {"file": name}, {name: path.read_bytes()}
+    return {"file": path.name}, {path.name: path.read_bytes()}
 
 
 class ControllerUnit:

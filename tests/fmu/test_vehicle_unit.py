@@ -25,7 +25,7 @@ SPEED, SEED = 300 / 3.6, 3
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     return load_scenario(
-        "estimates", ['damper="sayd-estimate"', "assessment.run_in=100", "assessment.length=300"]
+        "estimates", ['damper="sayd-estimate"', "assessment.run_in=200", "assessment.length=600"]
     )
 
 
