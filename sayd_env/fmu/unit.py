@@ -30,18 +30,19 @@ from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import Array
 from sayd_env.fmu.controller import ControllerUnit, controller_content
-from sayd_env.fmu.damper import damper_model, damper_step
+from sayd_env.fmu.damper import damper_model
 from sayd_env.fmu.machine_code import ARRAY, FLOAT, LINUX, WINDOWS, object_file
 from sayd_env.fmu.serve import MODEL
 from sayd_env.fmu.variable import INPUT, OUTPUT, PARAMETER, TIME, UNITS, Variable
 from sayd_env.fmu.vehicle import vehicle_variables
+from sayd_env.physics.coupled import couple
 from sayd_env.runs.policies import policy_spec
 
 VERSIONS = ("2", "3")
 """Of FMI."""
 
 _SOURCE = Path(__file__).parent / "source"
-_SYMBOL = "sayd_damper_step"
+_SYMBOL = "sayd_couple"
 _KINDS = {TIME: "t", INPUT: "i", OUTPUT: "o", PARAMETER: "p"}
 _FOLDERS = {
     LINUX: {"2": "linux64", "3": "x86_64-linux", "suffix": ".so"},
@@ -96,7 +97,7 @@ def damper_unit(config: SaydDamperConfig) -> Unit:
         targets=(LINUX, WINDOWS),
         memory=model.memory,
         table=model.table,
-        code=lambda target: object_file(damper_step, arguments, _SYMBOL, target),
+        code=lambda target: object_file(couple, arguments, _SYMBOL, target),
     )
 
 

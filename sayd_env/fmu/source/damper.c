@@ -1,11 +1,11 @@
-/* The damper: machine code of the kernel sayd_env.fmu.damper.damper_step and what it starts from. */
+/* The damper: machine code of the kernel sayd_env.physics.coupled.couple and what it starts from. */
 
 #include <stdint.h>
 
 /* A flat array as compiled kernels take it: owner (none), size, bytes of an element, data, size, stride. */
 #define ARRAY(data, size) NULL, NULL, (int64_t)(size), (int64_t)8, (data), (int64_t)(size), (int64_t)8
 
-extern int32_t sayd_damper_step(int64_t *result, void **error, double h, void *, void *, int64_t, int64_t,
+extern int32_t sayd_couple(int64_t *result, void **error, double h, void *, void *, int64_t, int64_t,
                                 double *value, int64_t, int64_t, void *, void *, int64_t, int64_t,
                                 double *memory, int64_t, int64_t, void *, void *, int64_t, int64_t,
                                 const double *table, int64_t, int64_t);
@@ -14,7 +14,7 @@ static const char *advance(Instance *instance, double h) {
     int64_t result = 0;
     void *error = NULL;
     State *state = &instance->state;
-    sayd_damper_step(&result, &error, h, ARRAY(state->value, VARIABLES), ARRAY(state->memory, MEMORY),
+    sayd_couple(&result, &error, h, ARRAY(state->value, VARIABLES), ARRAY(state->memory, MEMORY),
                      ARRAY(TABLE, sizeof TABLE / sizeof *TABLE));
     if (result == 1) return "so short a step cannot hold the delay of the valve's driver";
     if (result == 2) return "the damper's state is no longer finite; check displacements and velocities";
