@@ -251,7 +251,7 @@ def _library(
         target = folder / "library"
         command = [
             *compiler,
-            *("-std=gnu11", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-Wno-attribute-alias"),
+            *("-std=gnu11", "-O2", "-s", "-fPIC", "-shared", "-fvisibility=hidden", "-Wno-attribute-alias"),
             *(f"-I{place}" for place in (headers, _SOURCE, folder)),
             f'-DMODEL="{unit.source}"',
             *sources,
@@ -274,7 +274,6 @@ def _model_header(unit: Unit, token: str) -> str:
         "#include <stddef.h>",
         f"enum {{ VARIABLES = {len(variables)}, MEMORY = {len(unit.memory)}, PLAIN = {int(unit.plain)} }};",
         f"static const char TOKEN[] = {json.dumps(token)};",
-        f"static const char PYTHON[] = {json.dumps(sys.executable)};",
         _strings("NAME", (v.name for v in variables)),
         _numbers("START", (v.start for v in variables)),
         _numbers("LOW", (v.low for v in variables)),
@@ -282,7 +281,9 @@ def _model_header(unit: Unit, token: str) -> str:
         f'static const char KIND[] = "{"".join(_KINDS[v.causality] for v in variables)}";',
         f'static const char TYPE[] = "{"".join("i" if v.integer else "r" for v in variables)}";',
     ]
-    if unit.plain:
+    if not unit.plain:
+        lines.append(f"static const char PYTHON[] = {json.dumps(sys.executable)};")
+    else:
         lines += [_numbers("RESTING", resting), _numbers("TABLE", unit.table)]
     return "\n".join(lines) + "\n"
 
