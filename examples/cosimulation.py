@@ -84,14 +84,18 @@ def alone(unit: VehicleUnit, h: float, seconds: float) -> Any:
     return np.array(history)
 
 
-def coupled(unit: VehicleUnit, path: str, h: float, seconds: float) -> Any:
-    """The same with dampers from outside: the vehicle steps first, its forces held."""
+def coupled(unit: VehicleUnit, path: str, h: float, seconds: float, ahead: float = 0.0) -> Any:
+    """The same with dampers from outside: the vehicle steps first, under the forces that there were.
+
+    Or under these and `ahead` of their last change: 0.5 for the middle of the step, 1 for its end.
+    """
     vehicle, history = Vehicle(unit, outside=True), []
-    dampers = Dampers(path, command=vehicle.rows("current")[0, 0])
+    dampers, before = Dampers(path, command=vehicle.rows("current")[0, 0]), np.zeros((2, len(DAMPERS)))
     for n in range(round(seconds / h)):
         unit.step(h, vehicle.value)
         forces = dampers.step(n * h, h, vehicle.rows("x_1", "v_1", "x_2", "v_2"))
-        for name, row in zip(("F_1", "F_2"), forces, strict=True):
+        expected, before = forces + ahead * (forces - before), forces
+        for name, row in zip(("F_1", "F_2"), expected, strict=True):
             begin = vehicle.first[f"{name}.{DAMPERS[0]}"]
             vehicle.value[begin : begin + len(DAMPERS)] = row
         history.append([forces[0, 0], vehicle.value[vehicle.first[ACCELERATION]]])
@@ -106,11 +110,14 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=4.0, help="length of the run")
     options = parser.parse_args()
     unit = VehicleUnit(load_scenario("estimates", ['damper="sayd-estimate"']))
-    print("step ms  force %  acceleration %  (RMS of the difference over RMS)")
+    print("           forces held       half a step ahead")
+    print("step ms   force  accel. %     force  accel. %   (RMS of the difference over RMS)")
     for h in STEPS:
-        one, other = alone(unit, h, options.seconds), coupled(unit, options.fmu, h, options.seconds)
-        error = 100.0 * np.sqrt(np.mean((other - one) ** 2, axis=0) / np.mean(one**2, axis=0))
-        print(f"{1e3 * h:7.1f}  {error[0]:7.2f}  {error[1]:14.2f}")
+        one, errors = alone(unit, h, options.seconds), []
+        for ahead in (0.0, 0.5):
+            other = coupled(unit, options.fmu, h, options.seconds, ahead)
+            errors += list(100.0 * np.sqrt(np.mean((other - one) ** 2, axis=0) / np.mean(one**2, axis=0)))
+        print("{:7.1f}  {:6.1f}  {:8.1f}    {:6.1f}  {:8.1f}".format(1e3 * h, *errors))
 
 
 if __name__ == "__main__":

@@ -30,6 +30,10 @@ def test_the_error_falls_with_the_communication_step(example: ModuleType, damper
         other = example.coupled(unit, str(damper_units[0]), h, 0.5)
         errors.append(np.sqrt(np.mean((other - one) ** 2, axis=0) / np.mean(one**2, axis=0)))
     small, middle, large = errors
+    ahead = example.coupled(unit, str(damper_units[0]), 5e-4, 0.5, ahead=0.5)
+    one = example.alone(unit, 5e-4, 0.5)
+    better = np.sqrt(np.mean((ahead - one) ** 2, axis=0) / np.mean(one**2, axis=0))
     assert np.all(small < 0.05)
+    assert np.all(better < 0.6 * small)
     assert np.all(middle / small > 1.5)
     assert np.all(large / middle > 1.5)
