@@ -29,8 +29,8 @@ CONTINUED, REACHED = 1, 2
 
 def motion(t: Array) -> dict[str, Array]:
     """Both ends, from rest, 4 mm and 1 mm; the valve opens by and by."""
-    fade = np.minimum(t / 0.1, 1.0)
-    rate = np.where(t < 0.1, 10.0, 0.0)
+    r = np.minimum(t / 0.1, 1.0)
+    fade, rate = r * r * (3.0 - 2.0 * r), 60.0 * r * (1.0 - r)
     columns = {}
     for end, amplitude, omega in (("1", 4e-3, 2 * np.pi * 3.0), ("2", 1e-3, 2 * np.pi * 7.0)):
         columns[f"x_{end}"] = amplitude * fade * np.sin(omega * t)
