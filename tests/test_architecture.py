@@ -22,6 +22,7 @@ FLOORS = (
     "baselines",
     "agents",
     "runs",
+    "fmu",
     "report",
     "studies",
     "cli",

@@ -10,8 +10,9 @@ from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
 from sayd_env.cli.options import argument, option, output, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
-from sayd_env.cli.parsers import Number
+from sayd_env.cli.parsers import SPEED, Number
 from sayd_env.config.errors import ConfigError
+from sayd_env.config.units import KMH
 
 GROUP = "Learning"
 
@@ -93,19 +94,78 @@ def train(
 @command(GROUP, "results/train-ppo-s0 --onnx --out my-policy", without=("wide",))
 def export(
     foreign: options.ForeignOptions,
-    source: Path = argument(
+    choice: options.VehicleOptions,
+    source: Path | None = argument(
         "DIR|FILE|NAME",
         "Directory of a run (its best policy), a policy file, or the name of a ready policy.",
         autocompletion=options.policy_names,
+        default=None,
     ),
     *,
     onnx: bool = option("--onnx", "Write an ONNX model besides; needs 'sayd-env[onnx]'.", default=False),
+    fmu: Literal["damper", "vehicle", "controller"] | None = option(
+        "--fmu KIND", "Write a unit for other simulation tools: damper, vehicle, or controller (of a policy)."
+    ),
+    speed: float | None = scenario("--speed KMH", "Speed of --fmu vehicle. Default: 300.", SPEED),
+    seed: int | None = runs("--seed S", "Seed of the track of --fmu vehicle. Default: 0.", options.SEED),
     out: options.Out = None,
 ) -> Plan:
-    """Write a learned policy as files for others: weights with their description, and an ONNX model."""
+    """Write what others use: a learned policy (weights, an ONNX model), or an FMU for their simulation tools.
+
+    --fmu damper writes the semi-active damper as a Functional Mock-up Unit for co-simulation, for FMI 2.0 and
+    3.0: machine code, which runs without Python. --fmu vehicle writes the vehicle on its track, with its own
+    dampers or for outside ones, and NAME --fmu controller a policy, from sensors' signals to valve commands;
+    where these two run, Python with sayd-env is needed. All need a C compiler and pip install
+    'sayd-env[fmu]'. The scenario's options belong to --fmu.
+    """
+    target = out or RESULTS / "export"
+    if fmu is None:
+        return _export_policy(foreign, choice, source, target, speed, seed, onnx=onnx)
+    from sayd_env.config.damper import SaydDamperConfig  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies import fmu as units  # noqa: PLC0415
+
+    if onnx:
+        raise ConfigError(f"--fmu {fmu}: leave out --onnx")
+    if (source is None) == (fmu == "controller"):
+        raise ConfigError(f"--fmu {fmu}: {'of which policy?' if source is None else f'leave out {source}'}")
+    if fmu != "vehicle" and (speed is not None or seed is not None):
+        raise ConfigError(f"--fmu {fmu}: has no track; leave out --speed and --seed")
+    if choice.damper is None:
+        choice.damper = "sayd"
+    chosen = choice.load()
+    damper = chosen.damper
+    if fmu == "vehicle":
+        metric, track = (300.0 if speed is None else speed) / KMH, seed or 0
+        return Plan(lambda _: units.export_vehicle(chosen, metric, track, target), chosen, track, target)
+    if fmu == "controller":
+        return Plan(lambda _: units.export_controller(str(source), chosen, target), chosen, folder=target)
+    if not isinstance(damper, SaydDamperConfig):
+        raise ConfigError(
+            f"--fmu damper: '{damper.name}' is passive; expected one of type sayd: --damper sayd"
+        )
+    return Plan(lambda _: units.export_damper(damper, target), chosen, folder=target)
+
+
+def _export_policy(
+    foreign: options.ForeignOptions,
+    choice: options.VehicleOptions,
+    source: Path | None,
+    target: Path,
+    speed: float | None,
+    seed: int | None,
+    *,
+    onnx: bool,
+) -> Plan:
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies import learning as study  # noqa: PLC0415
 
+    if source is None:
+        raise ConfigError(
+            "export: what? Give a run's directory, a policy's file or name, or --fmu damper or vehicle"
+        )
+    fits = {"--speed": speed, "--seed": seed, **choice.given()}
+    for name, value in fits.items():
+        if value is not None:
+            raise ConfigError(f"{name}: belongs to --fmu; a policy has none")
     stored = study.read_source(source, foreign.reader(load_environment()))
-    target = out or RESULTS / "export"
     return Plan(lambda _: study.export(stored, target, onnx=onnx), folder=target)

@@ -263,6 +263,11 @@ class VehicleOptions(ScenarioOptions):
         """Read the scenario."""
         return self.read(self.wear, self.friction, default)
 
+    def given(self) -> dict[str, Any]:
+        """What was given, by the options' names; None for the others."""
+        found = {key: getattr(self, key) for key in self.offered()}
+        return {"--set" if key == "assignments" else f"--{key}": value for key, value in found.items()}
+
 
 class GridOptions(ScenarioOptions):
     """Options of a study over speeds, wear and friction in an environment."""

@@ -23,7 +23,6 @@ The flat arrays hold ``n = LANES * W`` dampers of W vehicles: element ``row * n 
 
 from __future__ import annotations
 
-import cmath
 import math
 from typing import Any, NamedTuple
 
@@ -31,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import elementwise
 
-from sayd_env.config.damper import SaydDamperConfig, SpringValve, ValveDynamics
+from sayd_env.config.damper import SaydDamperConfig, SpringValve
 from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import LANES
@@ -92,8 +91,17 @@ from sayd_env.physics.throttle import (
     FAILSAFE,  # current of the unpowered valve
     DELAY,  # the command of so many steps ago is the oldest that counts
     DELAY_SHARE,  # share of that command; the rest is of the one after it
+    # What `set_step` makes these of, beside masses, mounts and area:
+    BULK_MODULUS,  # E, Pa
+    VOLUME_A,  # V_A0, m3
+    VOLUME_B,  # V_B0, m3
+    FRICTION_SLIDING,  # F_S, N
+    FRICTION_STICTION,  # F_C, N
+    SPOOL_FREQUENCY,  # omega, rad/s
+    SPOOL_RATIO,  # zeta
+    DRIVER_DELAY,  # s
     CONSTANTS,
-) = range(42)
+) = range(50)
 
 # Rows of the state: the paper's six, the forces, and the valve.
 (
@@ -535,44 +543,28 @@ def sayd_arrays(config: SaydDamperConfig, step: float) -> SaydArrays:
         A throttle table that cannot be used.
     """
     column = np.zeros(CONSTANTS)
-    cylinder, oil = config.cylinder, config.oil
+    cylinder, oil, valve = config.cylinder, config.oil, config.valve
     column[ROD_MASS], column[HOUSING_MASS] = config.rod_mass, config.housing_mass
     column[STIFFNESS_1], column[DAMPING_1] = config.bogie_mount.stiffness, config.bogie_mount.damping
     column[STIFFNESS_2], column[DAMPING_2] = config.carbody_mount.stiffness, config.carbody_mount.damping
-    column[AREA], column[PER_AREA] = cylinder.area, 1.0 / cylinder.area
-    column[BLEED] = config.bleed
+    column[AREA], column[BLEED] = cylinder.area, config.bleed
     column[CURRENT_START] = table_start(config.throttle)
     column[PER_CURRENT] = 1.0 / (1.0 - column[CURRENT_START])
     column[CHECKED] = 2.0 * config.rectifier.opening
     column[TANK], column[VAPOUR] = oil.tank_pressure, oil.vapour_pressure
     column[RELIEF_OPENING : RELIEF_ROOT + 1] = _valve_column(config.relief)
     column[SUCTION_OPENING : SUCTION_ROOT + 1] = _valve_column(config.suction)
-    substeps = math.ceil(step / config.step - 1e-9)
-    g = _GAMMA * step / substeps
     # Eq. (20) and (21).
     half, dead = 0.5 * cylinder.stroke * cylinder.area, 0.25 * math.pi * cylinder.bore**2
-    column[CAPACITY_A] = (half + cylinder.dead_length_a * dead) / (oil.bulk_modulus * g)
-    column[CAPACITY_B] = (half + cylinder.dead_length_b * dead) / (oil.bulk_modulus * g)
-    column[CAPACITY_SLOPE] = cylinder.area / (oil.bulk_modulus * g)
-    for row, mass, mount in (
-        (PER_MASS_1, config.rod_mass, config.bogie_mount),
-        (PER_MASS_2, config.housing_mass, config.carbody_mount),
-    ):
-        column[row] = 1.0 / (mass + g * (mount.damping + g * mount.stiffness))
-    mobility = column[PER_MASS_1] + column[PER_MASS_2]
-    column[ROD_SHARE] = column[PER_MASS_1] / mobility
-    per_force = g * mobility * cylinder.area
-    column[YIELDING] = per_force * cylinder.area
-    column[SLIDING], column[STICTION] = (
-        per_force * config.friction.sliding,
-        per_force * config.friction.stiction,
-    )
-    column[SPOOL_HOLD : SPOOL_KEEP + 1] = _spool_column(config.valve, step)
-    column[RATE_LIMIT], column[REACH] = config.valve.rate, config.valve.rate * step
-    column[FAILSAFE] = config.failsafe_current
-    delay_steps = line_length(config, step) - 1
-    column[DELAY] = delay_steps
-    column[DELAY_SHARE] = 1.0 if delay_steps == 0 else config.valve.delay / step - (delay_steps - 1)
+    column[BULK_MODULUS] = oil.bulk_modulus
+    column[VOLUME_A] = half + cylinder.dead_length_a * dead
+    column[VOLUME_B] = half + cylinder.dead_length_b * dead
+    column[FRICTION_SLIDING], column[FRICTION_STICTION] = config.friction.sliding, config.friction.stiction
+    column[SPOOL_FREQUENCY] = 2.0 * math.pi * valve.natural_frequency
+    column[SPOOL_RATIO], column[DRIVER_DELAY] = valve.damping_ratio, valve.delay
+    column[RATE_LIMIT], column[FAILSAFE] = valve.rate, config.failsafe_current
+    substeps = math.ceil(step / config.step - 1e-9)
+    set_step(column, 0, 1, step, substeps)
     return SaydArrays(
         constant=np.repeat(column, LANES),
         table=np.ascontiguousarray(series_table(config.throttle, config.rectifier).ravel()),
@@ -580,35 +572,76 @@ def sayd_arrays(config: SaydDamperConfig, step: float) -> SaydArrays:
     )
 
 
+@kernel(allocates=False)
+def delay_steps(delay: float, step: float) -> int:
+    """Number of vehicle steps (s) that a driver's delay (s) begins in."""
+    return math.ceil(delay / step - 1e-9)
+
+
+@kernel(allocates=False)
+def set_step(constant: Array, i: int, n: int, step: float, substeps: int) -> None:
+    """Set what of damper i's constants depends on the vehicle's step (s) and the sub-steps in it.
+
+    The spool's are the exact solution of y'' + 2 zeta omega y' + omega^2 (y - target) = 0 over a step with a
+    constant target. With sigma = zeta omega and d = sigma^2 - omega^2 the exponential of the system's matrix
+    A is ``exp(-sigma h) (C + (A + sigma) S)``, C = cosh(sqrt(d) h) and S = sinh(sqrt(d) h) / sqrt(d).
+
+    Parameters
+    ----------
+    constant : ndarray, shape (CONSTANTS * n,)
+        The rows that these come from are set.
+    i, n : int
+        Column and number of columns.
+    step : float
+        The vehicle's step, s.
+    substeps : int
+        Number of equal sub-steps of the hydraulics in it.
+    """
+    g = _GAMMA * step / substeps
+    area, modulus = constant[AREA * n + i], constant[BULK_MODULUS * n + i]
+    constant[PER_AREA * n + i] = 1.0 / area
+    constant[CAPACITY_A * n + i] = constant[VOLUME_A * n + i] / (modulus * g)
+    constant[CAPACITY_B * n + i] = constant[VOLUME_B * n + i] / (modulus * g)
+    constant[CAPACITY_SLOPE * n + i] = area / (modulus * g)
+    mount = constant[DAMPING_1 * n + i] + g * constant[STIFFNESS_1 * n + i]
+    per_1 = 1.0 / (constant[ROD_MASS * n + i] + g * mount)
+    mount = constant[DAMPING_2 * n + i] + g * constant[STIFFNESS_2 * n + i]
+    per_2 = 1.0 / (constant[HOUSING_MASS * n + i] + g * mount)
+    constant[PER_MASS_1 * n + i], constant[PER_MASS_2 * n + i] = per_1, per_2
+    constant[ROD_SHARE * n + i] = per_1 / (per_1 + per_2)
+    per_force = g * (per_1 + per_2) * area
+    constant[YIELDING * n + i] = per_force * area
+    constant[SLIDING * n + i] = per_force * constant[FRICTION_SLIDING * n + i]
+    constant[STICTION * n + i] = per_force * constant[FRICTION_STICTION * n + i]
+
+    omega = constant[SPOOL_FREQUENCY * n + i]
+    sigma = constant[SPOOL_RATIO * n + i] * omega
+    d = sigma * sigma - omega * omega
+    root = math.sqrt(abs(d))
+    x = root * step
+    even = math.cosh(x) if d > 0.0 else math.cos(x)
+    odd = (math.sinh(x) if d > 0.0 else math.sin(x)) / root if x > _CRITICAL else step
+    decay = math.exp(-sigma * step)
+    constant[SPOOL_HOLD * n + i] = decay * (even + sigma * odd) - 1.0
+    constant[SPOOL_DRIFT * n + i] = decay * odd
+    constant[SPOOL_PULL * n + i] = -decay * omega * omega * odd
+    constant[SPOOL_KEEP * n + i] = decay * (even - sigma * odd)
+    constant[REACH * n + i] = constant[RATE_LIMIT * n + i] * step
+    delay = constant[DRIVER_DELAY * n + i]
+    steps = delay_steps(delay, step)
+    constant[DELAY * n + i] = steps
+    constant[DELAY_SHARE * n + i] = 1.0 if steps == 0 else delay / step - (steps - 1)
+
+
 def line_length(config: SaydDamperConfig, step: float) -> int:
     """Number of commands that a valve's delay line holds at a vehicle step (s)."""
-    return math.ceil(config.valve.delay / step - 1e-9) + 1
+    return delay_steps(config.valve.delay, step) + 1
 
 
 def _valve_column(valve: SpringValve) -> tuple[float, float, float, float]:
     root = valve.nominal_flow / math.sqrt(valve.nominal_drop)
     gain = root * math.sqrt(valve.full) / (valve.full - valve.opening)
     return valve.opening, valve.full, gain, root
-
-
-def _spool_column(valve: ValveDynamics, step: float) -> tuple[float, float, float, float]:
-    """Exact solution of y'' + 2 zeta omega y' + omega^2 (y - target) = 0 over a step with a constant target.
-
-    With sigma = zeta omega and d = sigma^2 - omega^2 the exponential of the system's matrix A is
-    ``exp(-sigma h) (C + (A + sigma) S)``, C = cosh(sqrt(d) h) and S = sinh(sqrt(d) h) / sqrt(d).
-    """
-    omega = 2.0 * math.pi * valve.natural_frequency
-    sigma = valve.damping_ratio * omega
-    root = cmath.sqrt(sigma**2 - omega**2)
-    even = cmath.cosh(root * step).real
-    odd = (cmath.sinh(root * step) / root).real if abs(root) * step > _CRITICAL else step
-    decay = math.exp(-sigma * step)
-    return (
-        decay * (even + sigma * odd) - 1.0,
-        decay * odd,
-        -decay * omega**2 * odd,
-        decay * (even - sigma * odd),
-    )
 
 
 def rest(config: SaydDamperConfig, current: float | None = None) -> Array:

@@ -40,7 +40,7 @@ OFFERED = {
     "simulate": {*VEHICLE, *SHOWN, *FOREIGN, "damper", "policy", "speed", "line", "environment", "seconds"}
     | {"initial-current", "signals", "run-in", "format", "seed", "file"},
     "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed"} - {"wide"},
-    "export": {*FOREIGN, *SHOWN, "onnx"} - {"wide"},
+    "export": {*FOREIGN, *VEHICLE, *SHOWN, "onnx", "fmu", "damper", "speed", "seed"} - {"wide"},
     "conicity": {*WHEELS, *SHOWN},
     "hysteresis": {*CONFIG, *SHOWN, "damper", "amplitudes", "frequencies", "current"},
     "bench": {*VEHICLE, *SHOWN, "speed", "quick", "workers", "executor"},
