@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from sayd_env.config.scenario import Scenario
     from sayd_env.runs.policies import ForeignReader
 
+TABLES = (".csv", ".txt", ".dat", ".tsv", ".asc")
+"""How names of measured dampers end."""
 WEAR_OF = {"new": 0.0, "worn": 1.0}
 SHARE = Number(0, 1)
 FRICTION = positive(high=1)
@@ -172,11 +175,14 @@ class ScenarioOptions(Group):
         autocompletion=one_of(*WEAR_OF, kind="profile"),
     )
     track: str | None = scenario(
-        "--track NAME|FILE", "Track: a name or a YAML file.", autocompletion=one_of(kind="track")
+        "--track NAME|FILE",
+        "Track: a name, a YAML file or a CSV file of measured geometry.",
+        autocompletion=one_of(kind="track"),
     )
     damper: str | None = scenario(
         "--damper NAME|FILE",
-        "Yaw dampers: passive, sayd or a YAML file. If --config has the kind, its numbers stay.",
+        "Yaw dampers: passive, sayd, a YAML file, or a measured curve or valve map (.csv, .txt). If --config "
+        "has the kind, its numbers stay.",
         autocompletion=one_of(kind="damper"),
     )
     config: Config = None
@@ -205,13 +211,39 @@ class ScenarioOptions(Group):
         if wear is None and self.profile is not None:
             wear = WEAR_OF.get(self.profile, 0.0)
         wheel = None if self.profile in WEAR_OF else self.profile
-        config, damper = default if self.config is None else self.config, self.damper
-        if damper is not None and load_scenario(config).damper.type == damper:
-            damper = None  # the configuration's own, whose numbers may differ from the packaged ones
-        flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track, "damper": damper}
+        config = default if self.config is None else self.config
+        flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track}
         # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.
         given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
-        return load_scenario(config, [*given, *(self.assignments or ())])
+        found = load_scenario(config, [*given, *self._damper(config), *(self.assignments or ())])
+        say_notes(dict(found))
+        return found
+
+    def _damper(self, config: str | None) -> list[str]:
+        """What ``--damper`` sets."""
+        from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
+
+        if self.damper is None or load_scenario(config).damper.type == self.damper:
+            return []  # the configuration's own, whose numbers may differ from the packaged ones
+        if self.damper.lower().endswith(TABLES):
+            from sayd_env.measured.dampers import damper_settings  # noqa: PLC0415
+
+            return damper_settings(self.damper)
+        return [f"damper={json.dumps(self.damper)}"]
+
+
+def say_notes(parts: Mapping[str, object]) -> None:
+    """Tell on standard error what was done to the numbers of measured files that a configuration names.
+
+    Raises
+    ------
+    ConfigError, DataError
+        One cannot be used.
+    """
+    from sayd_env.measured.notes import measured_notes  # noqa: PLC0415 - keeps --help fast
+
+    for note in measured_notes(parts):
+        sys.stderr.write(f"sayd: {note}\n")
 
 
 class VehicleOptions(ScenarioOptions):

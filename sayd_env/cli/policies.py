@@ -67,7 +67,8 @@ def evaluate(
     chosen, setup = grid.load(), load_environment(grid.environment)
     specs = policy_specs(policies or (), foreign.reader(setup))
     if line is not None:
-        speeds = along.line_speeds(line, chosen, grid.speeds, SPEEDS)
+        speeds, content = along.line_speeds(line, chosen, grid.speeds, SPEEDS), line_content(line)
+        options.say_notes({"line": content})
         return Plan(
             lambda run: along.evaluate_line(
                 chosen,
@@ -81,7 +82,7 @@ def evaluate(
                 initial_current=initial_current,
                 context=run,
             ),
-            {**dict(chosen), "environment": setup, "line": line_content(line)},
+            {**dict(chosen), "environment": setup, "line": content},
             seed,
         )
     return Plan(
@@ -290,12 +291,13 @@ def render(
     metric = None if speed is None else speed / KMH
     if line is not None and metric is not None:
         line_speeds(line, chosen, [metric], [metric])
-    fixed = {} if line is None else {"line": line}
+    fixed, content = ({}, {}) if line is None else ({"line": line}, {"line": line_content(line)})
+    options.say_notes(content)
     return Plan(
         lambda run: study.render(
             video, chosen, left, seed=seed, speed=metric, fixed=fixed, progress=run.progress
         ),
-        {**dict(chosen), "environment": setup} | ({} if line is None else {"line": line_content(line)}),
+        {**dict(chosen), "environment": setup, **content},
         seed,
     )
 

@@ -8,7 +8,7 @@ key: value with dotted keys. A part of a study may stand there by name, by path 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -54,6 +54,8 @@ class Kind:
         A key and its value, where the folder holds other kinds as well: ``("kind", "wheel")``.
     optional : tuple of str
         Parts that may be null.
+    of_table : callable, optional
+        Content of a file that names a CSV file, for one that stands in its place.
     """
 
     folder: str
@@ -63,6 +65,7 @@ class Kind:
     base: str | None = None
     only: tuple[str, str] | None = None
     optional: tuple[str, ...] = ()
+    of_table: Callable[[str], dict[str, Any]] | None = None
 
 
 class Draft(NamedTuple):
@@ -115,7 +118,7 @@ def layered(kind: Kind, name_or_path: str) -> Draft:
 
 def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     """A file over its base; parts that nothing was set in are still names."""
-    content, source = read_config(kind.folder, name)
+    content, source = _content(kind, name)
     own, folder = dict(section(content, source)), Path(source).parent
     _refuse_other(kind, own, source)
     below = _base(kind, own, source, (*users, _identity(name)))
@@ -136,6 +139,15 @@ def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
         text = json.dumps(_placed_at(kind, str(key).split("."), value, folder), default=str)
         draft = _with_assignment(kind, _with_parts(kind, draft), f"{key}={text}", f"{source}: set:")
     return draft
+
+
+def _content(kind: Kind, name: str) -> tuple[Any, str]:
+    """Raw content of a file and where it came from."""
+    if not name.lower().endswith(".csv"):
+        return read_config(kind.folder, name)
+    if kind.of_table is None:
+        raise ConfigError(f"{name}: is a table; expected a YAML file of a {kind.folder}, which may name it")
+    return kind.of_table(Path(name).name), name
 
 
 def _base(kind: Kind, own: dict[str, Any], source: str, users: tuple[str, ...]) -> Draft:

@@ -18,6 +18,7 @@ from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import Array
+from sayd_env.measured.dampers import force_velocity
 from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.aligned import aligned, zeros
@@ -119,8 +120,9 @@ class VehicleModel:
         law = self.scenario.damper
         if not isinstance(law, PassiveDamperConfig):
             return self.multibody.dampers
+        curve = force_velocity(law)
         yaw = [
-            ForceElement(name, bogie - car, np.array(law.curve), law.series_stiffness)
+            ForceElement(name, bogie - car, curve, law.series_stiffness)
             for name, bogie, car in self.multibody.yaw_dampers
         ]
         return (*yaw, *self.multibody.dampers)
