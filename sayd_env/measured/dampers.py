@@ -324,7 +324,7 @@ def _is_grid(table: TextTable) -> bool:
 
 def _grid(table: TextTable, units: Mapping[_Role, str | None]) -> tuple[Array, Array, Array, Unit, list[str]]:
     """Currents (c,) in their unit, drops (p,), flows (c, p), that unit, and where each drop stands."""
-    cells = [found for name in table.names[1:] if (found := _CELL.fullmatch(name))]
+    cells = [found.groupdict() for name in table.names[1:] if (found := _CELL.fullmatch(name))]
     mark = decimal_mark({cell["number"] for cell in cells}, f"{table.source}: line {table.head.line}")
     texts = [cell["number"].replace(mark, ".") for cell in cells]
     for text in texts:
@@ -336,10 +336,10 @@ def _grid(table: TextTable, units: Mapping[_Role, str | None]) -> tuple[Array, A
     ]
     stated += sorted({cell["unit"].strip(" []()") for cell in cells} - {""})
     where = f"{table.source}: line {table.head.line}: first cell '{corner}'"
-    found = {role: _stated(where, role, stated, units[role]) for role in units}
     for text in stated:
-        if unit_of(text) not in found.values():
-            raise DataError(f"{where}: unit '{text}': {_allowed(_MAP)}")
+        if (unit := unit_of(text)) is None or _role("", unit, _MAP) is None:
+            raise DataError(f"{where}: found '{text}' as a unit; {_allowed(_MAP)}")
+    found = {role: _stated(where, role, stated, units[role]) for role in units}
     numbers = table.numbers(range(len(table.names)))
     if len(numbers) < 2 or len(texts) < 2:
         raise DataError(

@@ -50,7 +50,7 @@ _OTHER_NAMES = {
     "superelevation": "cant",
 }
 _CHORD = re.compile(
-    r"(?:(?P<length>\d+(?:_\d+)?)_?(?P<unit>m|ft)_)?(?:mid_?)?(?:chord|versine|mco|offset)s?"
+    r"(?:(?P<length>\d+(?:_\d+)?)_?(?P<unit>m|ft)_)?(?:mid_?)?(?:chord|versine|mco)s?"
     r"(?:_(?P<behind>\d+(?:_\d+)?)_?(?P<behind_unit>m|ft))?"
 )
 _DOMAIN = re.compile(r"d(?P<domain>[0-3])")

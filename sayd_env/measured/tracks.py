@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from sayd_env.config.conditions import smooth_step
 from sayd_env.config.errors import DataError
-from sayd_env.config.track import CHANNELS, DOMAINS, Channel, FileConfig
+from sayd_env.config.track import CHANNELS, DOMAINS, FileConfig
 from sayd_env.config.units import Array
 from sayd_env.measured.distance import IRREGULARITIES, Column, Table, Variant, read_table
 
@@ -91,7 +91,7 @@ def read_measured(config: FileConfig) -> MeasuredTrack:
     """
     table = read_table(config.path, IRREGULARITIES, _MIN_ROWS, config.ignore)
     _check_gaps(table)
-    columns: dict[Channel, list[tuple[Variant, Column]]] = {channel: [] for channel in CHANNELS}
+    columns: dict[str, list[tuple[Variant, Column]]] = {channel: [] for channel in CHANNELS}
     for name, variant in table.variants.items():
         columns[variant.channel].append((variant, table.columns[name]))
     notes: list[str] = []
@@ -128,7 +128,7 @@ def _added(
     found = {variant.domain: column for variant, column in columns}
     first = columns[0][1].header
     if not config.domains:
-        spans = {name: f"{low:g} to {high:g} m" for name, (low, high) in DOMAINS.items()}
+        spans: dict[str, str] = {name: f"{low:g} to {high:g} m" for name, (low, high) in DOMAINS.items()}
         domain = columns[0][0].domain
         raise DataError(
             f"{table.head}: column '{first}' holds the waves of one domain of EN 13848-1 alone "
@@ -264,7 +264,7 @@ def _what_is_lost(header: str, chord: float, low: float, high: float) -> str:
 def _band(x: Array, values: Array, band: tuple[float, float], shown: Callable[[Array], Array]) -> Array:
     """Waves of a band of lengths, each divided by the share of it that was shown."""
     low, high = band
-    even = np.linspace(x[0], x[-1], len(x))
+    even: Array = np.linspace(x[0], x[-1], len(x))
     step = float(even[1] - even[0])
     # A wave cut off at an end has others of all lengths in it; a chord's inverse lifts the long ones of them.
     fade = smooth_step((even - x[0]) / (_FADE * high)) * smooth_step((x[-1] - even) / (_FADE * high))
