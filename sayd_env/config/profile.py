@@ -17,12 +17,16 @@ JOINT_TOLERANCE_MM = 0.02
 """Zones may miss each other by this much (mm): published formulas are rounded."""
 
 
+_WIDEST = 500.0  # mm; no profile reaches further from its origin
+_FLATTEST = 1e6  # mm; an arc of a larger radius is a line
+
+
 class Line(Model):
     """Straight zone: z = offset + slope * y."""
 
     type: Literal["line"]
-    start: float = quantity("mm", "lateral start of the zone")
-    end: float = quantity("mm", "lateral end of the zone")
+    start: float = quantity("mm", "lateral start of the zone", ge=-_WIDEST, le=_WIDEST)
+    end: float = quantity("mm", "lateral end of the zone", ge=-_WIDEST, le=_WIDEST)
     offset: float = quantity("mm", "height of the line at y = 0")
     slope: float = quantity("-", "slope dz/dy")
 
@@ -31,11 +35,11 @@ class Arc(Model):
     """Circular zone: z = centre_z +- sqrt(radius^2 - (y - centre_y)^2)."""
 
     type: Literal["arc"]
-    start: float = quantity("mm", "lateral start of the zone")
-    end: float = quantity("mm", "lateral end of the zone")
-    centre_y: float = quantity("mm", "lateral position of the centre")
-    centre_z: float = quantity("mm", "height of the centre")
-    radius: float = quantity("mm", "radius", gt=0)
+    start: float = quantity("mm", "lateral start of the zone", ge=-_WIDEST, le=_WIDEST)
+    end: float = quantity("mm", "lateral end of the zone", ge=-_WIDEST, le=_WIDEST)
+    centre_y: float = quantity("mm", "lateral position of the centre", ge=-_FLATTEST, le=_FLATTEST)
+    centre_z: float = quantity("mm", "height of the centre", ge=-_FLATTEST, le=_FLATTEST)
+    radius: float = quantity("mm", "radius", gt=0, le=_FLATTEST)
     side: Literal["upper", "lower"] = Field(description="which half of the circle: upper (+) or lower (-)")
 
     @model_validator(mode="after")
@@ -50,8 +54,8 @@ class Polynomial(Model):
     """Polynomial zone: z = sum_k coefficients[k] * y^k."""
 
     type: Literal["polynomial"]
-    start: float = quantity("mm", "lateral start of the zone")
-    end: float = quantity("mm", "lateral end of the zone")
+    start: float = quantity("mm", "lateral start of the zone", ge=-_WIDEST, le=_WIDEST)
+    end: float = quantity("mm", "lateral end of the zone", ge=-_WIDEST, le=_WIDEST)
     coefficients: tuple[Number, ...] = Field(
         min_length=1, description="coefficients from the constant upwards (mm, -, 1/mm, ...)"
     )
@@ -70,11 +74,14 @@ class Shape(Model):
     points: tuple[tuple[Number, Number], ...] | None = Field(
         None, min_length=8, description="table of [y, z] in order of y (mm)"
     )
-    file: str | None = Field(
-        None, description="measured file with columns y, z (mm); csv, blanks, .prw or .prr (path)"
+    file: str | None = Field(None, description="measured file (path): SIMPACK, MiniProf or columns y and z")
+    unit: Literal["mm", "cm", "m", "in", "um"] | None = Field(
+        None, description="unit of the file; null: what it says, or else the one in which it makes a profile"
     )
-    mirror: bool = Field(False, description="measured data has y towards the track centre: turn it round")
-    invert: bool = Field(False, description="measured data has z downwards: turn it round")
+    mirror: bool | None = Field(
+        None, description="turn y round; null: only a file's, so that a wheel's flange is at negative y"
+    )
+    invert: bool | None = Field(None, description="turn z round; null: only a file's, so that it is upwards")
     smoothing: float = quantity(
         "m",
         "length over which tabulated points are smoothed (cubic Savitzky-Golay)",
@@ -88,6 +95,8 @@ class Shape(Model):
         given = [name for name in ("zones", "points", "file") if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"give exactly one of zones, points, file; found {', '.join(given) or 'none'}")
+        if self.unit is not None and self.file is None:
+            raise ValueError(f"unit is that of a file; {given[0]} are in mm")
         for before, after in zip(self.zones or (), (self.zones or ())[1:], strict=False):
             if abs(before.end - after.start) > 1e-9:
                 raise ValueError(
