@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 WEAR_OF = {"new": 0.0, "worn": 1.0}
 SHARE = Number(0, 1)
 FRICTION = positive(high=1)
+GAUGE = Number(900, 1700, "mm")
 WORKERS = Number(1, 1024, whole=True)
 SEED = Number(0, 2**32 - 1, whole=True)
 SEEDS = Number(1, 10_000, whole=True)
@@ -163,13 +166,28 @@ class OutputOptions(Group):
     wide: bool = output("--wide", "Print all columns of tables, beyond 80 characters.", default=False)
 
 
+def gauge_text(text: str) -> str:
+    """A gauge that is typed: mm, or a track's name or path, which is read later."""
+    if re.fullmatch(r"[-+.\d].*", text) and "/" not in text:
+        GAUGE(text)
+    return text
+
+
 class ScenarioOptions(Group):
     """Options that choose vehicle, wheels, track and dampers."""
 
     profile: str | None = scenario(
         "--profile NAME|FILE",
-        "Wheel profile: new, worn, a name or a YAML file.",
+        "Wheel profile: new, worn, a name, a YAML file or a profile file (.csv, .txt, .prw, .whl).",
         autocompletion=one_of(*WEAR_OF, kind="profile"),
+    )
+    rail: str | None = scenario(
+        "--rail NAME|FILE",
+        "Rail profile: a name, a YAML file or a profile file (.csv, .txt, .prr, .ban).",
+        autocompletion=one_of(kind="profile"),
+    )
+    gauge: str | None = scenario(
+        "--gauge MM|NAME|FILE", "Track gauge in mm, or that of a track: a name or a YAML file.", gauge_text
     )
     track: str | None = scenario(
         "--track NAME|FILE", "Track: a name or a YAML file.", autocompletion=one_of(kind="track")
@@ -209,9 +227,39 @@ class ScenarioOptions(Group):
         if damper is not None and load_scenario(config).damper.type == damper:
             damper = None  # the configuration's own, whose numbers may differ from the packaged ones
         flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track, "damper": damper}
+        flags |= {"rail": self.rail, "track.gauge": self._gauge()}
         # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.
         given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
-        return load_scenario(config, [*given, *(self.assignments or ())])
+        found = load_scenario(config, [*given, *(self.assignments or ())])
+        say_notes(found)
+        return found
+
+    def _gauge(self) -> float | None:
+        """Gauge (m) that is typed, or that of the track that is named."""
+        from sayd_env.config.track import read_track  # noqa: PLC0415 - keeps --help fast
+
+        if self.gauge is None:
+            return None
+        try:
+            return float(self.gauge) * 1e-3
+        except ValueError:
+            return read_track(self.gauge).gauge
+
+
+def say_notes(chosen: Scenario) -> None:
+    """Tell on standard error what was recognised and changed in measured profiles.
+
+    Raises
+    ------
+    DataError
+        One cannot be used.
+    """
+    if all(each.shape.file is None and each.right is None for each in (chosen.wheel, chosen.rail)):
+        return  # reading profiles takes SciPy, and that takes time
+    from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415
+
+    for note in profile_notes(dict(chosen)):
+        sys.stderr.write(f"sayd: {note}\n")
 
 
 class VehicleOptions(ScenarioOptions):

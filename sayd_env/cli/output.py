@@ -5,11 +5,12 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import BaseModel
 from rich.console import Console
 
 if TYPE_CHECKING:
@@ -57,6 +58,8 @@ class Output:
         from sayd_env.report.files import document, json_text  # noqa: PLC0415 - keeps --help fast
 
         content = document(result, config, seed, command_text()) | ({"quick": True} if quick else {})
+        if notes := _profile_notes(config):
+            content.setdefault("notes", notes)
         files = [] if self.directory is None else self.directory.save(result, content)
         result.summary(self.console, wide=self.wide)
         if quick:
@@ -95,6 +98,13 @@ typed: list[str] = []
 def command_text() -> str:
     """What was typed, as a shell would take it again."""
     return shlex.join(["sayd", *typed])
+
+
+def _profile_notes(config: Any) -> tuple[str, ...]:
+    """What was changed in the measured profiles of a configuration."""
+    from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415 - keeps --help fast
+
+    return profile_notes(dict(config)) if isinstance(config, BaseModel | Mapping) else ()
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -9,9 +10,14 @@ from pydantic import Field, model_validator
 from sayd_env.config.base import Model, Number, Part, quantity
 from sayd_env.config.layers import Kind, read_layered
 
-WHEEL, RAIL = (
-    Kind("profile", data=("shape.file", "wear.shape.file"), only=("kind", kind)) for kind in ("wheel", "rail")
-)
+
+
+def _kind(kind: str) -> Kind:
+    one = Kind("profile", data=("shape.file", "wear.shape.file"), only=("kind", kind), measured=kind)
+    return replace(one, parts={"left": one, "right": one}, optional=("right",), sided=True)
+
+
+WHEEL, RAIL = _kind("wheel"), _kind("rail")
 
 JOINT_TOLERANCE_MM = 0.02
 """Zones may miss each other by this much (mm): published formulas are rounded."""
@@ -142,6 +148,14 @@ class WheelProfileConfig(Part):
     wear: Annotated[HollowWear | MeasuredWear, Field(discriminator="type")] | None = Field(
         None, description="what wear = 1 means; without it the profile does not wear"
     )
+    right: WheelProfileConfig | None = Field(
+        None, description="right wheels, where they have another profile than the left ones"
+    )
+
+    @model_validator(mode="after")
+    def _one_wheelset(self) -> WheelProfileConfig:
+        _check_right(self, "back_to_back")
+        return self
 
 
 class RailProfileConfig(Part):
@@ -159,13 +173,34 @@ class RailProfileConfig(Part):
     gauge_depth: float = quantity(
         "m", "depth below the crown at which the gauge is measured", gt=0.0, lt=0.04
     )
+    right: RailProfileConfig | None = Field(
+        None, description="right rail, where it has another profile than the left one"
+    )
+
+    @model_validator(mode="after")
+    def _one_track(self) -> RailProfileConfig:
+        _check_right(self, "gauge_depth")
+        return self
+
+
+def _check_right(left: WheelProfileConfig | RailProfileConfig, common: str) -> None:
+    """Refuse a right side that has a right side, or another number that is one for both."""
+    if left.right is None:
+        return
+    if left.right.right is not None:
+        raise ValueError("right: is the right one already, it has no right one of its own")
+    if getattr(left, common) != getattr(left.right, common):
+        raise ValueError(
+            f"right.{common}: found {getattr(left.right, common):g}; expected that of the left one, "
+            f"{getattr(left, common):g} m"
+        )
 
 
 ProfileConfig = WheelProfileConfig | RailProfileConfig
 
 
 def load_wheel(name_or_path: str) -> WheelProfileConfig:
-    """Read a wheel profile: a packaged name or a path to a YAML file.
+    """Read a wheel profile: a packaged name, or a path to a YAML or profile file.
 
     Raises
     ------
@@ -176,7 +211,7 @@ def load_wheel(name_or_path: str) -> WheelProfileConfig:
 
 
 def load_rail(name_or_path: str) -> RailProfileConfig:
-    """Read a rail profile: a packaged name or a path to a YAML file.
+    """Read a rail profile: a packaged name, or a path to a YAML or profile file.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ from sayd_env.config.profile import (
     Arc,
     HollowWear,
     Line,
+    MeasuredWear,
     Polynomial,
     RailProfileConfig,
     Shape,
@@ -113,6 +115,9 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
         raise DataError(
             f"wheel profile '{config.name}': rises by {rise * 1e3:.1f} mm on the field side; is it a rail?"
         )
+    if notes:
+        place = f"backs {config.back_to_back * 1e3:g} mm apart, tape circle {config.tape_to_back * 1e3:g} mm from"
+        notes = (*notes, f"{config.name}: {place} the back (wheel.back_to_back, wheel.tape_to_back)")
     half = 0.5 * config.back_to_back + config.tape_to_back
     return Profile(config.name, "wheel", y, z, half_distance=half, notes=notes)
 
@@ -138,9 +143,54 @@ def rail_profile(config: RailProfileConfig) -> Profile:
     y, z = _on_grid(curve, turned_y[0] - crown, turned_y[-1] - crown, offset=crown)
     z = z - float(curve(crown))
     _check_reach(config.name, y, RAIL_REACH, "the crown")
+    if notes:
+        notes = (*notes, f"{config.name}: {_stands(config.cant, y, z)} (rail.cant)")
     profile = Profile(config.name, "rail", y, z, gauge_depth=config.gauge_depth, notes=notes)
     gauge_point(profile)
     return profile
+
+
+def _stands(cant: float, y: Array, z: Array) -> str:
+    """How a measured rail stands, for the user."""
+    if cant:
+        return f"turned by a cant of {cant:g} over that of the file"
+    reach = np.linspace(0.0, _HEAD, 50)
+    aside = np.interp(reach, y, z) - np.interp(-reach, y, z)
+    even = np.max(np.abs(aside)) < _EVEN
+    return "stands as in the file" + (", upright: in the track it is inclined by 1:20 to 1:40" if even else "")
+
+
+_HEAD, _EVEN = 0.015, 5e-5
+"""Where a head that is inclined by 1:40 has its sides at other heights, by 0.3 mm, and an upright one not (m)."""
+
+
+def profile_notes(parts: Mapping[str, object]) -> tuple[str, ...]:
+    """What was recognised and changed in the measured profiles among the parts of a configuration.
+
+    Parameters
+    ----------
+    parts : mapping
+        Wheels and rails, and others that are passed over, by any names.
+
+    Raises
+    ------
+    DataError
+        One cannot be used.
+    """
+    notes: list[str] = []
+    for part in parts.values():
+        sides = (part, part.right) if isinstance(part, WheelProfileConfig | RailProfileConfig) else ()
+        for side in sides:
+            if isinstance(side, WheelProfileConfig) and _measured(side):
+                notes += wheel_profile(side, float(isinstance(side.wear, MeasuredWear))).notes
+            elif isinstance(side, RailProfileConfig) and side.shape.file is not None:
+                notes += rail_profile(side).notes
+    return tuple(dict.fromkeys(notes))
+
+
+def _measured(wheel: WheelProfileConfig) -> bool:
+    worn = wheel.wear.shape.file if isinstance(wheel.wear, MeasuredWear) else None
+    return wheel.shape.file is not None or worn is not None
 
 
 def blended(first: Profile, second: Profile, share: float) -> Profile:
@@ -202,7 +252,7 @@ def _sampled(shape: Shape, name: str, kind: Kind) -> tuple[Array, Array, tuple[s
             Path(shape.file), kind, unit=shape.unit, mirror=shape.mirror, invert=shape.invert
         )
         y, z = _interpolated(measured.y, measured.z, shape.smoothing)
-        return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes)
+        return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes or ("read as it is",))
     y, z = _from_zones(shape, name) if shape.zones is not None else _from_points(shape, name)
     y = -y[::-1] if shape.mirror else y
     z = z[::-1] if shape.mirror else z
