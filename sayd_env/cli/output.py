@@ -101,10 +101,12 @@ def command_text() -> str:
 
 
 def _notes(config: Any) -> tuple[str, ...]:
-    """What was done to the numbers of measured files that a configuration names."""
+    """What was recognised in measured files that a configuration names, and done to their numbers."""
     from sayd_env.measured.notes import measured_notes  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415
 
-    return measured_notes(dict(config)) if isinstance(config, BaseModel | Mapping) else ()
+    parts = dict(config) if isinstance(config, BaseModel | Mapping) else {}
+    return (*profile_notes(parts), *measured_notes(parts))
 
 
 @contextmanager

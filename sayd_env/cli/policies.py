@@ -282,6 +282,7 @@ def render(
     chosen = choice.load(setup.study)
     # What options set is not drawn; `--profile new` and `worn` are the study's own profile.
     flags = {"wear": choice.wear, "friction": choice.friction, "track": choice.track, "wheel": choice.profile}
+    flags["track.gauge"] = choice.gauge
     keys = [key for key, value in flags.items() if value is not None] + (["wear"] if choice.profile else [])
     keys += [item.partition("=")[0].strip() for item in choice.assignments or ()]
     left = setup.model_copy(update={"randomisation": setup.randomisation.without(fixed_by(keys))})

@@ -8,7 +8,7 @@ key: value with dotted keys. A part of a study may stand there by name, by path 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from pydantic import BaseModel
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin, shown
 from sayd_env.config.loader import (
+    YAML,
     apply_overrides,
     assigned,
     beside,
@@ -54,8 +55,12 @@ class Kind:
         A key and its value, where the folder holds other kinds as well: ``("kind", "wheel")``.
     optional : tuple of str
         Parts that may be null.
-    of_table : callable, optional
-        Content of a file that names a CSV file, for one that stands in its place.
+    sided : bool
+        May stand as ``{left: ..., right: ...}`` of parts by these keys: the left one's content, with the
+        right one under its key.
+    measured : str, optional
+        A path that is not YAML is a data file at the first of `data`: with the rest of a section from this
+        file of configs/measured/, in which a name stands for that of the file.
     """
 
     folder: str
@@ -65,7 +70,8 @@ class Kind:
     base: str | None = None
     only: tuple[str, str] | None = None
     optional: tuple[str, ...] = ()
-    of_table: Callable[[str], dict[str, Any]] | None = None
+    sided: bool = False
+    measured: str | None = None
 
 
 class Draft(NamedTuple):
@@ -118,7 +124,7 @@ def layered(kind: Kind, name_or_path: str) -> Draft:
 
 def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     """A file over its base; parts that nothing was set in are still names."""
-    content, source = _content(kind, name)
+    content, source = _measured(kind, name) or read_config(kind.folder, name)
     own, folder = dict(section(content, source)), Path(source).parent
     _refuse_other(kind, own, source)
     below = _base(kind, own, source, (*users, _identity(name)))
@@ -141,13 +147,22 @@ def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     return draft
 
 
-def _content(kind: Kind, name: str) -> tuple[Any, str]:
-    """Raw content of a file and where it came from."""
-    if not name.lower().endswith(".csv"):
-        return read_config(kind.folder, name)
-    if kind.of_table is None:
-        raise ConfigError(f"{name}: is a table; expected a YAML file of a {kind.folder}, which may name it")
-    return kind.of_table(Path(name).name), name
+def _measured(kind: Kind, name: str) -> tuple[dict[str, Any], str] | None:
+    """Content that makes a part of a data file, and its path; None for what is no data file."""
+    if not is_path(name) or name.lower().endswith(YAML):
+        return None
+    if kind.measured is None:
+        raise ConfigError(
+            f"{name}: is no YAML file; expected one of a {kind.folder}, which may name this file"
+        )
+    path = Path(name)
+    content = section(*read_config("measured", kind.measured))
+    if "name" in content:
+        content["name"] = path.stem
+    value: Any = path.name
+    for key in reversed(kind.data[0].split(".")):
+        value = {key: value}
+    return _merged(content, value), name
 
 
 def _base(kind: Kind, own: dict[str, Any], source: str, users: tuple[str, ...]) -> Draft:
@@ -209,10 +224,27 @@ def _with_parts(kind: Kind, draft: Draft) -> Draft:
             root = None
         else:
             continue
-        data[key] = found.data
-        inner = (Origin((key, *o.path), o.source, o.depth + 1) for o in found.origins)
+        data[key] = _left_first(found, key) if part.sided else found.data
+        inner = (Origin((key, *_without_left(part, o.path)), o.source, o.depth + 1) for o in found.origins)
         origins = (*origins, *(() if root is None else (root,)), *inner)
     return Draft(data, draft.source, origins)
+
+
+def _left_first(draft: Draft, key: str) -> dict[str, Any]:
+    """The left one's content with the right one beside it."""
+    data, left = draft.data, draft.data.get("left")
+    if not isinstance(left, dict):
+        return data
+    others = [name for name in data if name not in ("left", "right")]
+    if others and "kind" not in others:  # with it, they are the content that `left` replaces
+        raise ConfigError(
+            f"{draft.source}: {key}: found {', '.join(map(str, others))} beside left; expected left and right"
+        )
+    return {**left, "right": data.get("right")}
+
+
+def _without_left(part: Kind, path: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    return path[1:] if part.sided and path[:1] == ("left",) else path
 
 
 def _check_parts(kind: Kind, data: Mapping[str, Any], source: str, above: str = "") -> None:

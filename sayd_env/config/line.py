@@ -39,12 +39,7 @@ from sayd_env.config.track import (
 )
 from sayd_env.config.units import KMH
 
-LINE = Kind(
-    "line",
-    names=("rails.*", "sections.*.track"),
-    data=("file",),
-    of_table=lambda path: {"file": path},
-)
+LINE = Kind("line", names=("rails.*", "sections.*.track"), data=("file",), measured="line")
 
 # A change between sections, as knots: linear pieces depart from the smooth step by 0.7 % of the change.
 _STEPS = np.linspace(0.0, 1.0, 11)

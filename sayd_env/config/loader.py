@@ -112,9 +112,14 @@ def read_text(path: Path, what: str = "file") -> str:
         raise ConfigError(f"{path}: is not a valid file name") from None
 
 
+YAML = (".yaml", ".yml")
+DATA = (".csv", ".txt", ".dat", ".tsv", ".asc", ".prw", ".prr", ".whl", ".ban", ".rail")
+"""Ends of files' names."""
+
+
 def is_path(name_or_path: str) -> bool:
-    """Whether a reference is a path to a file: it ends in .yaml, .yml or .csv, or has a separator."""
-    return name_or_path.lower().endswith((".yaml", ".yml", ".csv")) or "/" in name_or_path
+    """Whether a reference is a path to a file: it ends as one of YAML or data does, or has a separator."""
+    return name_or_path.lower().endswith((*YAML, *DATA)) or "/" in name_or_path
 
 
 def beside(name_or_path: str, folder: Path) -> str:

@@ -26,7 +26,7 @@ TRACK = Kind(
     "track",
     parts={"section": Kind("section")},
     data=("irregularity.path",),
-    of_table=lambda path: {"base": "smooth", "irregularity": {"type": "file", "path": path}},
+    measured="track",
 )
 
 Channel = Literal["alignment", "vertical", "cross_level", "gauge"]
