@@ -19,6 +19,7 @@ from pydantic import BaseModel
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin, shown
 from sayd_env.config.loader import (
+    DATA,
     YAML,
     apply_overrides,
     assigned,
@@ -152,9 +153,9 @@ def _measured(kind: Kind, name: str) -> tuple[dict[str, Any], str] | None:
     if not is_path(name) or name.lower().endswith(YAML):
         return None
     if kind.measured is None:
-        raise ConfigError(
-            f"{name}: is no YAML file; expected one of a {kind.folder}, which may name this file"
-        )
+        if name.lower().endswith(DATA):
+            raise ConfigError(f"{name}: is a table; expected a YAML file of a {kind.folder}, which may name it")
+        return None
     path = Path(name)
     content = section(*read_config("measured", kind.measured))
     if "name" in content:
