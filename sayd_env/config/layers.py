@@ -154,7 +154,7 @@ def _measured(kind: Kind, name: str) -> tuple[dict[str, Any], str] | None:
         return None
     if kind.measured is None:
         if name.lower().endswith(DATA):
-            raise ConfigError(f"{name}: is a table; expected a YAML file of a {kind.folder}, which may name it")
+            raise ConfigError(f"{name}: is a table; expected YAML of a {kind.folder}, which may name it")
         return None
     path = Path(name)
     content = section(*read_config("measured", kind.measured))

@@ -209,7 +209,7 @@ def test_the_option_takes_files_of_all_kinds(tmp_path: Path, capsys: pytest.Capt
 
     with pytest.raises(DataError, match="found 'x_m', 'gauge_mm'; expected columns of a curve"):
         chosen(write(tmp_path, "x_m,gauge_mm\n0,1\n1,1\n2,1\n"))
-    with pytest.raises(ConfigError, match=r"rig\.csv: is a table; expected a YAML file of a damper"):
+    with pytest.raises(ConfigError, match=r"rig\.csv: is a table; expected YAML of a damper"):
         load_scenario("estimates", [f"damper={tmp_path / 'rig.csv'}"])
 
 
@@ -222,3 +222,12 @@ def test_dampers_of_the_vehicle_have_measured_curves_too(tmp_path: Path) -> None
     double = scaled(scenario, {("vehicle", "elements", "lateral_damper", "curve"): 2.0})
     (damper,) = [each for each in double.vehicle.elements if each.name == "lateral_damper"]
     np.testing.assert_allclose(force_velocity(damper)[:, 1], 2.0 * np.array(POINTS)[:, 1])  # type: ignore[arg-type]
+
+
+def test_the_examples_of_the_documentation_are_read(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "dampers.md").read_text(encoding="utf-8")
+    points, field, listed = [part.split("```")[0] for part in text.split("```text\n")[1:]]
+    assert curve(tmp_path, points) == POINTS
+    for example in (field, listed):
+        found = valve(tmp_path, example, current_range=(0.2, 1.4))
+        np.testing.assert_allclose(found.at([0.0, 1.0], 4e6), np.array([1.0, 30.0]) * LITRE_PER_MINUTE)

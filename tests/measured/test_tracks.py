@@ -272,3 +272,10 @@ def test_a_file_of_geometry_is_a_track(tmp_path: Path) -> None:
     track, even = read_track(str(path), ["irregularity.ramp=20.0"]), read_track("smooth")
     assert track.irregularity == FileConfig(type="file", path=str(path), ramp=20.0)
     assert (track.section, track.gauge) == (even.section, even.gauge)
+
+
+def test_the_example_of_the_documentation_is_read(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "tracks.md").read_text(encoding="utf-8")
+    track = read(write(tmp_path, text.split("```text\n")[1].split("```")[0]))
+    np.testing.assert_allclose(track.x, 12000.0 + 0.25 * np.arange(4))
+    np.testing.assert_allclose(1e3 * track.values[0] * [1, 1, 1.5, 1], [0.21, -1.02, 0.40, -0.2], atol=1e-9)
