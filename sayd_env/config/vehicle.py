@@ -153,7 +153,7 @@ class MaxwellLaw(Model):
     """A damper with an odd piecewise-linear force-velocity curve in series with a spring (paper, 2.1)."""
 
     curve: Curve | MeasuredCurve = Field(
-        description="Points (velocity (m/s), force (N)) for v >= 0, or a file of them; the last slope goes on"
+        description="Points (velocity (m/s), force (N)) for v >= 0; the last slope goes on"
     )
     series_stiffness: float = quantity("N/m", "Series stiffness", gt=0.0)
 

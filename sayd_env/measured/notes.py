@@ -8,9 +8,10 @@ from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig, TableT
 from sayd_env.config.line import LineConfig
 from sayd_env.config.track import FileConfig, TrackConfig
 from sayd_env.config.vehicle import Damper, MeasuredCurve, VehicleConfig
-from sayd_env.measured.dampers import curve_note, map_note
+from sayd_env.measured.dampers import curve_note
 from sayd_env.measured.lines import read_measured_line
 from sayd_env.measured.tracks import read_measured
+from sayd_env.measured.valves import map_note
 
 
 def measured_notes(parts: Mapping[str, object]) -> tuple[str, ...]:

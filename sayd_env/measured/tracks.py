@@ -272,7 +272,7 @@ def _band(x: Array, values: Array, band: tuple[float, float], shown: Callable[[A
     padding = math.ceil(4.0 * high / step)
     total = len(x) + 2 * padding
     spectrum = np.fft.rfft(np.pad(CubicSpline(x, level)(even) * fade, padding))
-    frequency = np.fft.rfftfreq(total, step)
+    frequency: Array = np.asarray(np.fft.rfftfreq(total, step), dtype=np.float64)
     share = shown(frequency)
     seen = np.abs(share) >= _LEAST_SHOWN
     flanks = smooth_step((_FLANK * high * frequency - 1.0) / (_FLANK - 1.0)) * smooth_step(

@@ -21,7 +21,7 @@ from sayd_env.config.damper import (
     Throttle,
 )
 from sayd_env.config.units import Array
-from sayd_env.measured.dampers import ThrottleField, read_valve_map
+from sayd_env.measured.valves import ThrottleField, read_valve_map
 from sayd_env.physics.kernel import kernel
 
 CURRENTS = 129

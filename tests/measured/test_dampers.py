@@ -13,7 +13,8 @@ from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig, TableT
 from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.vehicle import MeasuredCurve
-from sayd_env.measured.dampers import ThrottleField, force_velocity, read_curve, read_valve_map
+from sayd_env.measured.dampers import force_velocity, read_curve
+from sayd_env.measured.valves import ThrottleField, read_valve_map
 
 POINTS = [[0.0, 0.0], [0.01, 4500.0], [0.05, 9200.0], [0.1, 11900.0]]
 CURVE = "velocity [mm/s];force [kN]\n10;4,5\n50;9,2\n100;11,9\n"
