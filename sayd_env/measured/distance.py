@@ -14,7 +14,7 @@ from sayd_env.config.errors import DataError
 from sayd_env.config.loader import nearest
 from sayd_env.config.track import CHANNELS
 from sayd_env.config.units import Array
-from sayd_env.measured.table import TextTable, labelled, read_text_table
+from sayd_env.measured.table import TextTable, labelled, physical_numbers, read_text_table
 from sayd_env.measured.units import unit_of
 
 
@@ -179,7 +179,7 @@ def read_table(path: str | Path, needed: Collection[str], rows: int, ignore: Col
     if len(text) < rows:
         raise DataError(f"{text.source}: found {len(text)} rows of numbers; at least {rows} are needed")
     factors = {k: _factor(text, k, name, where) for k, (name, _) in found.items()}
-    numbers = text.numbers(places)
+    numbers = physical_numbers(text, places)
     columns = {
         found[k][0]: Column(text.names[k], factors[k][1] * numbers[:, j], *factors[k])
         for j, k in enumerate(places)

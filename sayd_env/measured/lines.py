@@ -147,7 +147,9 @@ def _curvature(table: Table) -> Array | None:
         return curvature
     if curvature is not None:
         raise DataError(f"{table.source}: found radius_m and curvature_1_km; expected one of them")
-    return np.divide(1.0, radius, out=np.zeros_like(radius), where=radius != 0.0)
+    # Curves below 1 m are refused as those of 1 m are, without numbers that overflow.
+    size = np.copysign(np.maximum(np.abs(radius), 1.0), radius)
+    return np.where(radius == 0.0, 0.0, 1.0 / size)
 
 
 def _knots(s: Array, values: Array | None) -> Knots | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sayd_env.config.errors import DataError
 from sayd_env.config.units import Array
-from sayd_env.measured.table import TextTable, labelled
+from sayd_env.measured.table import TextTable, labelled, physical_numbers
 from sayd_env.measured.units import Unit, unit_of
 
 
@@ -51,7 +51,7 @@ def columns(table: TextTable, units: Mapping[Role, str | None]) -> Array:
     """Columns of roles, each of which the file has once, in SI; shape (n, roles)."""
     places = _places(table, tuple(units))
     factors = [column_unit(table, role, units).factor for role in units]
-    numbers = table.numbers([places[role] for role in units]) * factors
+    numbers = physical_numbers(table, [places[role] for role in units]) * factors
     if len(numbers) < 2:
         raise DataError(f"{table.source}: found {len(numbers)} rows of numbers; at least 2 are needed")
     for role, column in zip(units, numbers.T, strict=True):

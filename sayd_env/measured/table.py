@@ -35,6 +35,8 @@ LARGEST = 256 * MIB
 MISSING = frozenset({"", "nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "1.#qnan", "-1.#ind"})
 """What stands in a cell without a value, in lower case."""
 
+# In no unit is any quantity of a vehicle, a track or a damper as large.
+_BEYOND = 1e15
 _MINIMAL, _NONE = 0, 3  # csv.QUOTE_MINIMAL and csv.QUOTE_NONE
 
 
@@ -268,3 +270,19 @@ def labelled(table: TextTable, column: int) -> tuple[str, str]:
     name, unit = name_and_unit(table.names[column])
     below = table.head.units[column] if table.head.units else ""
     return "_".join(re.findall(r"[^\W_]+", name.lower())), unit or below
+
+
+def physical_numbers(table: TextTable, columns: Sequence[int]) -> Array:
+    """Numbers of columns as `TextTable.numbers` gives them, none of which is beyond all quantities.
+
+    Raises
+    ------
+    DataError
+        As there, or a number that would overflow when it is squared or given another unit.
+    """
+    found = table.numbers(columns)
+    for row, k in np.argwhere(np.abs(found) > _BEYOND)[:1]:
+        raise DataError(
+            f"{table.where(int(row), columns[k])}: found {found[row, k]:g}; at most {_BEYOND:g} is read"
+        )
+    return found

@@ -27,7 +27,7 @@ from sayd_env.measured.rig_tables import (
     extended,
     role_of,
 )
-from sayd_env.measured.table import TextTable, read_text_table
+from sayd_env.measured.table import TextTable, physical_numbers, read_text_table
 from sayd_env.measured.units import Unit, name_and_unit, unit_of
 
 _MAP = (CURRENT, DROP, FLOW)
@@ -136,7 +136,7 @@ def _grid(table: TextTable, units: Mapping[Role, str | None]) -> tuple[Array, Ar
         if (known := unit_of(text)) is None or role_of("", known, _MAP) is None:
             raise DataError(f"{where}: found '{text}' as a unit; {allowed(_MAP)}")
     found = {role: _stated(where, role, stated, units[role]) for role in units}
-    numbers = table.numbers(range(len(table.names)))
+    numbers = physical_numbers(table, range(len(table.names)))
     if len(numbers) < 2 or len(texts) < 2:
         raise DataError(
             f"{table.source}: found {len(numbers)} pressure drops and {len(texts)} currents; "

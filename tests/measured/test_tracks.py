@@ -207,6 +207,12 @@ def test_columns_may_be_left_out_by_name(tmp_path: Path) -> None:
         ("x_m,alignment [s]", (X, wave(20)), {}, r"unknown unit 's'; expected 'alignment \[mm\]'"),
         ("x,alignment_mm", (X, wave(20)), {}, r"column 'x': its unit is missing; expected 'x \[m\]' or"),
         ("x_m,alignment_mm", (-X, wave(20)), {}, r"line 3: .* positions must ascend \(turn the rows round"),
+        (
+            "x_m,alignment_mm",
+            (X * 1e300, wave(20)),
+            {},
+            "line 3: column 'x_m': found 2.5e.299; at most 1e.15",
+        ),
         ("x_m,gauge_mm", (X, 1435 + wave(20)), {}, "holds the gauge itself, about 1435 mm; say what"),
         ("x_m,gauge_mm", (X, 1435 + wave(20)), {"nominal_gauge": 1.52}, "nominal gauge is stated as 1520 mm"),
         ("x_m,gauge_mm", (X, wave(20)), {"nominal_gauge": 1.435}, "holds departures already"),
