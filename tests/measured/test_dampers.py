@@ -14,6 +14,7 @@ from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.vehicle import MeasuredCurve
 from sayd_env.measured.dampers import force_velocity, read_curve
+from sayd_env.measured.notes import measured_notes
 from sayd_env.measured.valves import ThrottleField, read_valve_map
 
 POINTS = [[0.0, 0.0], [0.01, 4500.0], [0.05, 9200.0], [0.1, 11900.0]]
@@ -220,6 +221,9 @@ def test_dampers_of_the_vehicle_have_measured_curves_too(tmp_path: Path) -> None
     scenario = load_scenario(write(tmp_path, text, "study.yaml"))
     (damper,) = [each for each in scenario.vehicle.elements if each.name == "lateral_damper"]
     np.testing.assert_allclose(force_velocity(damper), POINTS)  # type: ignore[arg-type]
+    assert measured_notes(dict(scenario)) == (
+        f"{tmp_path / 'curve.csv'}: force over velocity to 100 mm/s and 11.9 kN",
+    )
     double = scaled(scenario, {("vehicle", "elements", "lateral_damper", "curve"): 2.0})
     (damper,) = [each for each in double.vehicle.elements if each.name == "lateral_damper"]
     np.testing.assert_allclose(force_velocity(damper)[:, 1], 2.0 * np.array(POINTS)[:, 1])  # type: ignore[arg-type]

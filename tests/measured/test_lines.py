@@ -10,7 +10,8 @@ import pytest
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.conditions import Line
 from sayd_env.config.track import FileConfig, read_track
-from sayd_env.measured.lines import load_line
+from sayd_env.measured.lines import line_content, load_line
+from sayd_env.measured.notes import measured_notes
 from sayd_env.measured.tracks import read_measured
 from sayd_env.physics.track.realisation import realise_line
 
@@ -108,7 +109,10 @@ def test_keys_of_its_irregularities_are_the_lines(tmp_path: Path) -> None:
     mine = "file: twist.csv\nignore: [twist_mm]\nnominal_gauge: 1.437\n"
     (piece,) = load_line(write(tmp_path, mine, "mine.yaml")).tracks
     assert isinstance(piece.irregularity, FileConfig)
-    assert read_measured(piece.irregularity).notes == ("gauge_mm: the nominal gauge, 1437 mm, is taken off",)
+    note = "gauge_mm: the nominal gauge, 1437 mm, is taken off"
+    assert read_measured(piece.irregularity).notes == (note,)
+    told = measured_notes({"line": line_content(str(tmp_path / "mine.yaml"))})
+    assert told == (f"{tmp_path / 'twist.csv'}: {note}",)
 
 
 def test_sections_are_parts_of_equal_length(tmp_path: Path) -> None:
