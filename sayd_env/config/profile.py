@@ -199,6 +199,17 @@ def _check_right(left: WheelProfileConfig | RailProfileConfig, common: str) -> N
 ProfileConfig = WheelProfileConfig | RailProfileConfig
 
 
+def sides(
+    wheel: WheelProfileConfig, rail: RailProfileConfig
+) -> tuple[tuple[WheelProfileConfig, RailProfileConfig], tuple[WheelProfileConfig, RailProfileConfig]]:
+    """Wheel and rail of the left and of the right side, equal where they are alike."""
+    left = (
+        wheel if wheel.right is None else wheel.model_copy(update={"right": None}),
+        rail if rail.right is None else rail.model_copy(update={"right": None}),
+    )
+    return left, (wheel.right or left[0], rail.right or left[1])
+
+
 def load_wheel(name_or_path: str) -> WheelProfileConfig:
     """Read a wheel profile: a packaged name, or a path to a YAML or profile file.
 
