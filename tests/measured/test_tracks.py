@@ -76,7 +76,7 @@ def test_a_file_shorter_than_the_run_is_refused(tmp_path: Path, offset: float) -
         ([HEADER, *ROWS, "5,0"], "line 8: x_m 5 appears twice"),
         ([HEADER, *ROWS, "50,0"], "line 8: a gap of 45 m before x_m 50"),
         ([HEADER, *ROWS, "6,1435"], r"line 8: column 'alignment_mm': found 1435 mm; .*is the unit mm"),
-        ([HEADER, *ROWS, '6,"1'], "not a CSV file"),
+        ([HEADER, *ROWS, '6,"1'], "line 8: a quotation mark is not closed"),
     ],
 )
 def test_bad_files(tmp_path: Path, lines: list[str], message: str) -> None:
@@ -93,6 +93,6 @@ def test_missing_file(tmp_path: Path) -> None:
 
 def test_binary_file(tmp_path: Path) -> None:
     path = tmp_path / "track.csv"
-    path.write_bytes(b"\xff\xfe\x00\x81")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\x00\x81")
     with pytest.raises(ConfigError, match="is not a text file"):
         read_measured(path)
