@@ -23,8 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sayd_env.config.errors import DataError
-from sayd_env.config.loader import nearest, read_text
+from sayd_env.config.files import MIB, read_bytes
+from sayd_env.config.loader import nearest
 from sayd_env.config.units import Array
+from sayd_env.measured.dialect import decode, lines_of
+from sayd_env.measured.table import TextTable, table_of
+from sayd_env.measured.units import name_and_unit, unit_of
 
 Kind = Literal["wheel", "rail"]
 
@@ -423,28 +427,78 @@ def _decimal_comma(texts: Iterable[str]) -> bool:
 
 # --- Columns
 
+LARGEST = 16 * MIB
+"""Most that is read of a profile; scans have some thousand points."""
 
-def text_lines(path: Path) -> list[str]:
-    """Lines of a text file."""
-    return read_text(path, "profile file").splitlines()
+_LATERAL = frozenset({"y", "lateral", "lateral position", "x"})
+_VERTICAL = frozenset({"z", "height", "vertical"})
+_STATED = re.compile(
+    r"(?:\bin\s+|\b(?:units?|einheit)\s*[:=]?\s*|[\[(]\s*)(mm|cm|m|inch(?:es)?|[uµμ]m|microns?)(?=$|[\s\]),.;])",
+    re.IGNORECASE,
+)
+_WORDS = {"inches": "in", "microns": "um"}
 
 
-def read_points(lines: list[str], source: str) -> RawProfile:
-    rows: list[tuple[float, float]] = []
-    numbers: list[int] = []
-    allow_header = True
-    for count, line in enumerate(lines, start=1):
-        text = line.strip()
-        if not text or text.startswith(("!", "#", "%", "//")):
-            continue
-        fields = re.split(r"[,;\s]+", text.rstrip(",;"))
-        try:
-            row = (float(fields[0]), float(fields[1]))
-        except (ValueError, IndexError):
-            if allow_header and not rows and len(fields) > 1 and re.match(r"[A-Za-z\"]", text):
-                allow_header = False
-                continue
-            raise DataError(f"{source}: line {count}: found {_short(text)}, expected two numbers y z") from None
-        rows.append(row)
-        numbers.append(count)
-    return RawProfile(np.array(rows, dtype=float).reshape(-1, 2), numbers)
+def read_lines(path: Path) -> tuple[str, str]:
+    """Text of a profile file and its encoding."""
+    return decode(read_bytes(path, "profile file", LARGEST), str(path))
+
+
+def read_points(text: str, source: str) -> RawProfile:
+    """Read a table of two columns, lateral position and height, or more with names that tell these.
+
+    Raises
+    ------
+    DataError
+        See `sayd_env.measured.table.read_text_table`; columns of which it is not known which these are.
+    """
+    lines, comments, separator = lines_of(text)
+    if not lines:
+        return RawProfile(np.empty((0, 2)), [])
+    table = table_of(lines, source, comments=comments, separator=separator)
+    if not len(table):
+        return RawProfile(np.empty((0, 2)), [])
+    columns = _lateral_and_vertical(table)
+    units, said = _units_of(table, columns)
+    others = [table.titled(k) for k in range(table.head.width) if k not in columns]
+    notes = (f"not used: {', '.join(others[:8])}",) if others else ()
+    return RawProfile(table.numbers(columns), table.lines.tolist(), units, said, notes=notes)
+
+
+def _lateral_and_vertical(table: TextTable) -> list[int]:
+    """Places of the two columns."""
+    plain = [name_and_unit(name)[0].lower() for name in table.names]
+    # Beside a z, y is lateral and x along the rail; without one, as MiniProf has them, x is lateral, y upwards.
+    for lateral, vertical in ((_LATERAL - {"x"}, _VERTICAL), ({"x"}, {"y", *_VERTICAL})):
+        found = [[k for k, name in enumerate(plain) if name in known] for known in (lateral, vertical)]
+        if all(len(each) == 1 for each in found):
+            return [found[0][0], found[1][0]]
+    if table.head.width == 2:
+        return [0, 1]
+    hint = "; decimal commas need another separator" if table.head.separator == "," else ""
+    raise DataError(
+        f"{table.source}: line {table.head.line}: found {table.head.width} columns; expected two, y and z, or a "
+        f"header with these names (y_mm, z_mm){hint}"
+    )
+
+
+def _units_of(table: TextTable, columns: list[int]) -> tuple[tuple[float, float] | None, str]:
+    """Metres in the unit of each column, by the header or what stands above it, and which of them says it."""
+    head = table.head
+    written = [head.units[k] if head.units else name_and_unit(head.names[k])[1] for k in columns if head.names]
+    if any(written):
+        factors = [_length(text or next(filter(None, written)), table.source, head.line) for text in written]
+        return (factors[0], factors[1]), "its header: " + ", ".join(filter(None, written))
+    stated = {_WORDS.get(found.lower(), found) for line in head.preamble for found in _STATED.findall(line)}
+    if len(stated) != 1:
+        return None, ""
+    (text,) = stated
+    factor = _length(text, table.source, 1)
+    return (factor, factor), f"its beginning: {text}"
+
+
+def _length(text: str, source: str, line: int) -> float:
+    unit = unit_of(_WORDS.get(text.lower(), text))
+    if unit is None or unit.quantity != "length":
+        raise DataError(f"{source}: line {line}: found the unit {_short(text)}; expected {', '.join(UNITS)}")
+    return unit.factor

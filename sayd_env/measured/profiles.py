@@ -17,9 +17,9 @@ from sayd_env.measured.profile_files import (
     is_miniprof,
     is_simpack,
     read_miniprof,
+    read_lines,
     read_points,
     read_simpack,
-    text_lines,
 )
 
 FEWEST_POINTS = 20
@@ -83,13 +83,14 @@ def read_profile_file(
     DataError
         Empty, too short, not numeric or unsorted points (the line is named), no unit that fits, the other kind.
     """
-    lines = text_lines(path)
+    text, encoding = read_lines(path)
+    lines = text.split("\n")
     if is_simpack(lines):
         raw = read_simpack(lines, str(path))
     elif is_miniprof(lines):
         raw = read_miniprof(lines, str(path))
     else:
-        raw = read_points(lines, str(path))
+        raw = read_points(text, str(path))
     _check_kind(path, raw, kind)
     if len(raw.points) < FEWEST_POINTS:
         found = f"{len(raw.points)} points" if len(raw.points) else "no points"
@@ -97,7 +98,8 @@ def read_profile_file(
     y, z, notes = _in_metres(path, raw, kind, unit)
     y, z, turned = _upright(y, z, kind, mirror, invert)
     y, z, cleaned = _single_valued(path, y, z, raw.lines, kind)
-    return MeasuredProfile(y, z, (*raw.notes, *notes, *turned, *cleaned))
+    coded = () if encoding == "UTF-8" else (f"encoding: {encoding}",)
+    return MeasuredProfile(y, z, (*coded, *raw.notes, *notes, *turned, *cleaned))
 
 
 def _check_kind(path: Path, raw: RawProfile, kind: Kind) -> None:
