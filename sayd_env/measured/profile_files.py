@@ -39,6 +39,7 @@ UNITS: Mapping[str, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "u
 """Units of length in which profiles come (m)."""
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?")
+_FARTHEST = 1e6  # units of length of the file; a metre in micrometres
 _STEEPEST_TURN = 0.5  # rad; a rail is inclined by 1:20, a scan turned by more is not a profile
 
 
@@ -121,6 +122,12 @@ def _only(expected: float, why: str, text: str, where: str) -> float:
     return value
 
 
+def _shift(text: str, where: str) -> float:
+    if abs(value := number(text, where)) > _FARTHEST:
+        raise DataError(f"{where}: found {text}; expected {_FARTHEST:g} at most")
+    return value
+
+
 def _plain(text: str, where: str) -> str:
     del where
     return text.strip("'\"")
@@ -145,8 +152,8 @@ _SIMPACK: Mapping[str, Mapping[str, _Reader]] = {
         "comment": _plain,
         "type": number,
         "point.dist.min": number,
-        "shift.y": number,
-        "shift.z": number,
+        "shift.y": _shift,
+        "shift.z": _shift,
         "rotate": number,
         "bound.y.min": number,
         "bound.y.max": number,

@@ -129,8 +129,8 @@ def _in_metres(
         if len(fitting) != 1:
             what = f"is it in {' or '.join(fitting)}?" if fitting else f"a {kind} in none of {', '.join(UNITS)}"
             raise DataError(
-                f"{path}: its unit is not known: points are {extent}, {what}; state it by shape.unit "
-                "(--set wheel.shape.unit=mm) or in the header (y_mm, z_mm)"
+                f"{path}: its unit is not known: points are {extent}, {what}; state it by {kind}.shape.unit "
+                f"(--set {kind}.shape.unit=mm) or in a header (y_mm, z_mm)"
             )
         factors = UNITS[fitting[0]], UNITS[fitting[0]]
         note = f"unit: {fitting[0]}, in which points {extent} make a {kind}; the file does not say it"

@@ -115,7 +115,7 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
         raise DataError(
             f"wheel profile '{config.name}': rises by {rise * 1e3:.1f} mm on the field side; is it a rail?"
         )
-    if notes:
+    if config.shape.file is not None:
         place = f"backs {config.back_to_back * 1e3:g} mm apart, tape circle {config.tape_to_back * 1e3:g} mm from"
         notes = (*notes, f"{config.name}: {place} the back (wheel.back_to_back, wheel.tape_to_back)")
     half = 0.5 * config.back_to_back + config.tape_to_back
@@ -143,7 +143,7 @@ def rail_profile(config: RailProfileConfig) -> Profile:
     y, z = _on_grid(curve, turned_y[0] - crown, turned_y[-1] - crown, offset=crown)
     z = z - float(curve(crown))
     _check_reach(config.name, y, RAIL_REACH, "the crown")
-    if notes:
+    if config.shape.file is not None:
         notes = (*notes, f"{config.name}: {_stands(config.cant, y, z)} (rail.cant)")
     profile = Profile(config.name, "rail", y, z, gauge_depth=config.gauge_depth, notes=notes)
     gauge_point(profile)
@@ -252,7 +252,7 @@ def _sampled(shape: Shape, name: str, kind: Kind) -> tuple[Array, Array, tuple[s
             Path(shape.file), kind, unit=shape.unit, mirror=shape.mirror, invert=shape.invert
         )
         y, z = _interpolated(measured.y, measured.z, shape.smoothing)
-        return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes or ("read as it is",))
+        return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes)
     y, z = _from_zones(shape, name) if shape.zones is not None else _from_points(shape, name)
     y = -y[::-1] if shape.mirror else y
     z = z[::-1] if shape.mirror else z

@@ -70,14 +70,16 @@ def equivalent_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike)
     With the potential U' = delta_r / 2 the motion runs between the positions m - a and m + a of one potential;
     m is 0 where both sides are alike. With y = m + a sin(theta) and lengths in units of sqrt(e r0 / 2) half the
     wavelength is the integral of D^(-1/2) over theta from -pi/2 to pi/2, D = 2 (U(m + a) - U(y)) / (a
-    cos(theta))^2. This form is free of the square root's singularity; Gauss-Legendre on both halves.
+    cos(theta))^2. This form is free of the square root's singularity; Gauss-Legendre on each half.
     """
     y, delta_r, amplitudes = _checked(y, delta_r, amplitudes)
     potential = make_interp_spline(y, 0.5 * delta_r, k=1).antiderivative()
     middle = _middles(y, potential, amplitudes)[:, None]
     nodes, weights = roots_legendre(_QUADRATURE_NODES)
     quarter_turn = 0.25 * np.pi * (nodes + 1.0)
-    theta, weights = np.concatenate([-quarter_turn, quarter_turn]), np.concatenate([weights, weights])
+    # Where both sides are alike, so are both halves.
+    halves = [quarter_turn] if np.all(middle == 0.0) else [-quarter_turn, quarter_turn]
+    theta, weights = np.concatenate(halves), np.tile(weights, len(halves)) * 2.0 / len(halves)
     reach = amplitudes[:, None]
     rise = potential(middle + np.copysign(reach, theta)) - potential(middle + reach * np.sin(theta))
     stiffness = 2.0 * rise / (reach * np.cos(theta)) ** 2
@@ -91,14 +93,14 @@ def equivalent_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike)
 
 def _middles(y: Array, potential: Callable[[ArrayLike], Array], amplitudes: Array) -> Array:
     """Middle of the motion of each amplitude (m): nearest to the centre; NaN where there is none."""
-    largest = min(-y[0], y[-1])
+    largest, scale = min(-y[0], y[-1]), float(np.ptp(potential(y)))
     middles = np.full(len(amplitudes), np.nan)
     for i, a in enumerate(amplitudes):
 
         def higher(m: float, a: float = a) -> float:
             return float(potential(m + a) - potential(m - a))
 
-        if abs(higher(0.0)) <= _ROUNDING * max(1e-12, abs(float(potential(a)))):
+        if abs(higher(0.0)) <= _ROUNDING * scale:
             middles[i] = 0.0
             continue
         grid = np.linspace(-(largest - a), largest - a, 201)
