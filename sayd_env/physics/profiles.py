@@ -34,8 +34,8 @@ SAMPLING = 5e-5
 TREAD_REACH = (-0.030, 0.025)
 """A wheel's points must cover at least this (m): throat to field side."""
 
-_HIGHEST_FIELD_SIDE = 8e-3
-"""A worn tread's field side stands above its tape circle by a few mm, at most (m)."""
+_LOWEST_FLANGE, _HIGHEST_FIELD_SIDE = 5e-3, 8e-3
+"""A flange is higher (m), the field side of a worn tread stands above its tape circle by a few mm at most."""
 
 RAIL_REACH = (-0.025, 0.020)
 """A rail's points must cover at least this around the crown (m)."""
@@ -106,14 +106,12 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
     y, z = y[ahead], z[ahead]
     _check_reach(config.name, y, TREAD_REACH, "the tape circle")
     z = z - np.interp(0.0, y, z)
-    if y[np.argmax(z)] > 0.0 or np.max(z) < 5e-3:
+    flange, rise = np.max(z[y < 0.0]), np.max(z[y > 0.0])
+    if flange < _LOWEST_FLANGE or rise > _HIGHEST_FIELD_SIDE:
         raise DataError(
-            f"wheel profile '{config.name}': no flange at negative y (the highest point is at "
-            f"y = {y[np.argmax(z)] * 1e3:.1f} mm); set mirror or invert if the file's axes differ"
-        )
-    if (rise := np.max(z[y > 0.0])) > _HIGHEST_FIELD_SIDE:
-        raise DataError(
-            f"wheel profile '{config.name}': rises by {rise * 1e3:.1f} mm on the field side; is it a rail?"
+            f"wheel profile '{config.name}': no flange at negative y alone: it rises by {flange * 1e3:.1f} mm "
+            f"there and by {rise * 1e3:.1f} mm at positive y; is it a rail? If the file's axes differ, set "
+            "mirror or invert"
         )
     if config.shape.file is not None:
         place = f"backs {config.back_to_back * 1e3:g} mm apart, tape circle {config.tape_to_back * 1e3:g} mm from"
