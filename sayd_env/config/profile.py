@@ -11,7 +11,6 @@ from sayd_env.config.base import Model, Number, Part, quantity
 from sayd_env.config.layers import Kind, read_layered
 
 
-
 def _kind(kind: str) -> Kind:
     one = Kind("profile", data=("shape.file", "wear.shape.file"), only=("kind", kind), measured=kind)
     return replace(one, parts={"left": one, "right": one}, optional=("right",), sided=True)

@@ -2,11 +2,10 @@
 
 SIMPACK (.prw wheels, .prr rails) numbers the steps that its keys ask for, in the order in which they are
 taken: 1 ``point.dist.min``, 2 ``shift``, 3 ``rotate``, 4 ``bound``, 5 ``mirror``, 6 ``inversion``, 7
-``units``. MiniProf (.whl wheels, .ban and .rail rails; Greenwood Engineering) has lines ``key=value`` up to a
-blank line, then points in mm whose columns ``ColumnDef`` names, to which ``XOffset`` and ``YOffset`` are to be
-added. Sources: the comments in SIMPACK's own files, the reader of both formats in CONTACT (m_profile.f90 of
-the open-source version, Vtech CMCC), and Greenwood Engineering, MiniProf for Windows, Technical Reference,
-2008.
+``units``. MiniProf (.whl wheels, .ban and .rail rails; Greenwood Engineering) has lines ``key=value`` up to
+a blank line, then points in mm whose columns ``ColumnDef`` names, to which ``XOffset`` and ``YOffset`` are to
+be added. Sources: the comments in SIMPACK's own files, and the reader of both formats in CONTACT
+(m_profile.f90 of the open-source version, Vtech CMCC).
 """
 
 from __future__ import annotations
@@ -32,7 +31,13 @@ from sayd_env.measured.units import name_and_unit, unit_of
 
 Kind = Literal["wheel", "rail"]
 
-KINDS: Mapping[str, Kind] = {".prw": "wheel", ".whl": "wheel", ".prr": "rail", ".ban": "rail", ".rail": "rail"}
+KINDS: Mapping[str, Kind] = {
+    ".prw": "wheel",
+    ".whl": "wheel",
+    ".prr": "rail",
+    ".ban": "rail",
+    ".rail": "rail",
+}
 """What a file is by the end of its name."""
 
 UNITS: Mapping[str, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "um": 1e-6}
@@ -283,7 +288,9 @@ def _simpack_point(text: str, where: str) -> tuple[float, float]:
     if len(values) not in (2, 3):
         raise DataError(f"{where}: found {_short(text)}; expected y, z and, perhaps, a weight")
     if len(values) == 3 and values[2] != 1.0:
-        raise DataError(f"{where}: found weight {values[2]:g}; weighted approximation is not supported, only 1")
+        raise DataError(
+            f"{where}: found weight {values[2]:g}; weighted approximation is not supported, only 1"
+        )
     return values[0], values[1]
 
 
@@ -324,15 +331,20 @@ def _per_unit(
 # --- MiniProf
 
 _RECORDS = frozenset(
-    "alarmfailurecount alarmwarningcount areagain arealoss arearef axleno baseoffset basetilt bogie carno chainage "
-    "chars comment crownr crownradius curve date diameterflange diametertaperline direction emplnum elevation "
-    "fieldid filename flag flangeanglemax flangeanglemaxpos flangewidth flat gauge gaugerodlength "
-    "gaugesensordistance gaugesensorsamples gaugesensorstddev grade graderatio hollowing hollowingpos id kp line "
-    "mileage mpcaldate mpcaltime mpserno mptypeno originalheader position profilealignment profileshaping "
-    "programdate programname programver qr rail railaligntype railangle railgaugepoint railrodlength rcf "
-    "referenceprofile rodlength sd sectionno sh side stock superelevation superelevationheight temperature tilt "
-    "time track tracksection transformstate transformation username wheeladjustpoint wheeldiametertaperline "
-    "wheelid xypointvalues".split()
+    re.findall(
+        r"\w+",
+        """
+    alarmfailurecount alarmwarningcount areagain arealoss arearef axleno baseoffset basetilt bogie carno
+    chainage chars comment crownr crownradius curve date diameterflange diametertaperline direction
+    emplnum elevation fieldid filename flag flangeanglemax flangeanglemaxpos flangewidth flat gauge
+    gaugerodlength gaugesensordistance gaugesensorsamples gaugesensorstddev grade graderatio hollowing
+    hollowingpos id kp line mileage mpcaldate mpcaltime mpserno mptypeno originalheader position
+    profilealignment profileshaping programdate programname programver qr rail railaligntype railangle
+    railgaugepoint railrodlength rcf referenceprofile rodlength sd sectionno sh side stock
+    superelevation superelevationheight temperature tilt time track tracksection transformstate
+    transformation username wheeladjustpoint wheeldiametertaperline wheelid xypointvalues
+    """,
+    )
 )
 """Keys, in small letters, that say where, when and with what was measured, or what the program made of it."""
 _RECORD_FAMILIES = re.compile(
@@ -427,8 +439,10 @@ def _decimal_comma(texts: Iterable[str]) -> bool:
     texts = list(texts)
     number_with_comma = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
     fields = [field for text in texts for field in text.split()]
-    return bool(fields) and not any("." in field for field in fields) and any(
-        number_with_comma.fullmatch(field) for field in fields
+    return (
+        bool(fields)
+        and not any("." in field for field in fields)
+        and any(number_with_comma.fullmatch(field) for field in fields)
     )
 
 
@@ -475,7 +489,7 @@ def read_points(text: str, source: str) -> RawProfile:
 def _lateral_and_vertical(table: TextTable) -> list[int]:
     """Places of the two columns."""
     plain = [name_and_unit(name)[0].lower() for name in table.names]
-    # Beside a z, y is lateral and x along the rail; without one, as MiniProf has them, x is lateral, y upwards.
+    # Beside a z, y is lateral and x along the rail; without one, as MiniProf has it, x is lateral.
     for lateral, vertical in ((_LATERAL - {"x"}, _VERTICAL), ({"x"}, {"y", *_VERTICAL})):
         found = [[k for k, name in enumerate(plain) if name in known] for known in (lateral, vertical)]
         if all(len(each) == 1 for each in found):
@@ -484,15 +498,17 @@ def _lateral_and_vertical(table: TextTable) -> list[int]:
         return [0, 1]
     hint = "; decimal commas need another separator" if table.head.separator == "," else ""
     raise DataError(
-        f"{table.source}: line {table.head.line}: found {table.head.width} columns; expected two, y and z, or a "
-        f"header with these names (y_mm, z_mm){hint}"
+        f"{table.source}: line {table.head.line}: found {table.head.width} columns; expected two, y and z, "
+        f"or a header with these names (y_mm, z_mm){hint}"
     )
 
 
 def _units_of(table: TextTable, columns: list[int]) -> tuple[tuple[float, float] | None, str]:
     """Metres in the unit of each column, by the header or what stands above it, and which of them says it."""
     head = table.head
-    written = [head.units[k] if head.units else name_and_unit(head.names[k])[1] for k in columns if head.names]
+    written = [
+        head.units[k] if head.units else name_and_unit(head.names[k])[1] for k in columns if head.names
+    ]
     if any(written):
         factors = [_length(text or next(filter(None, written)), table.source, head.line) for text in written]
         return (factors[0], factors[1]), "its header: " + ", ".join(filter(None, written))

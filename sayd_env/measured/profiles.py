@@ -16,8 +16,8 @@ from sayd_env.measured.profile_files import (
     RawProfile,
     is_miniprof,
     is_simpack,
-    read_miniprof,
     read_lines,
+    read_miniprof,
     read_points,
     read_simpack,
 )
@@ -81,7 +81,8 @@ def read_profile_file(
     Raises
     ------
     DataError
-        Empty, too short, not numeric or unsorted points (the line is named), no unit that fits, the other kind.
+        Empty, too short, not numeric or unsorted points (the line is named); no unit that fits; the other
+        kind.
     """
     text, encoding = read_lines(path)
     lines = text.split("\n")
@@ -114,9 +115,7 @@ def _check_kind(path: Path, raw: RawProfile, kind: Kind) -> None:
         raise DataError(f"{path}: is a {found} profile; expected a {kind}")
 
 
-def _in_metres(
-    path: Path, raw: RawProfile, kind: Kind, unit: str | None
-) -> tuple[Array, Array, list[str]]:
+def _in_metres(path: Path, raw: RawProfile, kind: Kind, unit: str | None) -> tuple[Array, Array, list[str]]:
     """Coordinates in metres by the unit that is asked for, else stated, else the only one that fits."""
     spans = np.ptp(raw.points, axis=0)
     extent = f"{spans[0]:.4g} wide and {spans[1]:.4g} high"
@@ -127,7 +126,9 @@ def _in_metres(
     else:
         fitting = [name for name, metres in UNITS.items() if _fits(kind, *(spans * metres))]
         if len(fitting) != 1:
-            what = f"is it in {' or '.join(fitting)}?" if fitting else f"a {kind} in none of {', '.join(UNITS)}"
+            what = (
+                f"is it in {' or '.join(fitting)}?" if fitting else f"a {kind} in none of {', '.join(UNITS)}"
+            )
             raise DataError(
                 f"{path}: its unit is not known: points are {extent}, {what}; state it by {kind}.shape.unit "
                 f"(--set {kind}.shape.unit=mm) or in a header (y_mm, z_mm)"
@@ -142,8 +143,8 @@ def _in_metres(
             for (low, top), name in zip(EXTENT[kind], ("wide", "high"), strict=True)
         )
         raise DataError(
-            f"{path}: by its unit ({said}) it is {wide:.4g} mm wide and {high:.4g} mm high; a {kind} profile is "
-            f"{limits}"
+            f"{path}: by its unit ({said}) it is {wide:.4g} mm wide and {high:.4g} mm high; a {kind} profile "
+            f"is {limits}"
         )
     return *(raw.points * factors).T, []
 
@@ -188,7 +189,9 @@ def _single_valued(
     if y[-1] < y[0]:
         y, z, lines = y[::-1], z[::-1], lines[::-1]
     y, z, lines, merged = _merged(y, z, lines)
-    notes = [f"{merged} points merged that lie within {SAME * 1e3:g} mm or above one another"] if merged else []
+    notes = (
+        [f"{merged} points merged that lie within {SAME * 1e3:g} mm or above one another"] if merged else []
+    )
     top = int(np.argmax(z))
     low, high = (y[top] + reach if kind == "rail" else reach for reach in FREE[kind])
     back = np.flatnonzero(np.diff(y) <= 0.0)

@@ -25,10 +25,10 @@ from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
 from sayd_env.config.units import Array
+from sayd_env.physics import plant as at
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
 from sayd_env.physics.mode_names import describe, numbered
-from sayd_env.physics import plant as at
 from sayd_env.physics.plant import LANES, Plant, Work
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.step import rates

@@ -109,12 +109,14 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
     flange, rise = np.max(z[y < 0.0]), np.max(z[y > 0.0])
     if flange < _LOWEST_FLANGE or rise > _HIGHEST_FIELD_SIDE:
         raise DataError(
-            f"wheel profile '{config.name}': no flange at negative y alone: it rises by {flange * 1e3:.1f} mm "
-            f"there and by {rise * 1e3:.1f} mm at positive y; is it a rail? If the file's axes differ, set "
+            f"wheel profile '{config.name}': no flange at negative y alone: it rises by {flange * 1e3:.1f} "
+            f"mm there and by {rise * 1e3:.1f} mm at positive y; is it a rail? If the file's axes differ, set "
             "mirror or invert"
         )
     if config.shape.file is not None:
-        place = f"backs {config.back_to_back * 1e3:g} mm apart, tape circle {config.tape_to_back * 1e3:g} mm from"
+        place = (
+            f"backs {config.back_to_back * 1e3:g} mm apart, tape circle {config.tape_to_back * 1e3:g} mm from"
+        )
         notes = (*notes, f"{config.name}: {place} the back (wheel.back_to_back, wheel.tape_to_back)")
     half = 0.5 * config.back_to_back + config.tape_to_back
     return Profile(config.name, "wheel", y, z, half_distance=half, notes=notes)
@@ -155,11 +157,13 @@ def _stands(cant: float, y: Array, z: Array) -> str:
     reach = np.linspace(0.0, _HEAD, 50)
     aside = np.interp(reach, y, z) - np.interp(-reach, y, z)
     even = np.max(np.abs(aside)) < _EVEN
-    return "stands as in the file" + (", upright: in the track it is inclined by 1:20 to 1:40" if even else "")
+    return "stands as in the file" + (
+        ", upright: in the track it is inclined by 1:20 to 1:40" if even else ""
+    )
 
 
 _HEAD, _EVEN = 0.015, 5e-5
-"""Where a head that is inclined by 1:40 has its sides at other heights, by 0.3 mm, and an upright one not (m)."""
+"""Where a head that is inclined by 1:40 has its sides at heights that differ by 0.3 mm, an upright one not."""
 
 
 def profile_notes(parts: Mapping[str, object]) -> tuple[str, ...]:

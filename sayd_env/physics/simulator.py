@@ -119,9 +119,7 @@ class VehicleModel:
         s, load = self.scenario, table_load(self.multibody.wheel_load)
         own, other = self._sides[side], self._sides[1 - side]
         further = None if own == other else other
-        return _contact_table(
-            own, further, s.wear, s.track.gauge, s.contact, s.vehicle.wheel_radius, load
-        )
+        return _contact_table(own, further, s.wear, s.track.gauge, s.contact, s.vehicle.wheel_radius, load)
 
     @property
     def creep_table(self) -> Array:
@@ -610,7 +608,13 @@ Side: TypeAlias = tuple[WheelProfileConfig, RailProfileConfig]
 
 @lru_cache(maxsize=256)
 def _contact_table(
-    own: Side, other: Side | None, wear: float, gauge: float, contact: ContactConfig, radius: float, load: float
+    own: Side,
+    other: Side | None,
+    wear: float,
+    gauge: float,
+    contact: ContactConfig,
+    radius: float,
+    load: float,
 ) -> ContactTable:
     """Contact table of a side beside another one, or one like it; many vehicles of a study share it."""
     pair, *further = [(wheel_profile(side[0], wear), _rail(side[1])) for side in (own, other) if side]

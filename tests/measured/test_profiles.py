@@ -79,10 +79,13 @@ def test_decimal_commas(tmp_path: Path, wheel: Array, separator: str, every: int
 @pytest.mark.parametrize("whole", [False, True])
 def test_decimal_commas_between_commas_are_refused(tmp_path: Path, wheel: Array, whole: bool) -> None:
     text = table(wheel[::5], ",", 2, comma=True)
-    path = write(tmp_path / "w.csv", "\n".join(
-        line.replace(",00,", ",", 1) if whole else line for line in text.splitlines()
-    ))
-    with pytest.raises(DataError, match=rf"w\.csv: line 1: .*{3 if whole else 4} columns.*decimal commas need"):
+    path = write(
+        tmp_path / "w.csv",
+        "\n".join(line.replace(",00,", ",", 1) if whole else line for line in text.splitlines()),
+    )
+    with pytest.raises(
+        DataError, match=rf"w\.csv: line 1: .*{3 if whole else 4} columns.*decimal commas need"
+    ):
         read_profile_file(path, "wheel")
 
 
@@ -117,7 +120,9 @@ def test_units_by_extent_are_told(
 
 def test_units_are_asked_for_and_never_contradicted(tmp_path: Path, wheel: Array) -> None:
     odd = write(tmp_path / "odd.csv", table(wheel * 7.0))
-    with pytest.raises(DataError, match=r"odd\.csv: its unit is not known: points are 910 wide .*wheel\.shape\.unit"):
+    with pytest.raises(
+        DataError, match=r"odd\.csv: its unit is not known: points are 910 wide .*wheel\.shape\.unit"
+    ):
         read_profile_file(odd, "wheel")
     metres = write(tmp_path / "m.csv", table(wheel * 1e-3, digits=8, header="y_mm,z_mm\n"))
     with pytest.raises(DataError, match=r"m\.csv: by its unit \(its header: mm, mm\) it is 0\.13 mm wide"):
@@ -243,9 +248,7 @@ def test_simpack_bounds_and_distances_are_applied(tmp_path: Path, wheel: Array) 
         ("wheel.begin", "unknown section 'wheel'"),
     ],
 )
-def test_simpack_keys_are_applied_or_refused(
-    tmp_path: Path, wheel: Array, keys: str, message: str
-) -> None:
+def test_simpack_keys_are_applied_or_refused(tmp_path: Path, wheel: Array, keys: str, message: str) -> None:
     path = write(tmp_path / "w.prw", simpack(wheel, keys=keys))
     with pytest.raises(DataError) as caught:
         read_profile_file(path, "wheel")

@@ -67,8 +67,8 @@ def equivalent_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike)
 
     Notes
     -----
-    With the potential U' = delta_r / 2 the motion runs between the positions m - a and m + a of one potential;
-    m is 0 where both sides are alike. With y = m + a sin(theta) and lengths in units of sqrt(e r0 / 2) half the
+    With the potential U' = delta_r / 2 the motion runs between positions m - a and m + a of one potential; m
+    is 0 where both sides are alike. With y = m + a sin(theta) and lengths in units of sqrt(e r0 / 2) half the
     wavelength is the integral of D^(-1/2) over theta from -pi/2 to pi/2, D = 2 (U(m + a) - U(y)) / (a
     cos(theta))^2. This form is free of the square root's singularity; Gauss-Legendre on each half.
     """

@@ -404,7 +404,9 @@ def _sides(
 ) -> tuple[_Pair, ...]:
     """A wheelset's sides, each as a left one: one that stands for both, or the own one and the other."""
     pairs = (own,) if other is None else (own, other)
-    return tuple(_pair(*pair, gauge, pair[0].half_distance if e is None else e, step, half_nodes) for pair in pairs)
+    return tuple(
+        _pair(*pair, gauge, pair[0].half_distance if e is None else e, step, half_nodes) for pair in pairs
+    )
 
 
 def _pair(wheel: Profile, rail: Profile, gauge: float, e: float, step: float, half_nodes: int) -> _Pair:
@@ -483,7 +485,11 @@ class _Search:
         self._pair, self._config, self._r0, self._load = pair, config, r0, load
         self._windows = _windows(pair.p, pair.h, pair.arm, pair.shifts, roll)
         self._log_eps = np.full(len(roll), np.log(config.regularisation * _FIRST_PENETRATION))
-        self._excess, self._move, self._slope = np.zeros_like(roll), np.zeros_like(roll), np.full_like(roll, -1.0)
+        self._excess, self._move, self._slope = (
+            np.zeros_like(roll),
+            np.zeros_like(roll),
+            np.full_like(roll, -1.0),
+        )
         self.stride = _COARSE
 
     def look(self, roll: Array) -> None:
@@ -499,7 +505,9 @@ class _Search:
         # The gap is vertical and its argument horizontal; along the inclined patch both shrink by the cosine.
         lateral = np.maximum(0.5 * eps / variance * self._cosine**3, _FLATTEST)
         rolling = 0.5 * self._cosine / (self._r0 + self._delta_r)
-        c, self._a, self._b = hertz_coefficients(rolling, lateral, config.youngs_modulus, config.poisson_ratio)
+        c, self._a, self._b = hertz_coefficients(
+            rolling, lateral, config.youngs_modulus, config.poisson_ratio
+        )
         normal = self._load / self._cosine
         self._penetration = (normal / c) ** (2.0 / 3.0) / self._cosine
         self._before = self._excess
@@ -572,8 +580,8 @@ def _check_faces(pair: _Pair, least: Array, s: Array) -> None:
 
 def _off_profile(pair: _Pair) -> str:
     return (
-        f"wheel '{pair.wheel.name}' runs off rail '{pair.rail.name}' within the contact table: check gauge and "
-        "back-to-back distance, or reduce table_half_width"
+        f"wheel '{pair.wheel.name}' runs off rail '{pair.rail.name}' within the contact table: check gauge "
+        "and back-to-back distance, or reduce table_half_width"
     )
 
 

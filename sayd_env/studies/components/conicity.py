@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sayd_env.config import ConfigError
-from sayd_env.config.profile import sides
 from sayd_env.config.palette import BLUE, CYCLE, GREY, VERMILION
+from sayd_env.config.profile import sides
 from sayd_env.config.units import Array
 from sayd_env.physics.contact.conicity import equivalent_conicity, harmonic_conicity, radius_difference
 from sayd_env.physics.contact.geometry import ContactTable, RigidContact, contact_table, rigid_contact
@@ -105,15 +105,19 @@ class ConicityResult:
     def title(self) -> str:
         """Wheels on rails, left and right ones where they differ."""
         left, right = (self.wheel.name, self.rail.name), self.right
-        wheels, rails = left if right is None else (
-            _both(name, other.name) for name, other in zip(left, (right.wheel, right.rail), strict=True)
+        wheels, rails = (
+            left
+            if right is None
+            else (
+                _both(name, other.name) for name, other in zip(left, (right.wheel, right.rail), strict=True)
+            )
         )
         return f"{wheels} (wear {self.wear:g}) on {rails}, gauge {self.gauge * _MILLI:g} mm"
 
     def delta_r(self) -> tuple[Array, Array, Array]:
         """Lateral position, rigid and regularised difference of the rolling radii (m), every 0.1 mm."""
-        rigid_y, rigid = radius_difference(self.contact, self.right and self.right.contact)
-        table_y, soft = radius_difference(self.table, self.right and self.right.table)
+        rigid_y, rigid = radius_difference(self.contact, None if self.right is None else self.right.contact)
+        table_y, soft = radius_difference(self.table, None if self.right is None else self.right.table)
         reach = round(rigid_y[-1] * 1e4)
         y = np.arange(-reach, reach + 1) * 1e-4
         return y, np.interp(y, rigid_y, rigid), np.interp(y, table_y, soft)
