@@ -102,9 +102,13 @@ def command_text() -> str:
 
 def _profile_notes(config: Any) -> tuple[str, ...]:
     """What was changed in the measured profiles of a configuration."""
-    from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.errors import SaydError  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415
 
-    return profile_notes(dict(config)) if isinstance(config, BaseModel | Mapping) else ()
+    try:
+        return profile_notes(dict(config)) if isinstance(config, BaseModel | Mapping) else ()
+    except SaydError:  # a file that was taken away since: no reason to lose the result
+        return ()
 
 
 @contextmanager

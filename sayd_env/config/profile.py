@@ -209,6 +209,12 @@ def sides(
     return left, (wheel.right or left[0], rail.right or left[1])
 
 
+def shifted(wheel: WheelProfileConfig, shift: float) -> WheelProfileConfig:
+    """The same with another outward shift (m), on both sides."""
+    right = None if wheel.right is None else shifted(wheel.right, shift)
+    return wheel.model_copy(update={"shift": shift, "right": right})
+
+
 def load_wheel(name_or_path: str) -> WheelProfileConfig:
     """Read a wheel profile: a packaged name, or a path to a YAML or profile file.
 

@@ -168,7 +168,7 @@ def _upright(
     middle, low, top = np.median(np.interp(even, y[order], z[order])), np.min(z), np.max(z)
     if invert is None:
         outwards, other = (top - middle, middle - low) if kind == "wheel" else (middle - low, top - middle)
-        invert = bool(other > outwards)
+        invert = bool(other > _CLEARLY * outwards)
         if invert:
             notes.append(f"z turned round, so that it is upwards: the {_TELLTALE[kind]} in the file")
     z = -z if invert else z
@@ -179,6 +179,8 @@ def _upright(
     return (-y if mirror else y), z, notes
 
 
+_CLEARLY = 1.5
+"""How many times as far a curve that is turned round reaches to the wrong side; of profiles about 10."""
 _TELLTALE: dict[Kind, str] = {"wheel": "flange points to negative z", "rail": "sides hang to positive z"}
 
 

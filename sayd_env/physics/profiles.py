@@ -110,7 +110,7 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
     if flange < _LOWEST_FLANGE or rise > _HIGHEST_FIELD_SIDE:
         raise DataError(
             f"wheel profile '{config.name}': no flange at negative y alone: it rises by {flange * 1e3:.1f} "
-            f"mm there and by {rise * 1e3:.1f} mm at positive y; is it a rail? If the file's axes differ, set "
+            f"mm there and by {rise * 1e3:.1f} mm at positive y. Is it a rail? If the axes differ, set "
             "mirror or invert"
         )
     if config.shape.file is not None:
@@ -163,7 +163,7 @@ def _stands(cant: float, y: Array, z: Array) -> str:
 
 
 _HEAD, _EVEN = 0.015, 5e-5
-"""Where a head that is inclined by 1:40 has its sides at heights that differ by 0.3 mm, an upright one not."""
+"""Where a head that is inclined by 1:40 has its sides 0.3 mm apart in height, an upright one not."""
 
 
 def profile_notes(parts: Mapping[str, object]) -> tuple[str, ...]:

@@ -196,7 +196,7 @@ def test_one_kind_does_not_pass_as_the_other(tmp_path: Path, wheel: Array, rail:
         with pytest.raises(DataError, match=rf"{name[0]}\{name[1:]}: (its header says|is a)"):
             read_profile_file(write(tmp_path / name, text), asked)  # type: ignore[arg-type]
     # Without a name or a header that tells it, the shape does.
-    with pytest.raises(DataError, match=r"profile 'r': no flange .* at positive y; is it a rail"):
+    with pytest.raises(DataError, match=r"profile 'r': no flange .* at positive y. Is it a rail"):
         wheel_profile(load_wheel(str(write(tmp_path / "r.csv", table(rail)))))
     short = wheel[(wheel[:, 0] > -60.0) & (wheel[:, 0] < 50.0)]
     for points, message in ((wheel, "130 wide and 30.64 high, a rail in none"), (short, "from the crown")):

@@ -8,7 +8,7 @@ the static wheel load presses, is the contact table of the simulation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -221,12 +221,22 @@ def conicity(scenario: Scenario, amplitudes: Array = AMPLITUDES) -> ConicityResu
 
 def plot_conicity(figure: Figure, results: Sequence[ConicityResult]) -> None:
     """Draw profiles in contact with their contact lines, and conicity and rolling radii of all wheels."""
-    figure.set_size_inches(10.0, 3.2 * (1 + len(results)))
-    grid = figure.add_gridspec(1 + len(results), 2)
-    for row, result in enumerate(results):
-        _draw_pair(figure.add_subplot(grid[row, :]), result)
+    pairs = [pair for result in results for pair in _pairs(result)]
+    figure.set_size_inches(10.0, 3.2 * (1 + len(pairs)))
+    grid = figure.add_gridspec(1 + len(pairs), 2)
+    for row, pair in enumerate(pairs):
+        _draw_pair(figure.add_subplot(grid[row, :]), pair)
     _draw_curves(figure.add_subplot(grid[-1, 0]), results)
     _draw_radii(figure.add_subplot(grid[-1, 1]), results)
+
+
+def _pairs(result: ConicityResult) -> list[ConicityResult]:
+    """A result as it is for each of its sides."""
+    right = result.right
+    if right is None:
+        return [result]
+    other = replace(result, wheel=right.wheel, rail=right.rail, contact=right.contact, table=right.table)
+    return [result, other]
 
 
 def _label(result: ConicityResult) -> str:
