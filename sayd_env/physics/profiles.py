@@ -106,7 +106,7 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
     y, z = y[ahead], z[ahead]
     _check_reach(config.name, y, TREAD_REACH, "the tape circle")
     z = z - np.interp(0.0, y, z)
-    flange, rise = np.max(z[y < 0.0]), np.max(z[y > 0.0])
+    flange, rise = (max(0.0, float(np.max(z[side]))) for side in (y < 0.0, y > 0.0))
     if flange < _LOWEST_FLANGE or rise > _HIGHEST_FIELD_SIDE:
         raise DataError(
             f"wheel profile '{config.name}': no flange at negative y alone: it rises by {flange * 1e3:.1f} "
