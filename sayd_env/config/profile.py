@@ -11,7 +11,6 @@ from sayd_env.config.base import Model, Number, Part, quantity
 from sayd_env.config.layers import Kind, read_layered
 
 
-
 def _kind(kind: str) -> Kind:
     one = Kind("profile", data=("shape.file", "wear.shape.file"), only=("kind", kind), measured=kind)
     return replace(one, parts={"left": one, "right": one}, optional=("right",), sided=True)
@@ -197,6 +196,23 @@ def _check_right(left: WheelProfileConfig | RailProfileConfig, common: str) -> N
 
 
 ProfileConfig = WheelProfileConfig | RailProfileConfig
+
+
+def sides(
+    wheel: WheelProfileConfig, rail: RailProfileConfig
+) -> tuple[tuple[WheelProfileConfig, RailProfileConfig], tuple[WheelProfileConfig, RailProfileConfig]]:
+    """Wheel and rail of the left and of the right side, equal where they are alike."""
+    left = (
+        wheel if wheel.right is None else wheel.model_copy(update={"right": None}),
+        rail if rail.right is None else rail.model_copy(update={"right": None}),
+    )
+    return left, (wheel.right or left[0], rail.right or left[1])
+
+
+def shifted(wheel: WheelProfileConfig, shift: float) -> WheelProfileConfig:
+    """The same with another outward shift (m), on both sides."""
+    right = None if wheel.right is None else shifted(wheel.right, shift)
+    return wheel.model_copy(update={"shift": shift, "right": right})
 
 
 def load_wheel(name_or_path: str) -> WheelProfileConfig:

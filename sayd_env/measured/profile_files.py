@@ -2,11 +2,10 @@
 
 SIMPACK (.prw wheels, .prr rails) numbers the steps that its keys ask for, in the order in which they are
 taken: 1 ``point.dist.min``, 2 ``shift``, 3 ``rotate``, 4 ``bound``, 5 ``mirror``, 6 ``inversion``, 7
-``units``. MiniProf (.whl wheels, .ban and .rail rails; Greenwood Engineering) has lines ``key=value`` up to a
-blank line, then points in mm whose columns ``ColumnDef`` names, to which ``XOffset`` and ``YOffset`` are to be
-added. Sources: the comments in SIMPACK's own files, the reader of both formats in CONTACT (m_profile.f90 of
-the open-source version, Vtech CMCC), and Greenwood Engineering, MiniProf for Windows, Technical Reference,
-2008.
+``units``. MiniProf (.whl wheels, .ban and .rail rails; Greenwood Engineering) has lines ``key=value`` up to
+a blank line, then points in mm whose columns ``ColumnDef`` names, to which ``XOffset`` and ``YOffset`` are to
+be added. Sources: the comments in SIMPACK's own files, and the reader of both formats in CONTACT
+(m_profile.f90 of the open-source version, Vtech CMCC).
 """
 
 from __future__ import annotations
@@ -23,18 +22,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sayd_env.config.errors import DataError
-from sayd_env.config.loader import nearest, read_text
+from sayd_env.config.files import MIB, read_bytes
+from sayd_env.config.loader import nearest
 from sayd_env.config.units import Array
+from sayd_env.measured.dialect import decode, lines_of
+from sayd_env.measured.table import TextTable, table_of
+from sayd_env.measured.units import name_and_unit, unit_of
 
 Kind = Literal["wheel", "rail"]
 
-KINDS: Mapping[str, Kind] = {".prw": "wheel", ".whl": "wheel", ".prr": "rail", ".ban": "rail", ".rail": "rail"}
+KINDS: Mapping[str, Kind] = {
+    ".prw": "wheel",
+    ".whl": "wheel",
+    ".prr": "rail",
+    ".ban": "rail",
+    ".rail": "rail",
+}
 """What a file is by the end of its name."""
 
 UNITS: Mapping[str, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "um": 1e-6}
 """Units of length in which profiles come (m)."""
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?")
+_FARTHEST = 1e6  # units of length of the file; a metre in micrometres
 _STEEPEST_TURN = 0.5  # rad; a rail is inclined by 1:20, a scan turned by more is not a profile
 
 
@@ -117,6 +127,12 @@ def _only(expected: float, why: str, text: str, where: str) -> float:
     return value
 
 
+def _shift(text: str, where: str) -> float:
+    if abs(value := number(text, where)) > _FARTHEST:
+        raise DataError(f"{where}: found {text}; expected {_FARTHEST:g} at most")
+    return value
+
+
 def _plain(text: str, where: str) -> str:
     del where
     return text.strip("'\"")
@@ -141,8 +157,8 @@ _SIMPACK: Mapping[str, Mapping[str, _Reader]] = {
         "comment": _plain,
         "type": number,
         "point.dist.min": number,
-        "shift.y": number,
-        "shift.z": number,
+        "shift.y": _shift,
+        "shift.z": _shift,
         "rotate": number,
         "bound.y.min": number,
         "bound.y.max": number,
@@ -272,7 +288,9 @@ def _simpack_point(text: str, where: str) -> tuple[float, float]:
     if len(values) not in (2, 3):
         raise DataError(f"{where}: found {_short(text)}; expected y, z and, perhaps, a weight")
     if len(values) == 3 and values[2] != 1.0:
-        raise DataError(f"{where}: found weight {values[2]:g}; weighted approximation is not supported, only 1")
+        raise DataError(
+            f"{where}: found weight {values[2]:g}; weighted approximation is not supported, only 1"
+        )
     return values[0], values[1]
 
 
@@ -313,15 +331,20 @@ def _per_unit(
 # --- MiniProf
 
 _RECORDS = frozenset(
-    "alarmfailurecount alarmwarningcount areagain arealoss arearef axleno baseoffset basetilt bogie carno chainage "
-    "chars comment crownr crownradius curve date diameterflange diametertaperline direction emplnum elevation "
-    "fieldid filename flag flangeanglemax flangeanglemaxpos flangewidth flat gauge gaugerodlength "
-    "gaugesensordistance gaugesensorsamples gaugesensorstddev grade graderatio hollowing hollowingpos id kp line "
-    "mileage mpcaldate mpcaltime mpserno mptypeno originalheader position profilealignment profileshaping "
-    "programdate programname programver qr rail railaligntype railangle railgaugepoint railrodlength rcf "
-    "referenceprofile rodlength sd sectionno sh side stock superelevation superelevationheight temperature tilt "
-    "time track tracksection transformstate transformation username wheeladjustpoint wheeldiametertaperline "
-    "wheelid xypointvalues".split()
+    re.findall(
+        r"\w+",
+        """
+    alarmfailurecount alarmwarningcount areagain arealoss arearef axleno baseoffset basetilt bogie carno
+    chainage chars comment crownr crownradius curve date diameterflange diametertaperline direction
+    emplnum elevation fieldid filename flag flangeanglemax flangeanglemaxpos flangewidth flat gauge
+    gaugerodlength gaugesensordistance gaugesensorsamples gaugesensorstddev grade graderatio hollowing
+    hollowingpos id kp line mileage mpcaldate mpcaltime mpserno mptypeno originalheader position
+    profilealignment profileshaping programdate programname programver qr rail railaligntype railangle
+    railgaugepoint railrodlength rcf referenceprofile rodlength sd sectionno sh side stock
+    superelevation superelevationheight temperature tilt time track tracksection transformstate
+    transformation username wheeladjustpoint wheeldiametertaperline wheelid xypointvalues
+    """,
+    )
 )
 """Keys, in small letters, that say where, when and with what was measured, or what the program made of it."""
 _RECORD_FAMILIES = re.compile(
@@ -416,35 +439,89 @@ def _decimal_comma(texts: Iterable[str]) -> bool:
     texts = list(texts)
     number_with_comma = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
     fields = [field for text in texts for field in text.split()]
-    return bool(fields) and not any("." in field for field in fields) and any(
-        number_with_comma.fullmatch(field) for field in fields
+    return (
+        bool(fields)
+        and not any("." in field for field in fields)
+        and any(number_with_comma.fullmatch(field) for field in fields)
     )
 
 
 # --- Columns
 
+LARGEST = 16 * MIB
+"""Most that is read of a profile; scans have some thousand points."""
 
-def text_lines(path: Path) -> list[str]:
-    """Lines of a text file."""
-    return read_text(path, "profile file").splitlines()
+_LATERAL = frozenset({"y", "lateral", "lateral position", "x"})
+_VERTICAL = frozenset({"z", "height", "vertical"})
+_STATED = re.compile(
+    r"(?:\bin\s+|\b(?:units?|einheit)\s*[:=]?\s*|[\[(]\s*)(mm|cm|m|inch(?:es)?|[uµμ]m|microns?)(?=$|[\s\]),.;])",
+    re.IGNORECASE,
+)
+_WORDS = {"inches": "in", "microns": "um"}
 
 
-def read_points(lines: list[str], source: str) -> RawProfile:
-    rows: list[tuple[float, float]] = []
-    numbers: list[int] = []
-    allow_header = True
-    for count, line in enumerate(lines, start=1):
-        text = line.strip()
-        if not text or text.startswith(("!", "#", "%", "//")):
-            continue
-        fields = re.split(r"[,;\s]+", text.rstrip(",;"))
-        try:
-            row = (float(fields[0]), float(fields[1]))
-        except (ValueError, IndexError):
-            if allow_header and not rows and len(fields) > 1 and re.match(r"[A-Za-z\"]", text):
-                allow_header = False
-                continue
-            raise DataError(f"{source}: line {count}: found {_short(text)}, expected two numbers y z") from None
-        rows.append(row)
-        numbers.append(count)
-    return RawProfile(np.array(rows, dtype=float).reshape(-1, 2), numbers)
+def read_lines(path: Path) -> tuple[str, str]:
+    """Text of a profile file and its encoding."""
+    return decode(read_bytes(path, "profile file", LARGEST), str(path))
+
+
+def read_points(text: str, source: str) -> RawProfile:
+    """Read a table of two columns, lateral position and height, or more with names that tell these.
+
+    Raises
+    ------
+    DataError
+        See `sayd_env.measured.table.read_text_table`; columns of which it is not known which these are.
+    """
+    lines, comments, separator = lines_of(text)
+    if not lines:
+        return RawProfile(np.empty((0, 2)), [])
+    table = table_of(lines, source, comments=comments, separator=separator)
+    if not len(table):
+        return RawProfile(np.empty((0, 2)), [])
+    columns = _lateral_and_vertical(table)
+    units, said = _units_of(table, columns)
+    others = [table.titled(k) for k in range(table.head.width) if k not in columns]
+    notes = (f"not used: {', '.join(others[:8])}",) if others else ()
+    return RawProfile(table.numbers(columns), table.lines.tolist(), units, said, notes=notes)
+
+
+def _lateral_and_vertical(table: TextTable) -> list[int]:
+    """Places of the two columns."""
+    plain = [name_and_unit(name)[0].lower() for name in table.names]
+    # Beside a z, y is lateral and x along the rail; without one, as MiniProf has it, x is lateral.
+    for lateral, vertical in ((_LATERAL - {"x"}, _VERTICAL), ({"x"}, {"y", *_VERTICAL})):
+        found = [[k for k, name in enumerate(plain) if name in known] for known in (lateral, vertical)]
+        if all(len(each) == 1 for each in found):
+            return [found[0][0], found[1][0]]
+    if table.head.width == 2:
+        return [0, 1]
+    hint = "; decimal commas need another separator" if table.head.separator == "," else ""
+    raise DataError(
+        f"{table.source}: line {table.head.line}: found {table.head.width} columns; expected two, y and z, "
+        f"or a header with these names (y_mm, z_mm){hint}"
+    )
+
+
+def _units_of(table: TextTable, columns: list[int]) -> tuple[tuple[float, float] | None, str]:
+    """Metres in the unit of each column, by the header or what stands above it, and which of them says it."""
+    head = table.head
+    written = [
+        head.units[k] if head.units else name_and_unit(head.names[k])[1] for k in columns if head.names
+    ]
+    if any(written):
+        factors = [_length(text or next(filter(None, written)), table.source, head.line) for text in written]
+        return (factors[0], factors[1]), "its header: " + ", ".join(filter(None, written))
+    stated = {_WORDS.get(found.lower(), found) for line in head.preamble for found in _STATED.findall(line)}
+    if len(stated) != 1:
+        return None, ""
+    (text,) = stated
+    factor = _length(text, table.source, 1)
+    return (factor, factor), f"its beginning: {text}"
+
+
+def _length(text: str, source: str, line: int) -> float:
+    unit = unit_of(_WORDS.get(text.lower(), text))
+    if unit is None or unit.quantity != "length":
+        raise DataError(f"{source}: line {line}: found the unit {_short(text)}; expected {', '.join(UNITS)}")
+    return unit.factor

@@ -16,10 +16,10 @@ from sayd_env.measured.profile_files import (
     RawProfile,
     is_miniprof,
     is_simpack,
+    read_lines,
     read_miniprof,
     read_points,
     read_simpack,
-    text_lines,
 )
 
 FEWEST_POINTS = 20
@@ -81,15 +81,17 @@ def read_profile_file(
     Raises
     ------
     DataError
-        Empty, too short, not numeric or unsorted points (the line is named), no unit that fits, the other kind.
+        Empty, too short, not numeric or unsorted points (the line is named); no unit that fits; the other
+        kind.
     """
-    lines = text_lines(path)
+    text, encoding = read_lines(path)
+    lines = text.split("\n")
     if is_simpack(lines):
         raw = read_simpack(lines, str(path))
     elif is_miniprof(lines):
         raw = read_miniprof(lines, str(path))
     else:
-        raw = read_points(lines, str(path))
+        raw = read_points(text, str(path))
     _check_kind(path, raw, kind)
     if len(raw.points) < FEWEST_POINTS:
         found = f"{len(raw.points)} points" if len(raw.points) else "no points"
@@ -97,7 +99,8 @@ def read_profile_file(
     y, z, notes = _in_metres(path, raw, kind, unit)
     y, z, turned = _upright(y, z, kind, mirror, invert)
     y, z, cleaned = _single_valued(path, y, z, raw.lines, kind)
-    return MeasuredProfile(y, z, (*raw.notes, *notes, *turned, *cleaned))
+    coded = () if encoding == "UTF-8" else (f"encoding: {encoding}",)
+    return MeasuredProfile(y, z, (*coded, *raw.notes, *notes, *turned, *cleaned))
 
 
 def _check_kind(path: Path, raw: RawProfile, kind: Kind) -> None:
@@ -112,9 +115,7 @@ def _check_kind(path: Path, raw: RawProfile, kind: Kind) -> None:
         raise DataError(f"{path}: is a {found} profile; expected a {kind}")
 
 
-def _in_metres(
-    path: Path, raw: RawProfile, kind: Kind, unit: str | None
-) -> tuple[Array, Array, list[str]]:
+def _in_metres(path: Path, raw: RawProfile, kind: Kind, unit: str | None) -> tuple[Array, Array, list[str]]:
     """Coordinates in metres by the unit that is asked for, else stated, else the only one that fits."""
     spans = np.ptp(raw.points, axis=0)
     extent = f"{spans[0]:.4g} wide and {spans[1]:.4g} high"
@@ -125,10 +126,12 @@ def _in_metres(
     else:
         fitting = [name for name, metres in UNITS.items() if _fits(kind, *(spans * metres))]
         if len(fitting) != 1:
-            what = f"is it in {' or '.join(fitting)}?" if fitting else f"a {kind} in none of {', '.join(UNITS)}"
+            what = (
+                f"is it in {' or '.join(fitting)}?" if fitting else f"a {kind} in none of {', '.join(UNITS)}"
+            )
             raise DataError(
-                f"{path}: its unit is not known: points are {extent}, {what}; state it by shape.unit "
-                "(--set wheel.shape.unit=mm) or in the header (y_mm, z_mm)"
+                f"{path}: its unit is not known: points are {extent}, {what}; state it by {kind}.shape.unit "
+                f"(--set {kind}.shape.unit=mm) or in a header (y_mm, z_mm)"
             )
         factors = UNITS[fitting[0]], UNITS[fitting[0]]
         note = f"unit: {fitting[0]}, in which points {extent} make a {kind}; the file does not say it"
@@ -140,8 +143,8 @@ def _in_metres(
             for (low, top), name in zip(EXTENT[kind], ("wide", "high"), strict=True)
         )
         raise DataError(
-            f"{path}: by its unit ({said}) it is {wide:.4g} mm wide and {high:.4g} mm high; a {kind} profile is "
-            f"{limits}"
+            f"{path}: by its unit ({said}) it is {wide:.4g} mm wide and {high:.4g} mm high; a {kind} profile "
+            f"is {limits}"
         )
     return *(raw.points * factors).T, []
 
@@ -165,7 +168,7 @@ def _upright(
     middle, low, top = np.median(np.interp(even, y[order], z[order])), np.min(z), np.max(z)
     if invert is None:
         outwards, other = (top - middle, middle - low) if kind == "wheel" else (middle - low, top - middle)
-        invert = bool(other > outwards)
+        invert = bool(other > _CLEARLY * outwards)
         if invert:
             notes.append(f"z turned round, so that it is upwards: the {_TELLTALE[kind]} in the file")
     z = -z if invert else z
@@ -176,6 +179,8 @@ def _upright(
     return (-y if mirror else y), z, notes
 
 
+_CLEARLY = 1.5
+"""How many times as far a curve that is turned round reaches to the wrong side; of profiles about 10."""
 _TELLTALE: dict[Kind, str] = {"wheel": "flange points to negative z", "rail": "sides hang to positive z"}
 
 
@@ -186,7 +191,9 @@ def _single_valued(
     if y[-1] < y[0]:
         y, z, lines = y[::-1], z[::-1], lines[::-1]
     y, z, lines, merged = _merged(y, z, lines)
-    notes = [f"{merged} points merged that lie within {SAME * 1e3:g} mm or above one another"] if merged else []
+    notes = (
+        [f"{merged} points merged that lie within {SAME * 1e3:g} mm or above one another"] if merged else []
+    )
     top = int(np.argmax(z))
     low, high = (y[top] + reach if kind == "rail" else reach for reach in FREE[kind])
     back = np.flatnonzero(np.diff(y) <= 0.0)

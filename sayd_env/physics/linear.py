@@ -25,10 +25,11 @@ from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
 from sayd_env.config.units import Array
+from sayd_env.physics import plant as at
 from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
 from sayd_env.physics.mode_names import describe, numbered
-from sayd_env.physics.plant import Plant, Work
+from sayd_env.physics.plant import LANES, Plant, Work
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.step import rates
 from sayd_env.physics.track.realisation import TrackRealisation, realise
@@ -142,9 +143,13 @@ def linearise(model: VehicleModel, speed: float, amplitude: float | None) -> Lin
         raise ConfigError(
             f"damper '{model.scenario.damper.name}': the linear analysis needs passive yaw dampers"
         )
-    table = model.table if amplitude is None else linearised(model.table, amplitude)
+    table, right = (
+        each if each is None or amplitude is None else linearised(each, amplitude)
+        for each in (model.table, model.right_table)
+    )
+    assert table is not None
     track = realise(NoIrregularityConfig(type="none"), 1.0, 0)
-    plant, work = model.plant(speed, track, table), model.work()
+    plant, work = model.plant(speed, track, table, right_table=right), model.work()
     n, m = model.multibody.n, len(model.dampers)
     spin = model.multibody.wheelset_dofs[:, 4]
     unknown = np.r_[:n]
@@ -351,8 +356,8 @@ def conical_contact(
 
 def _pure_rolling(plant: Plant) -> float:
     """What a centred wheelset's spin (rad/s) departs by from V / r_0, its contacts having other radii."""
-    table = plant.table.reshape(-1, geometry.WIDTH)
-    delta_r = float(table[len(table) // 2, geometry.DELTA_R])
+    nodes = int(plant.wheel[at.TABLE_LAST * LANES]) + 2
+    delta_r = float(plant.table[(nodes // 2) * geometry.WIDTH + geometry.DELTA_R])
     return -plant.speed / plant.radius * delta_r / (plant.radius + delta_r)
 
 

@@ -34,8 +34,8 @@ SAMPLING = 5e-5
 TREAD_REACH = (-0.030, 0.025)
 """A wheel's points must cover at least this (m): throat to field side."""
 
-_HIGHEST_FIELD_SIDE = 8e-3
-"""A worn tread's field side stands above its tape circle by a few mm, at most (m)."""
+_LOWEST_FLANGE, _HIGHEST_FIELD_SIDE = 5e-3, 8e-3
+"""A flange is higher (m), the field side of a worn tread stands above its tape circle by a few mm at most."""
 
 RAIL_REACH = (-0.025, 0.020)
 """A rail's points must cover at least this around the crown (m)."""
@@ -106,17 +106,17 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
     y, z = y[ahead], z[ahead]
     _check_reach(config.name, y, TREAD_REACH, "the tape circle")
     z = z - np.interp(0.0, y, z)
-    if y[np.argmax(z)] > 0.0 or np.max(z) < 5e-3:
+    flange, rise = (max(0.0, float(np.max(z[side]))) for side in (y < 0.0, y > 0.0))
+    if flange < _LOWEST_FLANGE or rise > _HIGHEST_FIELD_SIDE:
         raise DataError(
-            f"wheel profile '{config.name}': no flange at negative y (the highest point is at "
-            f"y = {y[np.argmax(z)] * 1e3:.1f} mm); set mirror or invert if the file's axes differ"
+            f"wheel profile '{config.name}': no flange at negative y alone: it rises by {flange * 1e3:.1f} "
+            f"mm there and by {rise * 1e3:.1f} mm at positive y. Is it a rail? If the axes differ, set "
+            "mirror or invert"
         )
-    if (rise := np.max(z[y > 0.0])) > _HIGHEST_FIELD_SIDE:
-        raise DataError(
-            f"wheel profile '{config.name}': rises by {rise * 1e3:.1f} mm on the field side; is it a rail?"
+    if config.shape.file is not None:
+        place = (
+            f"backs {config.back_to_back * 1e3:g} mm apart, tape circle {config.tape_to_back * 1e3:g} mm from"
         )
-    if notes:
-        place = f"backs {config.back_to_back * 1e3:g} mm apart, tape circle {config.tape_to_back * 1e3:g} mm from"
         notes = (*notes, f"{config.name}: {place} the back (wheel.back_to_back, wheel.tape_to_back)")
     half = 0.5 * config.back_to_back + config.tape_to_back
     return Profile(config.name, "wheel", y, z, half_distance=half, notes=notes)
@@ -143,7 +143,7 @@ def rail_profile(config: RailProfileConfig) -> Profile:
     y, z = _on_grid(curve, turned_y[0] - crown, turned_y[-1] - crown, offset=crown)
     z = z - float(curve(crown))
     _check_reach(config.name, y, RAIL_REACH, "the crown")
-    if notes:
+    if config.shape.file is not None:
         notes = (*notes, f"{config.name}: {_stands(config.cant, y, z)} (rail.cant)")
     profile = Profile(config.name, "rail", y, z, gauge_depth=config.gauge_depth, notes=notes)
     gauge_point(profile)
@@ -157,11 +157,13 @@ def _stands(cant: float, y: Array, z: Array) -> str:
     reach = np.linspace(0.0, _HEAD, 50)
     aside = np.interp(reach, y, z) - np.interp(-reach, y, z)
     even = np.max(np.abs(aside)) < _EVEN
-    return "stands as in the file" + (", upright: in the track it is inclined by 1:20 to 1:40" if even else "")
+    return "stands as in the file" + (
+        ", upright: in the track it is inclined by 1:20 to 1:40" if even else ""
+    )
 
 
 _HEAD, _EVEN = 0.015, 5e-5
-"""Where a head that is inclined by 1:40 has its sides at other heights, by 0.3 mm, and an upright one not (m)."""
+"""Where a head that is inclined by 1:40 has its sides 0.3 mm apart in height, an upright one not."""
 
 
 def profile_notes(parts: Mapping[str, object]) -> tuple[str, ...]:
@@ -252,7 +254,7 @@ def _sampled(shape: Shape, name: str, kind: Kind) -> tuple[Array, Array, tuple[s
             Path(shape.file), kind, unit=shape.unit, mirror=shape.mirror, invert=shape.invert
         )
         y, z = _interpolated(measured.y, measured.z, shape.smoothing)
-        return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes or ("read as it is",))
+        return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes)
     y, z = _from_zones(shape, name) if shape.zones is not None else _from_points(shape, name)
     y = -y[::-1] if shape.mirror else y
     z = z[::-1] if shape.mirror else z
