@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Callable
+import re
+import sys
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 WEAR_OF = {"new": 0.0, "worn": 1.0}
 SHARE = Number(0, 1)
 FRICTION = positive(high=1)
+GAUGE = Number(900, 1700, "mm")
 WORKERS = Number(1, 1024, whole=True)
 SEED = Number(0, 2**32 - 1, whole=True)
 SEEDS = Number(1, 10_000, whole=True)
@@ -170,20 +173,38 @@ class OutputOptions(Group):
     wide: bool = output("--wide", "Print all columns of tables, beyond 80 characters.", default=False)
 
 
+def gauge_text(text: str) -> str:
+    """A gauge that is typed: mm, or a track's name or path, which is read later."""
+    if re.fullmatch(r"[-+.\d].*", text) and "/" not in text:
+        GAUGE(text)
+    return text
+
+
 class ScenarioOptions(Group):
     """Options that choose vehicle, wheels, track and dampers."""
 
     profile: str | None = scenario(
         "--profile NAME|FILE",
-        "Wheel profile: new, worn, a name or a YAML file.",
+        "Wheel profile: new, worn, a name, a YAML file or a profile file (.csv, .txt, .prw, .whl).",
         autocompletion=one_of(*WEAR_OF, kind="profile"),
     )
+    rail: str | None = scenario(
+        "--rail NAME|FILE",
+        "Rail profile: a name, a YAML file or a profile file (.csv, .txt, .prr, .ban).",
+        autocompletion=one_of(kind="profile"),
+    )
+    gauge: str | None = scenario(
+        "--gauge MM|NAME|FILE", "Track gauge in mm, or that of a track: a name or a YAML file.", gauge_text
+    )
     track: str | None = scenario(
-        "--track NAME|FILE", "Track: a name or a YAML file.", autocompletion=one_of(kind="track")
+        "--track NAME|FILE",
+        "Track: a name, a YAML file or a CSV file of measured geometry.",
+        autocompletion=one_of(kind="track"),
     )
     damper: str | None = scenario(
         "--damper NAME|FILE",
-        "Yaw dampers: passive, sayd or a YAML file. If --config has the kind, its numbers stay.",
+        "Yaw dampers: passive, sayd, a YAML file, or a measured curve or valve map (.csv, .txt). If --config "
+        "has the kind, its numbers stay.",
         autocompletion=one_of(kind="damper"),
     )
     config: Config = None
@@ -212,13 +233,58 @@ class ScenarioOptions(Group):
         if wear is None and self.profile is not None:
             wear = WEAR_OF.get(self.profile, 0.0)
         wheel = None if self.profile in WEAR_OF else self.profile
-        config, damper = default if self.config is None else self.config, self.damper
-        if damper is not None and load_scenario(config).damper.type == damper:
-            damper = None  # the configuration's own, whose numbers may differ from the packaged ones
-        flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track, "damper": damper}
+        config = default if self.config is None else self.config
+        flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track}
+        flags |= {"rail": self.rail, "track.gauge": self._gauge()}
         # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.
         given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
-        return load_scenario(config, [*given, *(self.assignments or ())])
+        found = load_scenario(config, [*given, *self._damper(config), *(self.assignments or ())])
+        say_notes(dict(found))
+        return found
+
+    def _damper(self, config: str | None) -> list[str]:
+        """What ``--damper`` sets."""
+        from sayd_env.config.loader import YAML, is_path  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.config.scenario import load_scenario  # noqa: PLC0415
+
+        if self.damper is None or load_scenario(config).damper.type == self.damper:
+            return []  # the configuration's own, whose numbers may differ from the packaged ones
+        if is_path(self.damper) and not self.damper.lower().endswith(YAML):
+            from sayd_env.measured.dampers import damper_settings  # noqa: PLC0415
+
+            return damper_settings(self.damper)
+        return [f"damper={json.dumps(self.damper)}"]
+
+    def _gauge(self) -> float | None:
+        """Gauge (m) that is typed, or that of the track that is named."""
+        from sayd_env.config.track import read_track  # noqa: PLC0415 - keeps --help fast
+
+        if self.gauge is None:
+            return None
+        try:
+            return float(self.gauge) * 1e-3
+        except ValueError:
+            return read_track(self.gauge).gauge
+
+
+def say_notes(parts: Mapping[str, Any]) -> None:
+    """Tell on standard error what was recognised in measured files, and done to their numbers.
+
+    Raises
+    ------
+    ConfigError, DataError
+        One cannot be used.
+    """
+    from sayd_env.measured.notes import measured_notes  # noqa: PLC0415 - keeps --help fast
+
+    notes = list(measured_notes(parts))
+    profiles = [parts[key] for key in ("wheel", "rail") if key in parts]
+    if any(each.shape.file is not None or each.right is not None for each in profiles):
+        from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415 - SciPy takes its time
+
+        notes += profile_notes(parts)
+    for note in notes:
+        sys.stderr.write(f"sayd: {note}\n")
 
     def sweep(self, runs: int, most: int = 10_000) -> tuple[list[Variant], list[Scenario]]:
         """Configurations by the values of ``--set``, each with its scenario.

@@ -5,11 +5,12 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import BaseModel
 from rich.console import Console
 
 if TYPE_CHECKING:
@@ -57,6 +58,8 @@ class Output:
         from sayd_env.report.files import document, json_text  # noqa: PLC0415 - keeps --help fast
 
         content = document(result, config, seed, command_text()) | ({"quick": True} if quick else {})
+        if notes := _notes(config):
+            content.setdefault("notes", notes)
         files = [] if self.directory is None else self.directory.save(result, content)
         result.summary(self.console, wide=self.wide)
         if quick:
@@ -95,6 +98,19 @@ typed: list[str] = []
 def command_text() -> str:
     """What was typed, as a shell would take it again."""
     return shlex.join(["sayd", *typed])
+
+
+def _notes(config: Any) -> tuple[str, ...]:
+    """What was recognised in measured files that a configuration names, and done to their numbers."""
+    from sayd_env.config.errors import SaydError  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.measured.notes import measured_notes  # noqa: PLC0415
+    from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415
+
+    parts = dict(config) if isinstance(config, BaseModel | Mapping) else {}
+    try:
+        return (*profile_notes(parts), *measured_notes(parts))
+    except SaydError:  # a file that was taken away since: no reason to lose the result
+        return ()
 
 
 @contextmanager

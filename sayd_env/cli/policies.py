@@ -76,10 +76,9 @@ def evaluate(
     variants, scenarios = grid.sweep(runs)
     speeds, where = grid.speeds or SPEEDS, {}
     if line is not None:
-        speeds, where = (
-            along.line_speeds(line, scenarios[0], grid.speeds, SPEEDS),
-            {"line": line_content(line)},
-        )
+        content = line_content(line)
+        options.say_notes({"line": content})
+        speeds, where = along.line_speeds(line, scenarios[0], grid.speeds, SPEEDS), {"line": content}
 
     def one(chosen: Scenario, run: RunContext) -> EvaluateResult | LineResult:
         given: dict[str, Any] = {
@@ -282,6 +281,7 @@ def render(
     chosen = choice.load(setup.study)
     # What options set is not drawn; `--profile new` and `worn` are the study's own profile.
     flags = {"wear": choice.wear, "friction": choice.friction, "track": choice.track, "wheel": choice.profile}
+    flags["track.gauge"] = choice.gauge
     keys = [key for key, value in flags.items() if value is not None] + (["wear"] if choice.profile else [])
     keys += [item.partition("=")[0].strip() for item in choice.assignments or ()]
     left = setup.model_copy(update={"randomisation": setup.randomisation.without(fixed_by(keys))})
@@ -291,12 +291,13 @@ def render(
     metric = None if speed is None else speed / KMH
     if line is not None and metric is not None:
         line_speeds(line, chosen, [metric], [metric])
-    fixed = {} if line is None else {"line": line}
+    fixed, content = ({}, {}) if line is None else ({"line": line}, {"line": line_content(line)})
+    options.say_notes(content)
     return Plan(
         lambda run: study.render(
             video, chosen, left, seed=seed, speed=metric, fixed=fixed, progress=run.progress
         ),
-        {**dict(chosen), "environment": setup} | ({} if line is None else {"line": line_content(line)}),
+        {**dict(chosen), "environment": setup, **content},
         seed,
     )
 

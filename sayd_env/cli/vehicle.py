@@ -63,7 +63,7 @@ def critical_speed(
     )
 
 
-@command(GROUP, "--quick", runs=True, without=("profile", "wear"))
+@command(GROUP, "--quick", runs=True, without=("profile", "rail", "gauge", "wear"))
 def reproduce(
     scenario: options.VehicleOptions,
     *,
@@ -323,7 +323,7 @@ def conicity(scenario: options.VehicleOptions) -> Plan:
 @command(
     COMPONENTS,
     "--damper sayd --current 0,0.5,1 --amplitudes 2",
-    without=("profile", "track", "wear", "friction"),
+    without=("profile", "rail", "gauge", "track", "wear", "friction"),
 )
 def hysteresis(
     scenario: options.VehicleOptions,

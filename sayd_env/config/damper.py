@@ -7,11 +7,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, Part, quantity
+from sayd_env.config.base import Model, Number, Part, quantity
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.vehicle import MaxwellLaw
 
-DAMPER = Kind("damper", data=("throttle.file",))
+DAMPER = Kind("damper", data=("throttle.file", "curve.file"))
 SAYD = replace(DAMPER, only=("type", "sayd"))
 
 
@@ -105,8 +105,17 @@ class TableThrottle(Model):
 
     type: Literal["table"]
     file: str = Field(
-        description="CSV file: currents (-) in the first row, pressure drops (Pa) in the first column, flows "
-        "(m3/s) in the rest; a relative path counts from the YAML file that names it"
+        min_length=1,
+        description="CSV file: currents in the first row, pressure drops in the first column, flows in the "
+        "rest, or a column of each; relative to this file",
+    )
+    current_unit: str | None = Field(None, description="Of currents, where the file has none: A, mA, %, -")
+    drop_unit: str | None = Field(None, description="Of pressure drops, where the file has none: bar, Pa")
+    flow_unit: str | None = Field(None, description="Of flows, where the file has none: l/min, m3/s")
+    current_range: tuple[Number, Number] | None = Field(
+        None,
+        description="Currents of the valve closed and wide open, in the file's unit; "
+        "only a share (-, %) of the command goes without",
     )
 
 

@@ -19,6 +19,8 @@ from pydantic import BaseModel
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin, shown
 from sayd_env.config.loader import (
+    DATA,
+    YAML,
     apply_overrides,
     assigned,
     beside,
@@ -54,6 +56,12 @@ class Kind:
         A key and its value, where the folder holds other kinds as well: ``("kind", "wheel")``.
     optional : tuple of str
         Parts that may be null.
+    sided : bool
+        May stand as ``{left: ..., right: ...}`` of parts by these keys: the left one's content, with the
+        right one under its key.
+    measured : str, optional
+        A path that is not YAML is a data file at the first of `data`: with the rest of a section from this
+        file of configs/measured/, in which a name stands for that of the file.
     """
 
     folder: str
@@ -63,6 +71,8 @@ class Kind:
     base: str | None = None
     only: tuple[str, str] | None = None
     optional: tuple[str, ...] = ()
+    sided: bool = False
+    measured: str | None = None
 
 
 class Draft(NamedTuple):
@@ -115,7 +125,7 @@ def layered(kind: Kind, name_or_path: str) -> Draft:
 
 def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     """A file over its base; parts that nothing was set in are still names."""
-    content, source = read_config(kind.folder, name)
+    content, source = _measured(kind, name) or read_config(kind.folder, name)
     own, folder = dict(section(content, source)), Path(source).parent
     _refuse_other(kind, own, source)
     below = _base(kind, own, source, (*users, _identity(name)))
@@ -136,6 +146,24 @@ def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
         text = json.dumps(_placed_at(kind, str(key).split("."), value, folder), default=str)
         draft = _with_assignment(kind, _with_parts(kind, draft), f"{key}={text}", f"{source}: set:")
     return draft
+
+
+def _measured(kind: Kind, name: str) -> tuple[dict[str, Any], str] | None:
+    """Content that makes a part of a data file, and its path; None for what is no data file."""
+    if not is_path(name) or name.lower().endswith(YAML):
+        return None
+    if kind.measured is None:
+        if name.lower().endswith(DATA):
+            raise ConfigError(f"{name}: is a table; expected YAML of a {kind.folder}, which may name it")
+        return None
+    path = Path(name)
+    content = section(*read_config("measured", kind.measured))
+    if "name" in content:
+        content["name"] = path.stem
+    value: Any = path.name
+    for key in reversed(kind.data[0].split(".")):
+        value = {key: value}
+    return _merged(content, value), name
 
 
 def _base(kind: Kind, own: dict[str, Any], source: str, users: tuple[str, ...]) -> Draft:
@@ -197,10 +225,27 @@ def _with_parts(kind: Kind, draft: Draft) -> Draft:
             root = None
         else:
             continue
-        data[key] = found.data
-        inner = (Origin((key, *o.path), o.source, o.depth + 1) for o in found.origins)
+        data[key] = _left_first(found, key) if part.sided else found.data
+        inner = (Origin((key, *_without_left(part, o.path)), o.source, o.depth + 1) for o in found.origins)
         origins = (*origins, *(() if root is None else (root,)), *inner)
     return Draft(data, draft.source, origins)
+
+
+def _left_first(draft: Draft, key: str) -> dict[str, Any]:
+    """The left one's content with the right one beside it."""
+    data, left = draft.data, draft.data.get("left")
+    if not isinstance(left, dict):
+        return data
+    others = [name for name in data if name not in ("left", "right")]
+    if others and "kind" not in others:  # with it, they are the content that `left` replaces
+        raise ConfigError(
+            f"{draft.source}: {key}: found {', '.join(map(str, others))} beside left; expected left and right"
+        )
+    return {**left, "right": data.get("right")}
+
+
+def _without_left(part: Kind, path: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    return path[1:] if part.sided and path[:1] == ("left",) else path
 
 
 def _check_parts(kind: Kind, data: Mapping[str, Any], source: str, above: str = "") -> None:

@@ -30,10 +30,16 @@ from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.limits import LIMITS
 from sayd_env.config.loader import is_path
 from sayd_env.config.profile import RailProfileConfig, load_rail
-from sayd_env.config.track import Defect, DefectConfig, check_track, read_irregularity
+from sayd_env.config.track import (
+    Defect,
+    DefectConfig,
+    GeometryConfig,
+    check_track,
+    read_irregularity,
+)
 from sayd_env.config.units import KMH
 
-LINE = Kind("line", names=("rails.*", "sections.*.track"), data=("file",))
+LINE = Kind("line", names=("rails.*", "sections.*.track"), data=("file",), measured="line")
 
 # A change between sections, as knots: linear pieces depart from the smooth step by 0.7 % of the change.
 _STEPS = np.linspace(0.0, 1.0, 11)
@@ -108,8 +114,8 @@ class LineSectionConfig(Model):
         return -1.0 if self.turn == "right" else 1.0
 
 
-class LineConfig(Part):
-    """Conditions along a line."""
+class LineConfig(Part, GeometryConfig):
+    """Conditions along a line; what `GeometryConfig` has is of the irregularities of its file."""
 
     description: str = ""
     sections: tuple[LineSectionConfig, ...] = Field((), description="In the order in which they are run over")

@@ -113,9 +113,14 @@ def read_text(path: Path, what: str = "file") -> str:
         raise ConfigError(f"{path}: is not a valid file name") from None
 
 
+YAML = (".yaml", ".yml")
+DATA = (".csv", ".txt", ".dat", ".tsv", ".asc", ".prw", ".prr", ".whl", ".ban", ".rail")
+"""Ends of files' names."""
+
+
 def is_path(name_or_path: str) -> bool:
-    """Whether a reference is a path to a file: it ends in .yaml, .yml or .csv, or has a separator."""
-    return name_or_path.endswith((".yaml", ".yml", ".csv")) or "/" in name_or_path
+    """Whether a reference is a path to a file: it ends as one of YAML or data does, or has a separator."""
+    return name_or_path.lower().endswith((*YAML, *DATA)) or "/" in name_or_path
 
 
 def beside(name_or_path: str, folder: Path) -> str:
@@ -207,13 +212,15 @@ def read_study(model: type[M], name_or_path: str, overrides: Iterable[str], *ref
 def placed(node: Any, place: str, move: Callable[[str], str]) -> Any:
     """Copy of nested data with the text at a place moved.
 
-    The place is ``a.b`` in a section and ``a.*.b`` in each section of a list; where there is no text, nothing
-    changes.
+    The place is ``a.b`` in a section and ``a.*.b`` in each section of a list, or of what names its entries;
+    where there is no text, nothing changes.
     """
     if not place:
         return move(node) if isinstance(node, str) else node
     key, _, rest = place.partition(".")
     if key == "*":
+        if isinstance(node, dict):
+            return {name: placed(each, rest, move) for name, each in node.items()}
         return [placed(each, rest, move) for each in node] if isinstance(node, list) else node
     if isinstance(node, dict) and key in node:
         return node | {key: placed(node[key], rest, move)}

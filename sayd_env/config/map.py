@@ -13,7 +13,7 @@ from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
 from sayd_env.config.limits import LIMITS
 from sayd_env.config.loader import read_study
-from sayd_env.config.profile import WheelProfileConfig, load_wheel
+from sayd_env.config.profile import WheelProfileConfig, load_wheel, shifted
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.track import scalable
 
@@ -49,7 +49,7 @@ class MapWheel(Model):
     def of(self, own: WheelProfileConfig) -> WheelProfileConfig:
         """The profile, where the study's is `own`."""
         wheel = own if self.profile is None else load_wheel(self.profile)
-        return wheel if self.shift is None else wheel.model_copy(update={"shift": self.shift})
+        return wheel if self.shift is None else shifted(wheel, self.shift)
 
 
 class MapCondition(NamedTuple):

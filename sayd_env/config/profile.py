@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -9,20 +10,28 @@ from pydantic import Field, model_validator
 from sayd_env.config.base import Model, Number, Part, quantity
 from sayd_env.config.layers import Kind, read_layered
 
-WHEEL, RAIL = (
-    Kind("profile", data=("shape.file", "wear.shape.file"), only=("kind", kind)) for kind in ("wheel", "rail")
-)
+
+def _kind(kind: str) -> Kind:
+    one = Kind("profile", data=("shape.file", "wear.shape.file"), only=("kind", kind), measured=kind)
+    return replace(one, parts={"left": one, "right": one}, optional=("right",), sided=True)
+
+
+WHEEL, RAIL = _kind("wheel"), _kind("rail")
 
 JOINT_TOLERANCE_MM = 0.02
 """Zones may miss each other by this much (mm): published formulas are rounded."""
+
+
+_WIDEST = 500.0  # mm; no profile reaches further from its origin
+_FLATTEST = 1e6  # mm; an arc of a larger radius is a line
 
 
 class Line(Model):
     """Straight zone: z = offset + slope * y."""
 
     type: Literal["line"]
-    start: float = quantity("mm", "lateral start of the zone")
-    end: float = quantity("mm", "lateral end of the zone")
+    start: float = quantity("mm", "lateral start of the zone", ge=-_WIDEST, le=_WIDEST)
+    end: float = quantity("mm", "lateral end of the zone", ge=-_WIDEST, le=_WIDEST)
     offset: float = quantity("mm", "height of the line at y = 0")
     slope: float = quantity("-", "slope dz/dy")
 
@@ -31,11 +40,11 @@ class Arc(Model):
     """Circular zone: z = centre_z +- sqrt(radius^2 - (y - centre_y)^2)."""
 
     type: Literal["arc"]
-    start: float = quantity("mm", "lateral start of the zone")
-    end: float = quantity("mm", "lateral end of the zone")
-    centre_y: float = quantity("mm", "lateral position of the centre")
-    centre_z: float = quantity("mm", "height of the centre")
-    radius: float = quantity("mm", "radius", gt=0)
+    start: float = quantity("mm", "lateral start of the zone", ge=-_WIDEST, le=_WIDEST)
+    end: float = quantity("mm", "lateral end of the zone", ge=-_WIDEST, le=_WIDEST)
+    centre_y: float = quantity("mm", "lateral position of the centre", ge=-_FLATTEST, le=_FLATTEST)
+    centre_z: float = quantity("mm", "height of the centre", ge=-_FLATTEST, le=_FLATTEST)
+    radius: float = quantity("mm", "radius", gt=0, le=_FLATTEST)
     side: Literal["upper", "lower"] = Field(description="which half of the circle: upper (+) or lower (-)")
 
     @model_validator(mode="after")
@@ -50,8 +59,8 @@ class Polynomial(Model):
     """Polynomial zone: z = sum_k coefficients[k] * y^k."""
 
     type: Literal["polynomial"]
-    start: float = quantity("mm", "lateral start of the zone")
-    end: float = quantity("mm", "lateral end of the zone")
+    start: float = quantity("mm", "lateral start of the zone", ge=-_WIDEST, le=_WIDEST)
+    end: float = quantity("mm", "lateral end of the zone", ge=-_WIDEST, le=_WIDEST)
     coefficients: tuple[Number, ...] = Field(
         min_length=1, description="coefficients from the constant upwards (mm, -, 1/mm, ...)"
     )
@@ -70,11 +79,14 @@ class Shape(Model):
     points: tuple[tuple[Number, Number], ...] | None = Field(
         None, min_length=8, description="table of [y, z] in order of y (mm)"
     )
-    file: str | None = Field(
-        None, description="measured file with columns y, z (mm); csv, blanks, .prw or .prr (path)"
+    file: str | None = Field(None, description="measured file (path): SIMPACK, MiniProf or columns y and z")
+    unit: Literal["mm", "cm", "m", "in", "um"] | None = Field(
+        None, description="unit of the file; null: what it says, or else the one in which it makes a profile"
     )
-    mirror: bool = Field(False, description="measured data has y towards the track centre: turn it round")
-    invert: bool = Field(False, description="measured data has z downwards: turn it round")
+    mirror: bool | None = Field(
+        None, description="turn y round; null: only a file's, so that a wheel's flange is at negative y"
+    )
+    invert: bool | None = Field(None, description="turn z round; null: only a file's, so that it is upwards")
     smoothing: float = quantity(
         "m",
         "length over which tabulated points are smoothed (cubic Savitzky-Golay)",
@@ -88,6 +100,8 @@ class Shape(Model):
         given = [name for name in ("zones", "points", "file") if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"give exactly one of zones, points, file; found {', '.join(given) or 'none'}")
+        if self.unit is not None and self.file is None:
+            raise ValueError(f"unit is that of a file; {given[0]} are in mm")
         for before, after in zip(self.zones or (), (self.zones or ())[1:], strict=False):
             if abs(before.end - after.start) > 1e-9:
                 raise ValueError(
@@ -133,6 +147,14 @@ class WheelProfileConfig(Part):
     wear: Annotated[HollowWear | MeasuredWear, Field(discriminator="type")] | None = Field(
         None, description="what wear = 1 means; without it the profile does not wear"
     )
+    right: WheelProfileConfig | None = Field(
+        None, description="right wheels, where they have another profile than the left ones"
+    )
+
+    @model_validator(mode="after")
+    def _one_wheelset(self) -> WheelProfileConfig:
+        _check_right(self, "back_to_back")
+        return self
 
 
 class RailProfileConfig(Part):
@@ -150,13 +172,51 @@ class RailProfileConfig(Part):
     gauge_depth: float = quantity(
         "m", "depth below the crown at which the gauge is measured", gt=0.0, lt=0.04
     )
+    right: RailProfileConfig | None = Field(
+        None, description="right rail, where it has another profile than the left one"
+    )
+
+    @model_validator(mode="after")
+    def _one_track(self) -> RailProfileConfig:
+        _check_right(self, "gauge_depth")
+        return self
+
+
+def _check_right(left: WheelProfileConfig | RailProfileConfig, common: str) -> None:
+    """Refuse a right side that has a right side, or another number that is one for both."""
+    if left.right is None:
+        return
+    if left.right.right is not None:
+        raise ValueError("right: is the right one already, it has no right one of its own")
+    if getattr(left, common) != getattr(left.right, common):
+        raise ValueError(
+            f"right.{common}: found {getattr(left.right, common):g}; expected that of the left one, "
+            f"{getattr(left, common):g} m"
+        )
 
 
 ProfileConfig = WheelProfileConfig | RailProfileConfig
 
 
+def sides(
+    wheel: WheelProfileConfig, rail: RailProfileConfig
+) -> tuple[tuple[WheelProfileConfig, RailProfileConfig], tuple[WheelProfileConfig, RailProfileConfig]]:
+    """Wheel and rail of the left and of the right side, equal where they are alike."""
+    left = (
+        wheel if wheel.right is None else wheel.model_copy(update={"right": None}),
+        rail if rail.right is None else rail.model_copy(update={"right": None}),
+    )
+    return left, (wheel.right or left[0], rail.right or left[1])
+
+
+def shifted(wheel: WheelProfileConfig, shift: float) -> WheelProfileConfig:
+    """The same with another outward shift (m), on both sides."""
+    right = None if wheel.right is None else shifted(wheel.right, shift)
+    return wheel.model_copy(update={"shift": shift, "right": right})
+
+
 def load_wheel(name_or_path: str) -> WheelProfileConfig:
-    """Read a wheel profile: a packaged name or a path to a YAML file.
+    """Read a wheel profile: a packaged name, or a path to a YAML or profile file.
 
     Raises
     ------
@@ -167,7 +227,7 @@ def load_wheel(name_or_path: str) -> WheelProfileConfig:
 
 
 def load_rail(name_or_path: str) -> RailProfileConfig:
-    """Read a rail profile: a packaged name or a path to a YAML file.
+    """Read a rail profile: a packaged name, or a path to a YAML or profile file.
 
     Raises
     ------

@@ -74,6 +74,8 @@ def _changed_entries(entries: tuple[Any, ...], factors: dict[Path, float], where
 def _times(value: Any, factor: float, where: Path) -> Any:
     if factor == 1.0:
         return value
+    if isinstance(value, Model) and "scale" in type(value).model_fields:
+        return value.model_copy(update={"scale": factor * getattr(value, "scale")})  # noqa: B009
     if isinstance(value, int | float) and not isinstance(value, bool):
         return factor * value
     if isinstance(value, tuple) and value and isinstance(value[0], tuple):

@@ -7,21 +7,27 @@ direction of travel, positive when the left rail is higher (rad); `gauge` the wi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from itertools import pairwise
-from typing import Annotated, Literal
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StrictFloat, model_validator
 
-from sayd_env.config.base import Model, Part, quantity
+from sayd_env.config.base import Model, Number, Part, quantity
 from sayd_env.config.distribution import Distribution
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.limits import within
 from sayd_env.config.loader import is_path
 
-TRACK = Kind("track", parts={"section": Kind("section")}, data=("irregularity.path",))
+TRACK = Kind(
+    "track",
+    parts={"section": Kind("section")},
+    data=("irregularity.path",),
+    measured="track",
+)
 
 Channel = Literal["alignment", "vertical", "cross_level", "gauge"]
 CHANNELS: tuple[Channel, ...] = ("alignment", "vertical", "cross_level", "gauge")
@@ -150,21 +156,60 @@ class DefectConfig(Defect, _Irregularity):
     type: Literal["defect"]
 
 
-class FileConfig(_Irregularity):
+Domain = Literal["D1", "D2", "D3"]
+DOMAINS: Mapping[Domain, tuple[float, float]] = MappingProxyType(
+    {"D1": (3.0, 25.0), "D2": (25.0, 70.0), "D3": (70.0, 200.0)}
+)
+"""Wavelengths of the domains of EN 13848-1 (m); D3 of the longitudinal level ends at 150 m."""
+
+
+class GeometryConfig(Model):
+    """What a file of measured irregularities does not say itself."""
+
+    cross_level_base: float = quantity(
+        "m", "distance over which the cross-level's height is measured", default=1.5, ge=0.3, le=2.5
+    )
+    nominal_gauge: float | None = quantity(
+        "m", "what is taken off a column that holds the gauge itself", default=None, ge=0.5, le=2.0
+    )
+    domains: tuple[Domain, ...] = Field(
+        (), description="Wavelength domains of EN 13848-1 whose columns are added: D1, D2, D3"
+    )
+    recover: tuple[Number, Number] | None = Field(
+        None, description="Shortest and longest wave (m) that is restored from a chord or a space curve"
+    )
+    ignore: tuple[str, ...] = Field((), description="Columns that are not read, as the header names them")
+
+    @model_validator(mode="after")
+    def _geometry_is_possible(self) -> Self:
+        if self.recover is not None and not 0.0 < self.recover[0] < self.recover[1] <= 1000.0:
+            raise ValueError("recover: needs 0 < shortest < longest, at most 1000 m")
+        if tuple(sorted(set(self.domains))) != self.domains:
+            raise ValueError("domains: each once, in order: D1, D2, D3")
+        spans = [DOMAINS[domain] for domain in self.domains]
+        if any(one[1] != other[0] for one, other in pairwise(spans)):
+            raise ValueError("domains: D2 is missing between D1 and D3")
+        return self
+
+    @property
+    def geometry(self) -> dict[str, Any]:
+        """These keys and values."""
+        return {name: getattr(self, name) for name in GeometryConfig.model_fields}
+
+
+class FileConfig(_Irregularity, GeometryConfig):
     """Measured irregularities: x_m and any of alignment_mm, vertical_mm, cross_level_mm, gauge_mm."""
 
     type: Literal["file"]
     path: str = Field(min_length=1, description="CSV file; relative to the YAML file that names it")
-    offset: float = quantity("m", "position on the run of the file's x = 0", default=0.0)
+    offset: float = quantity("m", "position on the run of the file's x = 0", default=0.0, ge=-1e7, le=1e7)
     ramp: float | None = quantity(
         "m",
         "length of smooth ramps at the file's ends, the track being even outside; "
         "when absent the file must cover the whole run",
         default=None,
         gt=0,
-    )
-    cross_level_base: float = quantity(
-        "m", "distance over which the cross-level's height is measured", default=1.5, gt=0
+        le=1e6,
     )
 
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, TypeAdapter, field_validator, model_validator
 
 from sayd_env.config.base import Model, Number, Part, quantity
 from sayd_env.config.layers import Kind
 from sayd_env.config.loader import nearest
 
-VEHICLE = Kind("vehicle")
+VEHICLE = Kind("vehicle", data=("elements.*.curve.file",))
 
 Vector = tuple[Number, Number, Number]
 NotNegative = Annotated[float, Field(ge=0, strict=True)]
@@ -97,6 +98,7 @@ class Torsion(_Element):
 
 
 Curve = tuple[tuple[Number, Number], ...]
+_POINTS = TypeAdapter(Curve, config=ConfigDict(allow_inf_nan=False))
 
 
 def checked_curve(points: Curve, abscissa: str) -> Curve:
@@ -117,22 +119,51 @@ def checked_curve(points: Curve, abscissa: str) -> Curve:
     return points
 
 
+def checked_law(points: Curve) -> Curve:
+    """Return a damper's `checked_curve` of force (N) over velocity (m/s), which rises all along.
+
+    Raises
+    ------
+    ValueError
+        As `checked_curve`, or equal forces.
+    """
+    for (_, f0), (v1, f1) in pairwise(points):
+        if f1 == f0:
+            # The force is the state of the element: a flat part would have no one velocity.
+            raise ValueError(f"the force must rise up to {v1:g} m/s; give a saturated damper a small slope")
+    return checked_curve(points, "velocity (m/s)")
+
+
+class MeasuredCurve(Model):
+    """Force over velocity as a test rig prints it, read by `sayd_env.measured.dampers`."""
+
+    file: str = Field(
+        min_length=1,
+        description="CSV file with a column of velocities and one of forces, relative to this file",
+    )
+    velocity_unit: str | None = Field(None, description="Of velocities, where the header has none: mm/s")
+    force_unit: str | None = Field(None, description="Of forces, where the header has none: kN")
+    direction: Literal["positive", "negative", "mean"] | None = Field(
+        None, description="Which velocities count where the damper has other forces in the other direction"
+    )
+    scale: float = quantity("-", "Factor on all forces", default=1.0, gt=0.0, le=100.0)
+
+
 class MaxwellLaw(Model):
     """A damper with an odd piecewise-linear force-velocity curve in series with a spring (paper, 2.1)."""
 
-    curve: Curve = Field(description="Points (velocity (m/s), force (N)) for v >= 0; the last slope goes on")
+    curve: Curve | MeasuredCurve = Field(
+        description="Points (velocity (m/s), force (N)) for v >= 0; the last slope goes on"
+    )
     series_stiffness: float = quantity("N/m", "Series stiffness", gt=0.0)
 
-    @field_validator("curve")
+    @field_validator("curve", mode="wrap")
     @classmethod
-    def _curve(cls, points: Curve) -> Curve:
-        for (_, f0), (v1, f1) in pairwise(points):
-            if f1 == f0:
-                # The force is the state of the element: a flat part would have no one velocity.
-                raise ValueError(
-                    f"the force must rise up to {v1:g} m/s; give a saturated damper a small slope"
-                )
-        return checked_curve(points, "velocity (m/s)")
+    def _curve(cls, value: Any, _: object) -> Curve | MeasuredCurve:
+        # By what is given, so that a message tells of the one way that was meant.
+        if isinstance(value, Mapping | MeasuredCurve):
+            return MeasuredCurve.model_validate(value)
+        return checked_law(_POINTS.validate_python(value))
 
 
 class Damper(_Element, MaxwellLaw):

@@ -35,7 +35,7 @@ from sayd_env.config.fault import (
 from sayd_env.config.line import LineConfig
 from sayd_env.config.lines import draw_line
 from sayd_env.config.loader import is_path
-from sayd_env.config.profile import WheelProfileConfig, load_wheel
+from sayd_env.config.profile import WheelProfileConfig, load_wheel, shifted
 from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS, SIGNALS, SensorConfig, SensorsConfig
@@ -213,7 +213,7 @@ def episode_scenario(base: Scenario, episode: Episode) -> Scenario:
         changes["track"] = base.track.model_copy(update={"irregularity": irregularity, "gauge": gauge})
     wheel = base.wheel if episode.wheel is None else episode.wheel
     if episode.wheel_shift is not None:
-        wheel = wheel.model_copy(update={"shift": episode.wheel_shift})
+        wheel = shifted(wheel, episode.wheel_shift)
     if wheel != base.wheel:
         changes["wheel"] = wheel
     if changes:

@@ -1,1 +1,1 @@
-"""Readers of files that people have: recordings, profiles, track geometry."""
+"""Readers of files that people have: recordings, profiles, track geometry, lines, dampers."""

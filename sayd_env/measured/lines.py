@@ -14,8 +14,11 @@ from sayd_env.config.conditions import Knots, Line, Section, TrackPiece, checked
 from sayd_env.config.errors import DataError
 from sayd_env.config.line import LineConfig, read_line, resolve, resolve_rails
 from sayd_env.config.track import FileConfig
-from sayd_env.config.units import KMH, Array
-from sayd_env.measured.table import CONDITIONS, IRREGULARITIES, Table, read_table
+from sayd_env.config.units import Array
+from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, Table, read_table
+
+# A shorter line is one of kilometres in a column of metres.
+_SHORTEST = 100.0  # m
 
 
 def load_line(
@@ -47,7 +50,7 @@ def load_line(
     source = "line"
     if isinstance(line, str):
         source = line
-        line = LineConfig(file=line) if line.endswith(".csv") else read_line(line, overrides)
+        line = read_line(line, overrides)
     if line.file is not None:
         return read_measured_line(line, speed)
     return resolve(line, speed=speed, gauge=gauge, friction=friction, source=source)
@@ -63,7 +66,7 @@ def line_content(line: str) -> dict[str, Any]:
     DataError
         A measured file that cannot be read.
     """
-    config = LineConfig(file=line) if line.endswith(".csv") else read_line(line)
+    config = read_line(line)
     content = config.model_dump(mode="json")
     if config.file is None:
         return content
@@ -80,7 +83,8 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
     or ``x_km``: ``speed_kmh``; ``radius_m`` (positive in left curves, 0 where it is straight) or
     ``curvature_1_km``; ``cant_mm`` (positive where the right rail is higher); ``nominal_gauge_mm`` (the
     slowly changing gauge, about 1435); ``friction``; ``rail`` (share of the second of the line's rails, 0 to
-    1); and the irregularities of `read_measured`, which needs even spacing where a line does not.
+    1), all in other units as well; and the irregularities of `read_measured`, which needs even spacing where
+    a line does not.
 
     Parameters
     ----------
@@ -97,7 +101,12 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
         It is none that `read_table` takes; it begins in a curve; numbers beyond what is allowed.
     """
     assert config.file is not None
-    table = read_table(config.file, (*CONDITIONS, *IRREGULARITIES), rows=2)
+    table = read_table(config.file, (*CONDITIONS, *IRREGULARITIES), rows=2, ignore=config.ignore)
+    if table.x[-1] - table.x[0] < _SHORTEST:
+        raise DataError(
+            f"{table.head}: column '{table.position.header}': the line is {table.x[-1] - table.x[0]:g} m "
+            f"long; at least {_SHORTEST:g} m are needed (is the unit km?)"
+        )
     if "rail" in table.columns and config.rails is None:
         raise DataError(f"{table.source}: column 'rail': the line's two rails are missing, which YAML names")
     try:
@@ -116,44 +125,44 @@ def _line(table: Table, config: LineConfig) -> Line:
     s = table.x - table.x[0]
     length, none = float(s[-1]), Knots((0.0,), (0.0,))
     curvature = _knots(s, _curvature(table)) or none
-    cant = _knots(s, _column(table, "cant_mm", 1e-3)) or none
-    speeds = _column(table, "speed_kmh", 1.0 / KMH)
+    cant = _knots(s, table.values("cant")) or none
+    speeds = table.values("speed")
     return Line(
         curvature=curvature,
         cant=cant,
         sections=tuple(_sections(length, config.section_length, curvature, cant)),
         speed_squared=_knots(s, None if speeds is None else speeds**2),
-        gauge=_knots(s, _column(table, "nominal_gauge_mm", 1e-3)),
-        friction=_knots(s, _column(table, "friction")),
-        rail_blend=_knots(s, _column(table, "rail")),
+        gauge=_knots(s, table.values("nominal_gauge")),
+        friction=_knots(s, table.values("friction")),
+        rail_blend=_knots(s, table.values("rail")),
         rails=resolve_rails(config),
-        tracks=_tracks(table, length, config.blend),
+        tracks=_tracks(table, length, config),
         blend=config.blend,
     )
 
 
-def _column(table: Table, name: str, factor: float = 1.0) -> Array | None:
-    return factor * table.columns[name] if name in table.columns else None
-
-
 def _curvature(table: Table) -> Array | None:
-    radius, curvature = table.columns.get("radius_m"), _column(table, "curvature_1_km", 1e-3)
+    radius, curvature = table.values("radius"), table.values("curvature")
     if radius is None:
         return curvature
     if curvature is not None:
         raise DataError(f"{table.source}: found radius_m and curvature_1_km; expected one of them")
-    return np.divide(1.0, radius, out=np.zeros_like(radius), where=radius != 0.0)
+    # Curves below 1 m are refused as those of 1 m are, without numbers that overflow.
+    size = np.copysign(np.maximum(np.abs(radius), 1.0), radius)
+    return np.where(radius == 0.0, 0.0, 1.0 / size)
 
 
 def _knots(s: Array, values: Array | None) -> Knots | None:
     return None if values is None else joined(zip(s.tolist(), values.tolist(), strict=True))
 
 
-def _tracks(table: Table, length: float, blend: float) -> tuple[TrackPiece, ...]:
-    if not set(IRREGULARITIES) & set(table.columns):
+def _tracks(table: Table, length: float, config: LineConfig) -> tuple[TrackPiece, ...]:
+    if not table.variants:
         return ()
     offset = -float(table.x[0])
-    irregularity = FileConfig(type="file", path=table.source, offset=offset, ramp=blend)
+    irregularity = FileConfig(
+        type="file", path=table.source, offset=offset, ramp=config.blend, **config.geometry
+    )
     return (TrackPiece(0.0, length, irregularity, None),)
 
 

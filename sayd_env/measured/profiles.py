@@ -1,121 +1,229 @@
-"""Measured profile files: two columns of coordinates in mm, or SIMPACK's .prw and .prr point lists."""
+"""Measured profiles: from the points of a file to a curve in metres, and what had to be done for it."""
 
 from __future__ import annotations
 
-import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sayd_env.config import DataError
-from sayd_env.config.loader import read_text
+from sayd_env.config.units import Array
+from sayd_env.measured.profile_files import (
+    KINDS,
+    UNITS,
+    Kind,
+    RawProfile,
+    is_miniprof,
+    is_simpack,
+    read_lines,
+    read_miniprof,
+    read_points,
+    read_simpack,
+)
 
 FEWEST_POINTS = 20
 """A profile with fewer points cannot carry slopes and curvatures."""
 
-_COMMENT = ("!", "#", "%", "//")
+EXTENT: dict[Kind, tuple[tuple[float, float], tuple[float, float]]] = {
+    "wheel": ((0.055, 0.160), (0.020, 0.060)),
+    "rail": ((0.045, 0.120), (0.005, 0.060)),
+}
+"""Widths and heights (m) that points may span: a wheel from throat to field side up to a whole rim of 140 mm,
+with a flange of 26 to 36 mm (EN 13715); a rail's head, 65 to 75 mm wide and up to 51 mm high (EN 13674-1),
+with or without its sides. No profile fits in two units."""
+
+SAME = 0.015e-3
+"""Points nearer to each other than this (m) are one: scans are rounded to 0.01 mm."""
+
+FREE = {"wheel": (0.0, 0.025), "rail": (-0.025, 0.020)}
+"""Where a curve must not turn back (m): from the flange's top to beyond the tread; about the crown."""
 
 
-def read_profile_file(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read the points of a measured profile.
+@dataclass(frozen=True)
+class MeasuredProfile:
+    """A curve from a file.
+
+    Attributes
+    ----------
+    y, z : ndarray, shape (n,)
+        Coordinates (m), y strictly increasing.
+    notes : tuple of str
+        What was recognised and changed, for the user.
+    """
+
+    y: Array
+    z: Array
+    notes: tuple[str, ...] = ()
+
+
+def read_profile_file(
+    path: Path, kind: Kind, *, unit: str | None = None, mirror: bool | None = None, invert: bool | None = None
+) -> MeasuredProfile:
+    """Read a measured profile.
 
     Parameters
     ----------
     path : Path
-        Text with two columns y, z in mm, separated by blanks, commas, semicolons or tabs; an optional header
-        line; comments begin with ``#``, ``!``, ``%`` or ``//``. In ``.prw`` and ``.prr`` files only the lines
-        between ``point.begin`` and ``point.end`` are read, ``units.len.f`` and ``mirror``, ``shift`` and
-        ``inversion`` of the header are obeyed.
+        SIMPACK, MiniProf, or text with columns y and z; see docs/profiles.md.
+    kind : {"wheel", "rail"}
+        What it is to be.
+    unit : {"mm", "cm", "m", "in", "um"}, optional
+        Of its numbers; by default what the file says, else the one in which they make a profile.
+    mirror, invert : bool, optional
+        Whether y and z are turned round; by default so that z is upwards and a wheel's flange at negative y.
 
     Returns
     -------
-    y, z : ndarray, shape (n,)
-        Coordinates (m), y strictly increasing.
+    MeasuredProfile
+        y to the field side, z upwards.
 
     Raises
     ------
     DataError
-        Empty, too short, not numeric, non-finite, duplicated or unsorted points; the line is named.
+        Empty, too short, not numeric or unsorted points (the line is named); no unit that fits; the other
+        kind.
     """
-    lines = read_text(path, "profile file").splitlines()
-    header, body = _simpack_parts(lines) if _is_simpack(lines) else ({}, list(enumerate(lines, start=1)))
-    points, numbers = _parse(path, body, allow_header=not header)
-    _check(path, points, numbers, int(header.get("inversion", 0)))
-    return _to_metres(points, header)
-
-
-def _is_simpack(lines: list[str]) -> bool:
-    return any(line.strip().startswith("point.begin") for line in lines)
-
-
-def _simpack_parts(lines: list[str]) -> tuple[dict[str, float], list[tuple[int, str]]]:
-    """Numeric header entries and numbered point lines of a SIMPACK profile."""
-    header: dict[str, float] = {"units.len.f": 1000.0}
-    body: list[tuple[int, str]] = []
-    inside = False
-    for number, line in enumerate(lines, start=1):
-        text = line.strip()
-        if text.startswith("point."):
-            inside = text.startswith("point.begin")
-        elif inside:
-            body.append((number, line))
-        elif match := re.match(r"([a-z][\w.]*)\s*=\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(?:!|$)", text):
-            header[match[1]] = float(match[2])
-    return header, body
-
-
-def _parse(
-    path: Path, body: list[tuple[int, str]], allow_header: bool
-) -> tuple[NDArray[np.float64], list[int]]:
-    """Points (n, 2) and the line number of each."""
-    rows: list[tuple[float, float]] = []
-    numbers: list[int] = []
-    for number, line in body:
-        text = line.strip()
-        if not text or text.startswith(_COMMENT):
-            continue
-        fields = re.split(r"[,;\s]+", text.rstrip(",;"))
-        try:
-            row = (float(fields[0]), float(fields[1]))
-        except (ValueError, IndexError):
-            if allow_header and not rows and len(fields) > 1 and re.match(r"[A-Za-z\"]", text):
-                allow_header = False
-                continue
-            raise DataError(
-                f"{path}: line {number}: found {text[:40]!r}, expected two numbers y z (mm)"
-            ) from None
-        rows.append(row)
-        numbers.append(number)
-    return np.array(rows, dtype=float).reshape(-1, 2), numbers
-
-
-def _check(path: Path, points: NDArray[np.float64], numbers: list[int], inverted: int) -> None:
-    if len(points) < FEWEST_POINTS:
-        found = f"{len(points)} points" if len(points) else "no points"
+    text, encoding = read_lines(path)
+    lines = text.split("\n")
+    if is_simpack(lines):
+        raw = read_simpack(lines, str(path))
+    elif is_miniprof(lines):
+        raw = read_miniprof(lines, str(path))
+    else:
+        raw = read_points(text, str(path))
+    _check_kind(path, raw, kind)
+    if len(raw.points) < FEWEST_POINTS:
+        found = f"{len(raw.points)} points" if len(raw.points) else "no points"
         raise DataError(f"{path}: found {found}, at least {FEWEST_POINTS} are needed")
-    for index in np.flatnonzero(~np.isfinite(points).all(axis=1))[:1]:
-        raise DataError(f"{path}: line {numbers[index]}: found a value that is not finite")
-    steps = np.diff(points[:, 0])
-    for index in np.flatnonzero(steps == 0.0)[:1]:
-        raise DataError(f"{path}: line {numbers[index + 1]}: y = {points[index, 0]:g} mm appears twice")
-    descending = np.sum(steps < 0.0) > len(steps) / 2
-    wrong = steps > 0.0 if descending else steps < 0.0
-    for index in np.flatnonzero(wrong)[:1]:
+    y, z, notes = _in_metres(path, raw, kind, unit)
+    y, z, turned = _upright(y, z, kind, mirror, invert)
+    y, z, cleaned = _single_valued(path, y, z, raw.lines, kind)
+    coded = () if encoding == "UTF-8" else (f"encoding: {encoding}",)
+    return MeasuredProfile(y, z, (*coded, *raw.notes, *notes, *turned, *cleaned))
+
+
+def _check_kind(path: Path, raw: RawProfile, kind: Kind) -> None:
+    """Refuse a rail as a wheel and the other way round, and a file that contradicts itself."""
+    named = KINDS.get(path.suffix.lower())
+    if raw.kind is not None and named is not None and raw.kind != named:
         raise DataError(
-            f"{path}: line {numbers[index + 1]}: y goes from {points[index, 0]:g} to "
-            f"{points[index + 1, 0]:g} mm, against the direction of the other points"
+            f"{path}: its header says that it is a {raw.kind} (type = {int(raw.kind == 'wheel')}), "
+            f"its name that it is a {named} ({path.suffix})"
         )
-    if descending and not inverted:
-        raise DataError(f"{path}: y falls from line to line; sort the points by increasing y")
+    if (found := raw.kind or named) not in (None, kind):
+        raise DataError(f"{path}: is a {found} profile; expected a {kind}")
 
 
-def _to_metres(
-    points: NDArray[np.float64], header: dict[str, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    y, z = points.T + np.array([[header.get("shift.y", 0.0)], [header.get("shift.z", 0.0)]])
-    y = -y if header.get("mirror.y", 0.0) == 1.0 else y
-    z = -z if header.get("mirror.z", 0.0) == 1.0 else z
+def _in_metres(path: Path, raw: RawProfile, kind: Kind, unit: str | None) -> tuple[Array, Array, list[str]]:
+    """Coordinates in metres by the unit that is asked for, else stated, else the only one that fits."""
+    spans = np.ptp(raw.points, axis=0)
+    extent = f"{spans[0]:.4g} wide and {spans[1]:.4g} high"
+    if unit is not None:
+        factors, said = (UNITS[unit], UNITS[unit]), f"shape.unit: {unit}"
+    elif raw.units is not None:
+        factors, said = raw.units, raw.said
+    else:
+        fitting = [name for name, metres in UNITS.items() if _fits(kind, *(spans * metres))]
+        if len(fitting) != 1:
+            what = (
+                f"is it in {' or '.join(fitting)}?" if fitting else f"a {kind} in none of {', '.join(UNITS)}"
+            )
+            raise DataError(
+                f"{path}: its unit is not known: points are {extent}, {what}; state it by {kind}.shape.unit "
+                f"(--set {kind}.shape.unit=mm) or in a header (y_mm, z_mm)"
+            )
+        factors = UNITS[fitting[0]], UNITS[fitting[0]]
+        note = f"unit: {fitting[0]}, in which points {extent} make a {kind}; the file does not say it"
+        return *(raw.points * factors).T, [note]
+    if not _fits(kind, *(spans * factors)):
+        wide, high = spans * factors * 1e3
+        limits = " and ".join(
+            f"{low * 1e3:g} to {top * 1e3:g} mm {name}"
+            for (low, top), name in zip(EXTENT[kind], ("wide", "high"), strict=True)
+        )
+        raise DataError(
+            f"{path}: by its unit ({said}) it is {wide:.4g} mm wide and {high:.4g} mm high; a {kind} profile "
+            f"is {limits}"
+        )
+    return *(raw.points * factors).T, []
+
+
+def _fits(kind: Kind, width: float, height: float) -> bool:
+    """Whether a width and a height (m) are those of a profile."""
+    return all(low <= span <= top for (low, top), span in zip(EXTENT[kind], (width, height), strict=True))
+
+
+def _upright(
+    y: Array, z: Array, kind: Kind, mirror: bool | None, invert: bool | None
+) -> tuple[Array, Array, list[str]]:
+    """Curve with z upwards and a wheel's flange at negative y, if not told otherwise.
+
+    Most of a wheel's width is its tread, from which the flange stands out; most of a rail's is the top of its
+    head, below which the sides hang.
+    """
+    notes = []
     order = np.argsort(y)
-    scale = 1.0 / header.get("units.len.f", 1000.0)
-    return y[order] * scale, z[order] * scale
+    even = np.linspace(np.min(y), np.max(y), 500)
+    middle, low, top = np.median(np.interp(even, y[order], z[order])), np.min(z), np.max(z)
+    if invert is None:
+        outwards, other = (top - middle, middle - low) if kind == "wheel" else (middle - low, top - middle)
+        invert = bool(other > _CLEARLY * outwards)
+        if invert:
+            notes.append(f"z turned round, so that it is upwards: the {_TELLTALE[kind]} in the file")
+    z = -z if invert else z
+    if mirror is None:
+        mirror = kind == "wheel" and bool(y[np.argmax(z)] > 0.0)
+        if mirror:
+            notes.append("y turned round, so that the flange is at negative y")
+    return (-y if mirror else y), z, notes
+
+
+_CLEARLY = 1.5
+"""How many times as far a curve that is turned round reaches to the wrong side; of profiles about 10."""
+_TELLTALE: dict[Kind, str] = {"wheel": "flange points to negative z", "rail": "sides hang to positive z"}
+
+
+def _single_valued(
+    path: Path, y: Array, z: Array, lines: list[int], kind: Kind
+) -> tuple[Array, Array, list[str]]:
+    """Points in the order of y, those that coincide merged, what overhangs cut off."""
+    if y[-1] < y[0]:
+        y, z, lines = y[::-1], z[::-1], lines[::-1]
+    y, z, lines, merged = _merged(y, z, lines)
+    notes = (
+        [f"{merged} points merged that lie within {SAME * 1e3:g} mm or above one another"] if merged else []
+    )
+    top = int(np.argmax(z))
+    low, high = (y[top] + reach if kind == "rail" else reach for reach in FREE[kind])
+    back = np.flatnonzero(np.diff(y) <= 0.0)
+    before, after = back[back < top], back[back >= top]
+    first = int(before[-1]) + 1 if before.size else 0
+    last = int(after[0]) if after.size else len(y) - 1
+    # A wheel is cut behind its flange's top and beyond its tread, a rail below its head.
+    if (kind == "rail" and first and y[first] > low) or (after.size and y[last] < high):
+        at = first if kind == "rail" and first and y[first] > low else last + 1
+        raise DataError(
+            f"{path}: line {lines[at]}: y goes from {y[at - 1] * 1e3:g} to {y[at] * 1e3:g} mm, against the "
+            "direction of the other points"
+        )
+    names = ("behind the flange's top", "beyond the tread") if kind == "wheel" else ("inside", "outside")
+    for count, at, where in ((first, first, names[0]), (len(y) - 1 - last, last, names[1])):
+        if count:
+            notes.append(f"{count} points cut {where}, where the curve overhangs at y = {y[at] * 1e3:.2f} mm")
+    return y[first : last + 1], z[first : last + 1], notes
+
+
+def _merged(y: Array, z: Array, lines: list[int]) -> tuple[Array, Array, list[int], int]:
+    """Points of which neighbours that coincide, or stand above one another, are one, their mean."""
+    groups = [[0]]
+    for i in range(1, len(y)):
+        first = groups[-1][0]
+        if -SAME < y[i] - y[i - 1] <= 1e-9 or np.hypot(y[i] - y[first], z[i] - z[first]) < SAME:
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    starts = np.array([group[0] for group in groups])
+    counts = np.array([len(group) for group in groups])
+    means = [np.add.reduceat(values, starts) / counts for values in (y, z)]
+    return means[0], means[1], [lines[start] for start in starts], len(y) - len(groups)

@@ -1,10 +1,10 @@
-"""Text tables that people have: the one reader of them, and tables over distance, as tracks and lines are."""
+"""Text tables that people have: the one reader of them."""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from sayd_env.config.errors import DataError
 from sayd_env.config.files import MIB, read_bytes
-from sayd_env.config.loader import nearest
-from sayd_env.config.track import CHANNELS
 from sayd_env.config.units import Array
 from sayd_env.measured.dialect import (
     BLANKS,
@@ -29,20 +27,15 @@ from sayd_env.measured.dialect import (
     read_head,
     split,
 )
-from sayd_env.measured.units import unit_of
+from sayd_env.measured.units import name_and_unit
 
 LARGEST = 256 * MIB
 """Most that is read of a text table."""
 MISSING = frozenset({"", "nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "1.#qnan", "-1.#ind"})
 """What stands in a cell without a value, in lower case."""
 
-POSITIONS: Mapping[str, float] = {"x_m": 1.0, "x_km": 1000.0}
-"""Columns of the distance, one of which a file has; metres in their unit."""
-IRREGULARITIES = tuple(f"{channel}_mm" for channel in CHANNELS)
-"""Columns of a track's departures from its nominal geometry."""
-CONDITIONS = ("speed_kmh", "radius_m", "curvature_1_km", "cant_mm", "nominal_gauge_mm", "friction", "rail")
-"""Columns of what lies along a line beside them."""
-
+# In no unit is any quantity of a vehicle, a track or a damper as large.
+_BEYOND = 1e15
 _MINIMAL, _NONE = 0, 3  # csv.QUOTE_MINIMAL and csv.QUOTE_NONE
 
 
@@ -290,111 +283,24 @@ def _width(rows: Iterable[Line], head: Head, source: str) -> int:
     return widest
 
 
-@dataclass(frozen=True)
-class Table:
-    """Columns of a file in the units of their names, and the lines where its rows stand.
-
-    Attributes
-    ----------
-    source : str
-        The file.
-    position : str
-        Name of the column of the distance.
-    x : ndarray, shape (n,)
-        Ascending distances (m).
-    columns : mapping
-        The other columns by name, each of shape (n,).
-    lines : sequence of int
-        Line of each row in the file.
-    """
-
-    source: str
-    position: str
-    x: Array
-    columns: Mapping[str, Array]
-    lines: Sequence[int]
-
-    def where(self, row: int) -> str:
-        """Line of a row in the file, as messages name it."""
-        return f"{self.source}: line {self.lines[row]}"
-
-    def place(self, row: int) -> str:
-        """Distance of a row, as it stands in the file."""
-        return f"{self.position} {self.x[row] / POSITIONS[self.position]:g}"
+def labelled(table: TextTable, column: int) -> tuple[str, str]:
+    """Name of a column in small letters with ``_`` between words, and its unit as the file has it, or ""."""
+    name, unit = name_and_unit(table.names[column])
+    below = table.head.units[column] if table.head.units else ""
+    return "_".join(re.findall(r"[^\W_]+", name.lower())), unit or below
 
 
-def read_table(path: str | Path, needed: Collection[str], rows: int) -> Table:
-    """Read a file over distance.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file, see `read_text_table`; a unit stands in a column's name (``gauge_mm``) or below it.
-    needed : collection of str
-        Columns of which it has one at least.
-    rows : int
-        Fewest rows of numbers.
+def physical_numbers(table: TextTable, columns: Sequence[int]) -> Array:
+    """Numbers of columns as `TextTable.numbers` gives them, none of which is beyond all quantities.
 
     Raises
     ------
-    ConfigError
-        The file cannot be read.
     DataError
-        No, unknown, missing or repeated columns; cells that are not finite numbers; too few rows; distances
-        that do not ascend.
+        As there, or a number that would overflow when it is squared or given another unit.
     """
-    text = read_text_table(path, "file")
-    where = f"{text.source}: line {text.head.line}"
-    names = _with_units(text.head, where)
-    _check_header(names, needed, where)
-    if len(text) < rows:
-        raise DataError(f"{text.source}: found {len(text)} rows of numbers; at least {rows} are needed")
-    columns = dict(zip(names, text.numbers(range(len(names))).T, strict=True))
-    position = next(name for name in POSITIONS if name in columns)
-    lines = text.lines.tolist()
-    table = Table(text.source, position, POSITIONS[position] * columns.pop(position), columns, lines)
-    _check_order(table)
-    return table
-
-
-def _with_units(head: Head, where: str) -> list[str]:
-    """Names of columns with the units that stand below them."""
-    if not head.names:
-        raise DataError(f"{where}: found no header; expected {' or '.join(POSITIONS)} and names of columns")
-    names = []
-    for name, unit in zip(head.names, head.units or [""] * len(head.names), strict=True):
-        known = unit_of(unit)
-        suffix = "" if known is None or known.name in ("-", "1") else "_" + known.name.replace("/", "_")
-        names.append(name if name.lower().endswith(suffix.lower()) else name + suffix.replace("km_h", "kmh"))
-    return names
-
-
-def _check_header(names: Sequence[str], needed: Collection[str], where: str) -> None:
-    allowed = (*POSITIONS, *IRREGULARITIES, *CONDITIONS)
-    for name in names:
-        if name not in allowed:
-            raise DataError(
-                f"{where}: unknown column '{name}'{nearest(name, allowed)}; allowed: {', '.join(allowed)}"
-            )
-        if names.count(name) > 1:
-            raise DataError(f"{where}: column '{name}' appears twice")
-    positions = [name for name in names if name in POSITIONS]
-    if not positions:
+    found = table.numbers(columns)
+    for row, k in np.argwhere(np.abs(found) > _BEYOND)[:1]:
         raise DataError(
-            f"{where}: column {' or '.join(map(repr, POSITIONS))} is missing; found {', '.join(names)}"
+            f"{table.where(int(row), columns[k])}: found {found[row, k]:g}; at most {_BEYOND:g} is read"
         )
-    if len(positions) > 1:
-        raise DataError(f"{where}: found {' and '.join(positions)}; expected one of them")
-    if not set(needed) & set(names):
-        raise DataError(
-            f"{where}: nothing to read beside '{positions[0]}'; expected any of {', '.join(needed)}"
-        )
-
-
-def _check_order(table: Table) -> None:
-    spacing = np.diff(table.x)
-    wrong = np.flatnonzero(spacing <= 0.0)
-    if wrong.size:
-        i = int(wrong[0]) + 1
-        problem = "appears twice" if spacing[i - 1] == 0.0 else f"comes after {table.place(i - 1)}"
-        raise DataError(f"{table.where(i)}: {table.place(i)} {problem}; positions must ascend")
+    return found

@@ -76,7 +76,8 @@ def side_by_side(plants: Sequence[Plant]) -> Plant:
         fields["number"].reshape(at.NUMBERS, width)[row] = [
             (way.ctypes.data - first) // way.itemsize for way in (getattr(plant, name) for plant in plants)
         ]
-    fields["wheel"].reshape(at.WHEEL_ROWS, LANES, width)[at.TABLE_BASE] = fields.pop("table offsets")
+    # Behind where the right wheels' table begins in their vehicle's own.
+    fields["wheel"].reshape(at.WHEEL_ROWS, LANES, width)[at.TABLE_BASE] += fields.pop("table offsets")
     offsets = fields.pop("sayd_table offsets")
     if fields["sayd_constant"].size:
         fields["sayd_constant"].reshape(sayd.CONSTANTS, LANES, width)[sayd.TABLE_START] = offsets

@@ -22,6 +22,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,7 @@ from sayd_env.config import StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
 from sayd_env.config.units import Array
+from sayd_env.physics import plant as at
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
 from sayd_env.physics.equivalent_damper import (
@@ -50,6 +52,8 @@ from sayd_env.physics.track.realisation import TrackRealisation, realise
 
 Complex = npt.NDArray[np.complex128]
 Index = npt.NDArray[np.int64]
+Tables: TypeAlias = tuple[ContactTable, ContactTable | None]
+"""Contact tables of the left wheels and of the right ones; None: the same."""
 
 HUNTING_BAND = (0.5, 15.0)
 """Frequencies of the modes that decide running stability (Hz)."""
@@ -86,8 +90,8 @@ class Linearisation:
     """(n,) displacements of steady running, m and rad."""
     v: Array
     """(n,) velocities of steady running, rad/s: what pure rolling adds to the wheelsets' nominal spin."""
-    table: ContactTable
-    """Contact table in use."""
+    tables: Tables
+    """Contact tables in use."""
     track: TrackRealisation
     """Smooth track."""
     sayd: EquivalentSayd | None
@@ -195,11 +199,9 @@ def linearise(
     depends, and these rates. Newton's method with the state matrix itself, from pure rolling; directions
     without stiffness stay where they are. Semi-active dampers let the vehicle settle and pull at nothing.
     """
-    table = model.table if amplitude is None else linearised(model.table, amplitude)
-    if creep != 1.0:
-        table = replace(table, c11=creep * table.c11, c22=creep * table.c22, c23=creep * table.c23)
+    tables = _tables(model, amplitude, creep)
     track = realise(NoIrregularityConfig(type="none"), 1.0, 0)
-    plant, work = equivalent_plant(model, speed, track, table, stroke), model.work()
+    plant, work = equivalent_plant(model, speed, track, tables, stroke), model.work()
     law = model.scenario.damper
     sayd = None if isinstance(law, PassiveDamperConfig) else equivalent_sayd(law, stroke)
     n, m = model.multibody.n, len(model.dampers)
@@ -214,7 +216,7 @@ def linearise(
         if np.max(np.abs(residual)) < _RESIDUAL:
             whole = matrix if sayd is None else _with_sayds(model.multibody, matrix, sayd)
             q, v = x[:n].copy(), x[n : 2 * n].copy()
-            return Linearisation(whole, q, v, table, track, sayd, speed, stroke, creep)
+            return Linearisation(whole, q, v, tables, track, sayd, speed, stroke, creep)
         step = matrix[n : 2 * n, unknown]
         scale = np.linalg.norm(step, axis=0)
         scale[scale == 0.0] = 1.0
@@ -287,11 +289,23 @@ def hunting_mode(model: VehicleModel, steady: Linearisation) -> Mode:
     return min(found, key=lambda mode: mode.damping_ratio)
 
 
+def _tables(model: VehicleModel, amplitude: float | None, creep: float = 1.0) -> Tables:
+    """Contact tables linearised at an amplitude, with a factor on their creep stiffnesses."""
+
+    def changed(table: ContactTable) -> ContactTable:
+        table = table if amplitude is None else linearised(table, amplitude)
+        if creep == 1.0:
+            return table
+        return replace(table, c11=creep * table.c11, c22=creep * table.c22, c23=creep * table.c23)
+
+    return changed(model.table), None if model.right_table is None else changed(model.right_table)
+
+
 def equivalent_plant(
-    model: VehicleModel, speed: float, track: TrackRealisation, table: ContactTable, stroke: Stroke | None
+    model: VehicleModel, speed: float, track: TrackRealisation, tables: Tables, stroke: Stroke | None
 ) -> Plant:
     """Constants of the compiled step with passive yaw dampers as straight lines; parameters as above."""
-    plant, law = model.plant(speed, track, table), model.scenario.damper
+    plant, law = model.plant(speed, track, tables[0], right_table=tables[1]), model.scenario.damper
     if stroke is None or not isinstance(law, PassiveDamperConfig):
         return plant
     yaw = len(model.multibody.yaw_dampers)  # the first of all dampers
@@ -490,8 +504,8 @@ def conical_contact(
 
 def _pure_rolling(plant: Plant) -> float:
     """What a centred wheelset's spin (rad/s) departs by from V / r_0, its contacts having other radii."""
-    table = plant.table.reshape(-1, geometry.WIDTH)
-    delta_r = float(table[len(table) // 2, geometry.DELTA_R])
+    nodes = int(plant.wheel[at.TABLE_LAST * LANES]) + 2
+    delta_r = float(plant.table[(nodes // 2) * geometry.WIDTH + geometry.DELTA_R])
     return -plant.speed / plant.radius * delta_r / (plant.radius + delta_r)
 
 
@@ -548,7 +562,8 @@ def _saturation(model: VehicleModel, steady: Linearisation, mode: Mode, amplitud
     body, n, work = model.multibody, model.multibody.n, model.work()
     lateral = mode.shape[body.wheelset_dofs[:, 1]]
     vector = mode.vector[: 2 * n] / math.sqrt(float(np.mean(np.abs(lateral) ** 2)))
-    plant = model.plant(steady.speed, steady.track, linearised(model.table, amplitude))
+    left, right = _tables(model, amplitude)
+    plant = model.plant(steady.speed, steady.track, left, right_table=right)
     creepages = np.array([creep.XI_X, creep.XI_Y, creep.SPIN])
 
     def read(motion: Array) -> Array:

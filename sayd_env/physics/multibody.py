@@ -20,6 +20,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.track import SectionConfig
 from sayd_env.config.units import GRAVITY, Array
 from sayd_env.config.vehicle import Bush, Damper, Stop, Torsion, VehicleConfig
+from sayd_env.measured.dampers import force_velocity
 from sayd_env.physics.layout import (
     Arrangement,
     Instance,
@@ -213,7 +214,9 @@ def _law(vehicle: VehicleConfig, place: int) -> tuple[Array, float]:
     """Curve and series stiffness of a damper or a stop."""
     element = vehicle.elements[place]
     assert isinstance(element, Damper | Stop)  # the layout has chosen it as one
-    return np.array(element.curve), element.series_stiffness if isinstance(element, Damper) else 0.0
+    if isinstance(element, Damper):
+        return force_velocity(element), element.series_stiffness
+    return np.array(element.curve), 0.0
 
 
 def _gyroscopic(instances: dict[str, Instance], n: int) -> Array:

@@ -39,7 +39,7 @@ WHEELSETS = 4
     PER_LINE_STEP,  # 1 / distance of nodes, 1/m
     LINE_COUNT,  # number of nodes
     LINE_BASE,  # place of the vehicle's first node, counted from `Plant.line`
-    SHAPES,  # contact tables between which a line blends, behind one another; 1: no blend
+    SHAPES,  # contact tables of a side between which a line blends, behind one another; 1: no blend
     NUMBERS,
 ) = range(15)
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator, CubicSpline, make_interp_spline
@@ -18,12 +18,14 @@ from sayd_env.config.profile import (
     Arc,
     HollowWear,
     Line,
+    MeasuredWear,
     Polynomial,
     RailProfileConfig,
     Shape,
     WheelProfileConfig,
 )
 from sayd_env.config.units import Array
+from sayd_env.measured.profile_files import Kind
 from sayd_env.measured.profiles import read_profile_file
 
 SAMPLING = 5e-5
@@ -31,6 +33,9 @@ SAMPLING = 5e-5
 
 TREAD_REACH = (-0.030, 0.025)
 """A wheel's points must cover at least this (m): throat to field side."""
+
+_LOWEST_FLANGE, _HIGHEST_FIELD_SIDE = 5e-3, 8e-3
+"""A flange is higher (m), the field side of a worn tread stands above its tape circle by a few mm at most."""
 
 RAIL_REACH = (-0.025, 0.020)
 """A rail's points must cover at least this around the crown (m)."""
@@ -55,14 +60,17 @@ class Profile:
         Wheel: lateral distance e of the tape circle from the wheelset's centre (m); 0 for a rail.
     gauge_depth : float
         Rail: depth below the crown at which the gauge is measured (m); 0 for a wheel.
+    notes : tuple of str
+        What was recognised and changed in a measured file, for the user.
     """
 
     name: str
-    kind: Literal["wheel", "rail"]
+    kind: Kind
     y: Array
     z: Array
     half_distance: float = 0.0
     gauge_depth: float = 0.0
+    notes: tuple[str, ...] = ()
 
 
 def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
@@ -88,21 +96,30 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
         raise ConfigError(
             f"wheel profile '{config.name}' has no wear section, so wear must be 0 (found {wear:g})"
         )
-    y, z = _sampled(config.shape, config.name)
+    y, z, notes = _sampled(config.shape, config.name, "wheel")
     if config.wear is not None and wear > 0.0:
-        y, z = _worn(config, y, z, wear)
+        y, z, further = _worn(config, y, z, wear)
+        notes = (*notes, *further)
     y, z = _on_grid(CubicSpline(y + config.shift, z), y[0] + config.shift, y[-1] + config.shift)
     # Behind its back a wheel has no surface; the shift alone would move the curve across it.
     ahead = y >= -config.tape_to_back - 1e-9
     y, z = y[ahead], z[ahead]
     _check_reach(config.name, y, TREAD_REACH, "the tape circle")
     z = z - np.interp(0.0, y, z)
-    if y[np.argmax(z)] > 0.0 or np.max(z) < 5e-3:
+    flange, rise = (max(0.0, float(np.max(z[side]))) for side in (y < 0.0, y > 0.0))
+    if flange < _LOWEST_FLANGE or rise > _HIGHEST_FIELD_SIDE:
         raise DataError(
-            f"wheel profile '{config.name}': no flange at negative y (the highest point is at "
-            f"y = {y[np.argmax(z)] * 1e3:.1f} mm); set mirror or invert if the file's axes differ"
+            f"wheel profile '{config.name}': no flange at negative y alone: it rises by {flange * 1e3:.1f} "
+            f"mm there and by {rise * 1e3:.1f} mm at positive y. Is it a rail? If the axes differ, set "
+            "mirror or invert"
         )
-    return Profile(config.name, "wheel", y, z, half_distance=0.5 * config.back_to_back + config.tape_to_back)
+    if config.shape.file is not None:
+        place = (
+            f"backs {config.back_to_back * 1e3:g} mm apart, tape circle {config.tape_to_back * 1e3:g} mm from"
+        )
+        notes = (*notes, f"{config.name}: {place} the back (wheel.back_to_back, wheel.tape_to_back)")
+    half = 0.5 * config.back_to_back + config.tape_to_back
+    return Profile(config.name, "wheel", y, z, half_distance=half, notes=notes)
 
 
 def rail_profile(config: RailProfileConfig) -> Profile:
@@ -113,7 +130,7 @@ def rail_profile(config: RailProfileConfig) -> Profile:
     DataError
         The curve cannot be used: a measured file is faulty, zones do not meet, or the head is too short.
     """
-    y, z = _sampled(config.shape, config.name)
+    y, z, notes = _sampled(config.shape, config.name, "rail")
     tilt = np.arctan(config.cant)
     # Canted inwards the head leans towards the track centre (negative y).
     turned_y, turned_z = y * np.cos(tilt) - z * np.sin(tilt), z * np.cos(tilt) + y * np.sin(tilt)
@@ -126,9 +143,56 @@ def rail_profile(config: RailProfileConfig) -> Profile:
     y, z = _on_grid(curve, turned_y[0] - crown, turned_y[-1] - crown, offset=crown)
     z = z - float(curve(crown))
     _check_reach(config.name, y, RAIL_REACH, "the crown")
-    profile = Profile(config.name, "rail", y, z, gauge_depth=config.gauge_depth)
+    if config.shape.file is not None:
+        notes = (*notes, f"{config.name}: {_stands(config.cant, y, z)} (rail.cant)")
+    profile = Profile(config.name, "rail", y, z, gauge_depth=config.gauge_depth, notes=notes)
     gauge_point(profile)
     return profile
+
+
+def _stands(cant: float, y: Array, z: Array) -> str:
+    """How a measured rail stands, for the user."""
+    if cant:
+        return f"turned by a cant of {cant:g} over that of the file"
+    reach = np.linspace(0.0, _HEAD, 50)
+    aside = np.interp(reach, y, z) - np.interp(-reach, y, z)
+    even = np.max(np.abs(aside)) < _EVEN
+    return "stands as in the file" + (
+        ", upright: in the track it is inclined by 1:20 to 1:40" if even else ""
+    )
+
+
+_HEAD, _EVEN = 0.015, 5e-5
+"""Where a head that is inclined by 1:40 has its sides 0.3 mm apart in height, an upright one not."""
+
+
+def profile_notes(parts: Mapping[str, object]) -> tuple[str, ...]:
+    """What was recognised and changed in the measured profiles among the parts of a configuration.
+
+    Parameters
+    ----------
+    parts : mapping
+        Wheels and rails, and others that are passed over, by any names.
+
+    Raises
+    ------
+    DataError
+        One cannot be used.
+    """
+    notes: list[str] = []
+    for part in parts.values():
+        sides = (part, part.right) if isinstance(part, WheelProfileConfig | RailProfileConfig) else ()
+        for side in sides:
+            if isinstance(side, WheelProfileConfig) and _measured(side):
+                notes += wheel_profile(side, float(isinstance(side.wear, MeasuredWear))).notes
+            elif isinstance(side, RailProfileConfig) and side.shape.file is not None:
+                notes += rail_profile(side).notes
+    return tuple(dict.fromkeys(notes))
+
+
+def _measured(wheel: WheelProfileConfig) -> bool:
+    worn = wheel.wear.shape.file if isinstance(wheel.wear, MeasuredWear) else None
+    return wheel.shape.file is not None or worn is not None
 
 
 def blended(first: Profile, second: Profile, share: float) -> Profile:
@@ -183,15 +247,18 @@ def mirrored(profile: Profile) -> Profile:
     return replace(profile, y=-profile.y[::-1], z=profile.z[::-1])
 
 
-def _sampled(shape: Shape, name: str) -> tuple[Array, Array]:
-    """Samples of the curve (m) in the order of y, as given (before shift, cant and datum)."""
-    if shape.zones is not None:
-        y, z = _from_zones(shape, name)
-    else:
-        y, z = _from_points(shape, name)
+def _sampled(shape: Shape, name: str, kind: Kind) -> tuple[Array, Array, tuple[str, ...]]:
+    """Samples of the curve (m) in the order of y, as given (before shift, cant and datum), and notes."""
+    if shape.file is not None:
+        measured = read_profile_file(
+            Path(shape.file), kind, unit=shape.unit, mirror=shape.mirror, invert=shape.invert
+        )
+        y, z = _interpolated(measured.y, measured.z, shape.smoothing)
+        return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes)
+    y, z = _from_zones(shape, name) if shape.zones is not None else _from_points(shape, name)
     y = -y[::-1] if shape.mirror else y
     z = z[::-1] if shape.mirror else z
-    return y, -z if shape.invert else z
+    return y, -z if shape.invert else z, ()
 
 
 def _from_zones(shape: Shape, name: str) -> tuple[Array, Array]:
@@ -222,31 +289,35 @@ def _height(zone: Line | Arc | Polynomial, y: Array) -> Array:
 
 
 def _from_points(shape: Shape, name: str) -> tuple[Array, Array]:
-    if shape.file is not None:
-        y, z = read_profile_file(Path(shape.file))
-    else:
-        y, z = np.array(shape.points, dtype=float).T * 1e-3
-        if np.any(np.diff(y) <= 0.0):
-            where = y[np.argmax(np.diff(y) <= 0.0) + 1] * 1e3
-            raise DataError(f"profile '{name}': points must be sorted by increasing y; see y = {where:g} mm")
+    y, z = np.array(shape.points, dtype=float).T * 1e-3
+    if np.any(np.diff(y) <= 0.0):
+        where = y[np.argmax(np.diff(y) <= 0.0) + 1] * 1e3
+        raise DataError(f"profile '{name}': points must be sorted by increasing y; see y = {where:g} mm")
+    return _interpolated(y, z, shape.smoothing)
+
+
+def _interpolated(y: Array, z: Array, smoothing: float) -> tuple[Array, Array]:
+    """Curve through points on the grid of samples, smoothed over a length (m)."""
     # Akima's interpolation does not ring where a straight and a curved part meet.
     y, z = _on_grid(Akima1DInterpolator(y, z, method="makima", extrapolate=True), y[0], y[-1])
-    window = 2 * round(0.5 * shape.smoothing / SAMPLING) + 1
+    window = 2 * round(0.5 * smoothing / SAMPLING) + 1
     return (y, savgol_filter(z, window, polyorder=3, mode="interp")) if window > 3 else (y, z)
 
 
-def _worn(config: WheelProfileConfig, y: Array, z: Array, wear: float) -> tuple[Array, Array]:
+def _worn(
+    config: WheelProfileConfig, y: Array, z: Array, wear: float
+) -> tuple[Array, Array, tuple[str, ...]]:
     if isinstance(config.wear, HollowWear):
         # The band is given relative to the tape circle, so it is placed on the shifted curve.
         phase = (y + config.shift - config.wear.centre) / config.wear.half_width
         depth = config.wear.depth * np.cos(0.5 * np.pi * np.clip(phase, -1.0, 1.0)) ** 2
-        return y, z - wear * depth
+        return y, z - wear * depth, ()
     assert config.wear is not None  # the caller has checked
-    worn_y, worn_z = _sampled(config.wear.shape, f"{config.name} (worn)")
+    worn_y, worn_z, notes = _sampled(config.wear.shape, f"{config.name} (worn)", "wheel")
     both = (y >= worn_y[0]) & (y <= worn_y[-1])
     _check_reach(f"{config.name} (worn)", y[both], TREAD_REACH, "the tape circle")
     y, z = y[both], z[both]
-    return y, (1.0 - wear) * z + wear * np.interp(y, worn_y, worn_z)
+    return y, (1.0 - wear) * z + wear * np.interp(y, worn_y, worn_z), notes
 
 
 def _on_grid(

@@ -11,6 +11,7 @@ from sayd_env.config import StudyError
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.units import Array
 from sayd_env.config.vehicle import MaxwellLaw
+from sayd_env.measured.dampers import force_velocity
 from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.multibody import ForceElement
@@ -71,7 +72,7 @@ def steady_cycle(law: MaxwellLaw, amplitude: float, frequency: float, points: in
         The force still changes after 1000 cycles.
     """
     h = 1.0 / (frequency * points)
-    curves = damper_curves((ForceElement("rig", np.ones(1), np.array(law.curve), law.series_stiffness),), h)
+    curves = damper_curves((ForceElement("rig", np.ones(1), force_velocity(law), law.series_stiffness),), h)
     state = np.zeros(3)
     elongation = amplitude * np.sin(2.0 * np.pi * np.arange(1, points + 1) / points)
     force, before = np.zeros(points), np.full(points, np.inf)

@@ -6,7 +6,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +15,10 @@ from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.conditions import Rails
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import PassiveDamperConfig
-from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
+from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig, sides
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import Array
+from sayd_env.measured.dampers import force_velocity
 from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.aligned import aligned, zeros
@@ -103,9 +104,23 @@ class VehicleModel:
 
     @cached_property
     def table(self) -> ContactTable:
-        """Contact table of all wheels."""
+        """Contact table of the left wheels; of all wheels where both sides are alike."""
+        return self._table(0)
+
+    @cached_property
+    def right_table(self) -> ContactTable | None:
+        """Contact table of the right wheels, read at minus their shift; None where both sides are alike."""
+        return self._table(1) if self._sides[1] != self._sides[0] else None
+
+    @property
+    def _sides(self) -> tuple[Side, Side]:
+        return sides(self.scenario.wheel, self.scenario.rail)
+
+    def _table(self, side: int) -> ContactTable:
         s, load = self.scenario, table_load(self.multibody.wheel_load)
-        return _contact_table(s.wheel, s.wear, s.rail, s.track.gauge, s.contact, s.vehicle.wheel_radius, load)
+        own, other = self._sides[side], self._sides[1 - side]
+        further = None if own == other else other
+        return _contact_table(own, further, s.wear, s.track.gauge, s.contact, s.vehicle.wheel_radius, load)
 
     @property
     def creep_table(self) -> Array:
@@ -119,8 +134,9 @@ class VehicleModel:
         law = self.scenario.damper
         if not isinstance(law, PassiveDamperConfig):
             return self.multibody.dampers
+        curve = force_velocity(law)
         yaw = [
-            ForceElement(name, bogie - car, np.array(law.curve), law.series_stiffness)
+            ForceElement(name, bogie - car, curve, law.series_stiffness)
             for name, bogie, car in self.multibody.yaw_dampers
         ]
         return (*yaw, *self.multibody.dampers)
@@ -160,16 +176,19 @@ class VehicleModel:
     @cached_property
     def _creep_rate(self) -> float:
         """Damping rate of the fastest creep mode times speed (m/s2)."""
-        body, table, contact = self.multibody, self.table, self.scenario.contact
-        node = int(np.argmin(np.abs(table.dy)))
-        load = float(np.max(body.wheel_load))
-        area = table.a_s[node] * table.b_s[node] * load ** (2.0 / 3.0)
-        stiffness = 2.0 * contact.shear_modulus * area * max(table.c11[node], table.c22[node])
+        stiffness = max(self._creep_stiffness(table) for table in (self.table, self.right_table) if table)
+        body = self.multibody
         radius, section = self.scenario.vehicle.wheel_radius, self.scenario.track.section
         dofs = body.wheelset_dofs[0]
         mass, roll, spin = body.mass[dofs[0]], body.mass[dofs[3]], body.mass[dofs[4]]
         lateral = 1.0 / mass + radius**2 / roll + 1.0 / section.mass
         return float(stiffness * max(lateral, 1.0 / mass + radius**2 / spin))
+
+    def _creep_stiffness(self, table: ContactTable) -> float:
+        """Creep force of a centred wheelset per creepage (N)."""
+        contact, node = self.scenario.contact, int(np.argmin(np.abs(table.dy)))
+        area = table.a_s[node] * table.b_s[node] * float(np.max(self.multibody.wheel_load)) ** (2.0 / 3.0)
+        return float(2.0 * contact.shear_modulus * area * max(table.c11[node], table.c22[node]))
 
     def realisation(self, seed: int) -> TrackRealisation:
         """Track irregularities of a seed, long enough for an assessed run."""
@@ -187,6 +206,7 @@ class VehicleModel:
         points: Array | None = None,
         line: LineTable | None = None,
         rails: Rails | None = None,
+        right_table: ContactTable | None = None,
     ) -> Plant:
         """Constants of the compiled step.
 
@@ -197,16 +217,21 @@ class VehicleModel:
         track : TrackRealisation
             Where the vehicle runs.
         table : ContactTable, optional
-            A contact table in place of the model's.
+            A contact table in place of the model's, of both sides without a `right_table`.
         points : ndarray, shape (p, n), optional
             Rows of further measuring points, behind those of the bogie frames.
         line : LineTable, optional
             Curves and changing conditions; `speed` is then the lowest on it.
         rails : pair of RailProfileConfig or None, optional
             Rail profiles between which the line blends; the first None is the scenario's.
+        right_table : ContactTable, optional
+            Contact table of the right wheels in place of the model's.
         """
         h, _ = self.step(speed)
-        b, table = self.multibody, table or self.table
+        b = self.multibody
+        right = right_table if table or right_table else self.right_table
+        table = table or self.table
+        flat = self._shapes(rails) if rails else [table.flat, *([] if right is None else [right.flat])]
         damping = b.damping + (speed / self.scenario.vehicle.wheel_radius) * b.gyroscopic
         diagonal = np.diag(damping).copy()
         np.fill_diagonal(damping, 0.0)
@@ -227,13 +252,13 @@ class VehicleModel:
             number[at.SHAPES] = 1.0 if rails is None else BLENDS
         return Plant(
             number=number,
-            wheel=aligned(self._wheels(speed, table)),
+            wheel=aligned(self._wheels(speed, (table, right or table), len(flat[0]) * (len(flat) - 1))),
             mass=b.mass,
             damping_diagonal=diagonal,
             mobility=1.0 / (b.mass + 0.5 * h * diagonal),
             load=self._static_load(),
             wheelset_x=b.wheelset_x,
-            table=table.flat if rails is None else self._shapes(rails),
+            table=flat[0] if len(flat) == 1 else np.concatenate(flat),
             motion_start=motion.start,
             motion_column=motion.column,
             motion_value=motion.value,
@@ -259,18 +284,24 @@ class VehicleModel:
             body_column=body_column,
         )
 
-    def _shapes(self, rails: Rails) -> Array:
-        """Contact tables of rails between two profiles, behind one another."""
+    def _shapes(self, rails: Rails) -> list[Array]:
+        """Contact tables of rails between two profiles, behind one another, of each side that has its own."""
         s, load = self.scenario, table_load(self.multibody.wheel_load)
-        wheel = wheel_profile(s.wheel, s.wear)
-        first, second = (_rail(s.rail if rail is None else rail) for rail in rails)
-        tables = [
-            cached_contact_table(
-                wheel, blended(first, second, share), s.track.gauge, s.contact, s.vehicle.wheel_radius, load
-            )
-            for share in np.linspace(0.0, 1.0, BLENDS)
-        ]
-        return np.concatenate([table.flat for table in tables])
+        ends = [sides(s.wheel, s.rail if rail is None else rail) for rail in rails]
+        alike = all(left == right for left, right in ends)
+        found: list[list[Array]] = [[], []]
+        for share in np.linspace(0.0, 1.0, BLENDS):
+            pairs = [
+                (wheel_profile(first[0], s.wear), blended(_rail(first[1]), _rail(second[1]), share))
+                for first, second in zip(*ends, strict=True)
+            ]
+            for side in range(1 if alike else 2):
+                other = None if alike else pairs[1 - side]
+                table = cached_contact_table(
+                    *pairs[side], s.track.gauge, s.contact, s.vehicle.wheel_radius, load, other
+                )
+                found[side].append(table.flat)
+        return [np.concatenate(tables) for tables in found if tables]
 
     def _numbers(self, speed: float, track: TrackRealisation, table: ContactTable, substeps: int) -> Array:
         number = np.zeros(at.NUMBERS)
@@ -282,11 +313,12 @@ class VehicleModel:
         number[at.CREEP_LAW] = creep.LAWS.index(self.scenario.contact.creep_law)
         return number
 
-    def _wheels(self, speed: float, table: ContactTable) -> Array:
-        """Constants of the wheels, (WHEEL_ROWS * LANES,)."""
+    def _wheels(self, speed: float, tables: tuple[ContactTable, ContactTable], right_base: int) -> Array:
+        """Constants of the wheels, (WHEEL_ROWS * LANES,), with the tables of the left and the right ones."""
         radius, count = self.scenario.vehicle.wheel_radius, len(self.multibody.wheelset_x)
-        approach, hunt_crossley = self._static_contact(table)
+        table = tables[0]
         wheel = np.zeros((at.WHEEL_ROWS, 2, WHEELSETS))
+        wheel[at.TABLE_BASE, 1] = right_base
         wheel[at.TABLE_START], wheel[at.PER_TABLE_STEP] = table.dy[0], 1.0 / table.step
         wheel[at.TABLE_LAST] = len(table.delta_r) - 2
         wheel[at.TABLE_LOAD] = table.load ** (2.0 / 3.0)
@@ -297,7 +329,8 @@ class VehicleModel:
             self.scenario.contact.shear_modulus,
         )
         wheel[at.APPROACH] = -1.0  # wheels that the vehicle does not have stay in the air
-        wheel[at.APPROACH, :, :count], wheel[at.LOAD_FACTOR, :, :count] = approach, hunt_crossley
+        for side, each in enumerate(tables):
+            wheel[at.APPROACH, side, :count], wheel[at.LOAD_FACTOR, side, :count] = self._static_contact(each)
         return wheel.ravel()
 
     def _static_load(self) -> Array:
@@ -571,18 +604,23 @@ def table_load(wheel_load: Array) -> float:
     return LOAD_STEP * max(1, round(float(np.mean(wheel_load)) / LOAD_STEP))
 
 
+Side: TypeAlias = tuple[WheelProfileConfig, RailProfileConfig]
+"""Wheel and rail profile of a side."""
+
+
 @lru_cache(maxsize=256)
 def _contact_table(
-    wheel: WheelProfileConfig,
+    own: Side,
+    other: Side | None,
     wear: float,
-    rail: RailProfileConfig,
     gauge: float,
     contact: ContactConfig,
     radius: float,
     load: float,
 ) -> ContactTable:
-    """Contact table of wheels on rails; many vehicles of a study share it."""
-    return cached_contact_table(wheel_profile(wheel, wear), _rail(rail), gauge, contact, radius, load)
+    """Contact table of a side beside another one, or one like it; many vehicles of a study share it."""
+    pair, *further = [(wheel_profile(side[0], wear), _rail(side[1])) for side in (own, other) if side]
+    return cached_contact_table(*pair, gauge, contact, radius, load, *further)
 
 
 @lru_cache(maxsize=8)

@@ -311,7 +311,7 @@ def irregularity_columns(model: VehicleModel, steady: Linearisation) -> tuple[Ar
     """
     body = model.multibody
     track, weights = _own_track(body.wheelset_x)
-    plant = equivalent_plant(model, steady.speed, track, steady.table, steady.stroke)
+    plant = equivalent_plant(model, steady.speed, track, steady.tables, steady.stroke)
     x = np.concatenate([steady.q, steady.v, np.zeros(len(model.dampers))])
     work, table = model.work(), np.zeros_like(track.coefficients)
 

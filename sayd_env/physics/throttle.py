@@ -7,17 +7,12 @@ series of resistances is one resistance, so the compiled damper reads one table.
 
 from __future__ import annotations
 
-import csv
 import math
-from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import RegularGridInterpolator
 
-from sayd_env.config import DataError, read_text
 from sayd_env.config.damper import (
     EqualPercentageThrottle,
     OrificeThrottle,
@@ -26,6 +21,7 @@ from sayd_env.config.damper import (
     Throttle,
 )
 from sayd_env.config.units import Array
+from sayd_env.measured.valves import ThrottleField, read_valve_map
 from sayd_env.physics.kernel import kernel
 
 CURRENTS = 129
@@ -69,40 +65,16 @@ def spring_valve_drop(valve: SpringValve, flow: npt.ArrayLike) -> Array:
     return np.where(q <= q_s, p_o + (p_s - p_o) * q / q_s, dp_n * (q / q_n) ** 2)
 
 
-@dataclass(frozen=True)
-class ThrottleField:
-    """Characteristic field of a throttle: flow over current and pressure drop."""
-
-    current: Array
-    """(c,) rising from 0 to 1."""
-    drop: Array
-    """(p,) pressure drops, rising from 0, Pa."""
-    flow: Array
-    """(c, p) flows, m3/s."""
-
-    def at(self, current: npt.ArrayLike, drop: npt.ArrayLike) -> Array:
-        """Flow (m3/s) at currents and pressure drops >= 0 (Pa) that broadcast against each other.
-
-        Linear over the current and over the root of the pressure drop, in which an orifice is linear; the
-        last slope goes on.
-        """
-        i, dp = np.broadcast_arrays(np.asarray(current, dtype=float), np.asarray(drop, dtype=float))
-        field = RegularGridInterpolator(
-            (self.current, np.sqrt(self.drop)), self.flow, bounds_error=False, fill_value=None
-        )
-        return np.asarray(field(np.stack([i, np.sqrt(dp)], axis=-1)))
-
-
 def throttle_field(throttle: Throttle) -> ThrottleField:
     """Characteristic field of a configured throttle.
 
     Raises
     ------
-    DataError
-        A table file that cannot be used.
+    ConfigError, DataError
+        A valve map that cannot be used.
     """
     if isinstance(throttle, TableThrottle):
-        return read_throttle_table(Path(throttle.file))
+        return read_valve_map(throttle)
     return _orifice_field(throttle, np.linspace(0.0, 1.0, CURRENTS))
 
 
@@ -128,8 +100,8 @@ def overlap(throttle: Throttle) -> float:
 
     Raises
     ------
-    DataError
-        A table file that cannot be used.
+    ConfigError, DataError
+        A valve map that cannot be used.
     """
     if isinstance(throttle, OrificeThrottle):
         return throttle.overlap
@@ -145,8 +117,8 @@ def table_start(throttle: Throttle) -> float:
 
     Raises
     ------
-    DataError
-        A table file that cannot be used.
+    ConfigError, DataError
+        A valve map that cannot be used.
     """
     end = overlap(throttle)
     return end if end < 1.0 else 0.0
@@ -173,8 +145,8 @@ def series_table(throttle: Throttle, check: SpringValve) -> Array:
 
     Raises
     ------
-    DataError
-        A table file that cannot be used.
+    ConfigError, DataError
+        A valve map that cannot be used.
     """
     if isinstance(throttle, TableThrottle):  # its file may change
         return _series_table(throttle_field(throttle), table_currents(throttle), check)
@@ -252,78 +224,3 @@ def _solve_series(
                 rest = over[m] + opening - square * a * a
                 q = a + b * rest / (half + math.sqrt(half * half + lead * rest))
             out[c, m] = q
-
-
-def read_throttle_table(path: Path) -> ThrottleField:
-    """Read a measured characteristic field.
-
-    Parameters
-    ----------
-    path : Path
-        CSV: in the first row a label, then the currents (-), rising from 0 to 1; in each further row a
-        pressure drop (Pa), rising from 0, then the flows (m3/s) at these currents. Lines that begin with
-        ``#`` are comments.
-
-    Raises
-    ------
-    DataError
-        Not numeric, not finite, ragged or too few values; currents or pressure drops that do not rise; a flow
-        that does not rise with the pressure drop or falls with the current.
-    """
-    lines = read_text(path, "throttle table").splitlines()
-    kept = [(n, line) for n, line in enumerate(lines, start=1) if line.strip() and line.lstrip()[0] != "#"]
-    rows = list(csv.reader(line for _, line in kept))
-    if len(rows) < 3 or len(rows[0]) < 3:
-        raise DataError(
-            f"{path}: found {max(len(rows) - 1, 0)} pressure drops and "
-            f"{max(len(rows[0]) - 1, 0) if rows else 0} currents, at least 2 of each are needed"
-        )
-    numbers = [n for n, _ in kept]
-    current = _numbers(path, numbers[0], rows[0][1:])
-    body = []
-    for number, row in zip(numbers[1:], rows[1:], strict=True):
-        if len(row) != len(rows[0]):
-            raise DataError(f"{path}: line {number}: found {len(row)} values, expected {len(rows[0])}")
-        body.append(_numbers(path, number, row))
-    values = np.array(body)
-    field = ThrottleField(current, values[:, 0].copy(), values[:, 1:].T.copy())
-    _check(path, numbers, field)
-    return field
-
-
-def _numbers(path: Path, line: int, texts: list[str]) -> Array:
-    values = []
-    for text in texts:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise DataError(f"{path}: line {line}: found {text.strip()!r}, expected a finite number")
-        values.append(value)
-    return np.array(values)
-
-
-def _check(path: Path, lines: list[int], field: ThrottleField) -> None:
-    """Refuse what no throttle does; one message for the first fault."""
-    current, drop, flow = field.current, field.drop, field.flow
-    if current[0] != 0.0 or current[-1] != 1.0 or np.any(np.diff(current) <= 0.0):
-        shown = ", ".join(f"{i:g}" for i in current)
-        raise DataError(f"{path}: line {lines[0]}: currents must rise from 0 to 1, found {shown}")
-    if drop[0] != 0.0 or np.any(flow[:, 0] != 0.0):
-        raise DataError(f"{path}: line {lines[1]}: the first row must be pressure drop 0 with no flow")
-    for k in np.flatnonzero(np.diff(drop) <= 0.0)[:1]:
-        raise DataError(
-            f"{path}: line {lines[k + 2]}: pressure drops must rise: {drop[k + 1]:g} Pa follows "
-            f"{drop[k]:g} Pa"
-        )
-    for i, k in np.argwhere(np.diff(flow, axis=1) <= 0.0)[:1]:
-        raise DataError(
-            f"{path}: line {lines[k + 2]}: the flow must rise with the pressure drop: at current "
-            f"{current[i]:g} {flow[i, k + 1]:g} m3/s follows {flow[i, k]:g} m3/s"
-        )
-    for i, k in np.argwhere(np.diff(flow, axis=0) < 0.0)[:1]:
-        raise DataError(
-            f"{path}: line {lines[k + 1]}: the flow must not fall with the current: {flow[i + 1, k]:g} m3/s "
-            f"at current {current[i + 1]:g} after {flow[i, k]:g} m3/s at {current[i]:g}"
-        )

@@ -5,12 +5,16 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sayd_env.cli.options import VehicleOptions
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import load_sayd
+from sayd_env.config.profile import load_wheel
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.track import read_track
+from sayd_env.physics.profiles import wheel_profile
 
 
 def test_without_flags_the_scenario_is_the_configured_one():
@@ -20,6 +24,32 @@ def test_without_flags_the_scenario_is_the_configured_one():
 def test_flags_equal_assignments():
     flags = VehicleOptions(profile="lma", track="china", wear=0.25, friction=0.5).load()
     assert flags == load_scenario(None, ["wheel=lma", "wear=0.25", "friction=0.5", "track=china"])
+
+
+def test_rail_and_gauge_equal_assignments():
+    found = VehicleOptions(profile="s1002", rail="60e1", gauge="1437.5").load()
+    assert found == load_scenario(None, ["wheel=s1002", "wear=0", 'rail="60e1"', "track.gauge=1.4375"])
+    assert VehicleOptions(gauge="german_low").load().track.gauge == read_track("german_low").gauge
+
+
+def test_a_profile_file_is_a_part_and_what_was_done_to_it_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    points = wheel_profile(load_wheel("s1002"))
+    for name, factor in (("left.csv", 1e3), ("right.csv", 1e3 / 25.4)):
+        columns = np.column_stack([points.y, points.z])[::20] * factor
+        np.savetxt(tmp_path / name, columns, delimiter=";", fmt="%.6f")
+    right = f"wheel.right={tmp_path / 'right.csv'}"
+    found = VehicleOptions(profile=str(tmp_path / "left.csv"), assignments=[right]).load()
+    assert (found.wheel.name, found.wheel.back_to_back) == ("left", 1.36)
+    assert found.wheel.right is not None
+    assert found.wheel.right.shape.file == str(tmp_path / "right.csv")
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'left.csv'}: unit: mm, in which points" in said
+    assert f"{tmp_path / 'right.csv'}: unit: in, in which points" in said
+    assert "left: backs 1360 mm apart, tape circle 70 mm from the back" in said
+    with pytest.raises(ConfigError, match="no such profile file"):
+        VehicleOptions(rail="nowhere.prr").load()
 
 
 @pytest.mark.parametrize(("profile", "wear"), [("new", 0.0), ("worn", 1.0)])

@@ -183,7 +183,7 @@ def test_a_data_file_lies_beside_the_layer_that_names_it(write: Write, tmp_path:
         "base: sayd\nset: {throttle: {type: table, file: a/throttle.csv}}\n",
     ):
         damper = load_sayd(str(write(text)))
-        assert damper.throttle.model_dump() == table
+        assert damper.throttle.model_dump(exclude_none=True) == table
     write("irregularity: {type: file, path: line.csv}\nbase: smooth\n", "a/line.yaml")
     study = write("set: {track: a/line.yaml}\n", "study.yaml")
     track = load_scenario(str(study)).track

@@ -10,7 +10,9 @@ import pytest
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.conditions import Line
 from sayd_env.config.track import FileConfig, read_track
-from sayd_env.measured.lines import load_line
+from sayd_env.measured.lines import line_content, load_line
+from sayd_env.measured.notes import measured_notes
+from sayd_env.measured.tracks import read_measured
 from sayd_env.physics.track.realisation import realise_line
 
 SECTIONS = """
@@ -76,6 +78,43 @@ def test_what_a_file_lacks_is_the_episodes(tmp_path: Path) -> None:
         load_line(path, speed=50.0)
 
 
+def test_a_line_in_other_units_is_the_same(tmp_path: Path) -> None:
+    path = write(
+        tmp_path, "x_m,speed_kmh,radius_m,cant_mm\n0,180,0,0\n200,180,-2000,-100\n900,180,-2000,-100\n"
+    )
+    other = write(
+        tmp_path,
+        "# surveyed\nChainage;Curvature;Superelevation;Speed\nkm;1/m;cm;m/s\n12,0;0;0;50\n"
+        "12,2;-0,5e-3;-10;50\n"
+        "12,9;-0,5e-3;-10;50\n",
+        "other.csv",
+    )
+    one, two = load_line(path), load_line(other)
+    s = np.linspace(0.0, 900.0, 91)
+    for name in ("curvature", "cant", "speed_squared"):
+        np.testing.assert_allclose(getattr(two, name).at(s), getattr(one, name).at(s), rtol=1e-9, atol=1e-15)
+
+
+def test_keys_of_its_irregularities_are_the_lines(tmp_path: Path) -> None:
+    """A gauge as a whole departs from the nominal one, which the line follows; a chord is asked for."""
+    x = np.arange(0.0, 600.25, 0.25)
+    rows = "\n".join(f"{a},{1437 + b:.6f},1437" for a, b in zip(x, np.sin(x / 5), strict=True))
+    line = load_line(write(tmp_path, f"x_m,gauge_mm,nominal_gauge_mm\n{rows}"))
+    assert line.gauge is not None
+    assert set(line.gauge.value) == {1.437}
+    config = line.tracks[0].irregularity
+    assert isinstance(config, FileConfig)
+    np.testing.assert_allclose(read_measured(config).values[:, 3], 1e-3 * np.sin(x / 5), atol=1e-9)
+    write(tmp_path, f"x_m,gauge_mm,twist_mm\n{rows}", "twist.csv")
+    mine = "file: twist.csv\nignore: [twist_mm]\nnominal_gauge: 1.437\n"
+    (piece,) = load_line(write(tmp_path, mine, "mine.yaml")).tracks
+    assert isinstance(piece.irregularity, FileConfig)
+    note = "gauge_mm: the nominal gauge, 1437 mm, is taken off"
+    assert read_measured(piece.irregularity).notes == (note,)
+    told = measured_notes({"line": line_content(str(tmp_path / "mine.yaml"))})
+    assert told == (f"{tmp_path / 'twist.csv'}: {note}",)
+
+
 def test_sections_are_parts_of_equal_length(tmp_path: Path) -> None:
     rows = "0,0,0\n1200,0,0\n1300,2000,50\n1400,0,0\n2600,0,0\n"
     write(tmp_path, f"{HEADER}\n{rows}")
@@ -111,8 +150,10 @@ def test_irregularities_of_a_line_are_those_of_its_file(tmp_path: Path) -> None:
         ("x_m\n0\n100\n", "nothing to read beside 'x_m'; expected any of speed_kmh, "),
         ("x_m,x_km,cant_mm\n0,0,0\n", "found x_m and x_km; expected one of them"),
         ("x_m,raduis_m\n0,0\n100,0\n", "unknown column 'raduis_m', did you mean 'radius_m'"),
-        ("x_m,gauge\n0,0\n100,0\n", "unknown column 'gauge'"),
+        ("x_m,gauge\n0,0\n100,0\n", "column 'gauge': its unit is missing"),
         ("x_m,friction\n0,0.3\n", "found 1 rows of numbers; at least 2"),
+        ("x_m,radius_m\n0,0\n0.3,0\n56.2,0\n", "line is 56.2 m long; at least 100 m .*is the unit km"),
+        ("x_km,radius_m\n0,0\n300,0\n56200,0\n", "file is 56200 km long, at most 1000 km .*is the unit m"),
         ("x_m,friction\n0,0.3\n0,0.3\n", "line 3: x_m 0 appears twice"),
         ("x_km,friction\n1.5,0.3\n1.2,0.3\n", "line 3: x_km 1.2 comes after x_km 1.5; positions must ascend"),
         ("x_m,friction\n0,0.3\n100,\n", "line 3: column 'friction': found ''; expected a number"),
@@ -123,10 +164,10 @@ def test_irregularities_of_a_line_are_those_of_its_file(tmp_path: Path) -> None:
         ("x_m,speed_kmh\n0,180\n1000,252\n", r"at 0 m: acceleration: found 1\.2 m/s2; at most 0\.7 m/s2"),
         (f"{HEADER}\n0,0,0\n200,100,0\n", "at 200 m: radius: found 100 m; allowed are 150 m and more"),
         (f"{HEADER}\n0,0,0\n200,800,190\n", r"at 200 m: cant: found 0\.19 m; at most 0\.18 m"),
-        (f"{HEADER}\n0,0,0\n20,800,100\n", "slope of the cant: found 0.005"),
-        (f"{HEADER}\n0,800,100\n20,800,100\n", "line 2: begins with curvature or cant"),
-        ("x_m,radius_m,curvature_1_km\n0,0,0\n9,0,0\n", "found radius_m and curvature_1_km"),
-        ("x_m,rail\n0,0\n9,1\n", "column 'rail': the line's two rails are missing"),
+        (f"{HEADER}\n0,0,0\n20,800,100\n900,800,100\n", "slope of the cant: found 0.005"),
+        (f"{HEADER}\n0,800,100\n200,800,100\n", "line 2: begins with curvature or cant"),
+        ("x_m,radius_m,curvature_1_km\n0,0,0\n900,0,0\n", "found radius_m and curvature_1_km"),
+        ("x_m,rail\n0,0\n900,1\n", "column 'rail': the line's two rails are missing"),
     ],
 )
 def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
@@ -137,7 +178,7 @@ def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none\.csv: no such file"):
+    with pytest.raises(ConfigError, match=r"none\.csv: no such table"):
         load_line(str(tmp_path / "none.csv"))
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sayd_env.config import ConfigError, DataError
-from sayd_env.config.track import FileConfig
+from sayd_env.config.track import FileConfig, read_track
+from sayd_env.measured.tracks import MeasuredTrack
 from sayd_env.physics.track import read_measured, realise
 
 HEADER = "x_m,alignment_mm"
@@ -19,6 +20,23 @@ def write(folder: Path, *lines: str) -> Path:
     path = folder / "track.csv"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+def read(path: Path, **keys: object) -> MeasuredTrack:
+    return read_measured(FileConfig.model_validate({"type": "file", "path": str(path)} | keys))
+
+
+X = np.arange(0.0, 1000.0, 0.25)
+MIDDLE = slice(1200, 2800)
+
+
+def wave(length: float, amplitude: float = 2.0) -> np.ndarray:
+    return amplitude * np.sin(2.0 * np.pi * X / length)
+
+
+def columns(folder: Path, header: str, *values: np.ndarray, separator: str = ",", above: str = "") -> Path:
+    rows = (separator.join(f"{v:.9f}" for v in row) for row in zip(*values, strict=True))
+    return write(folder, *([above] if above else []), header, *rows)
 
 
 def wave_file(folder: Path, first: float = 0.0, last: float = 600.0) -> Path:
@@ -82,17 +100,188 @@ def test_a_file_shorter_than_the_run_is_refused(tmp_path: Path, offset: float) -
 def test_bad_files(tmp_path: Path, lines: list[str], message: str) -> None:
     path = write(tmp_path, *lines)
     with pytest.raises(DataError, match=message) as caught:
-        read_measured(path)
+        read(path)
     assert str(caught.value).startswith(str(path))
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none\.csv: no such file"):
-        read_measured(tmp_path / "none.csv")
+    with pytest.raises(ConfigError, match=r"none\.csv: no such table"):
+        read(tmp_path / "none.csv")
 
 
 def test_binary_file(tmp_path: Path) -> None:
     path = tmp_path / "track.csv"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n\x00\x81")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\x01\x02\x81")
     with pytest.raises(ConfigError, match="is not a text file"):
-        read_measured(path)
+        read(path)
+
+
+def test_other_separators_marks_names_and_units_are_the_same_track(tmp_path: Path) -> None:
+    expected = read(columns(tmp_path, "x_m,alignment_mm,vertical_mm", X, wave(20), wave(12))).values
+    written = (
+        ("x [m];Alignment [mm];Longitudinal level [mm]", (X, wave(20), wave(12)), ";", "# line 12, track 1"),
+        ("Chainage (km)\talignment (m)\tvertical (cm)", (X / 1e3, wave(20) / 1e3, wave(12) / 10), "\t", ""),
+        ("km;alignment [mm];vertical [mm]", (12.0 + X / 1e3, wave(20), wave(12)), ";", "Recorded;2022"),
+    )
+    for header, values, separator, above in written:
+        path = columns(tmp_path, header, *values, separator=separator, above=above)
+        path.write_text(path.read_text().replace(".", ","), encoding="utf-16")
+        np.testing.assert_allclose(read(path).values, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("header", "above", "keys"),
+    [
+        ("x_m,gauge_mm", "", {"nominal_gauge": 1.435}),
+        ("x_m,gauge_mm", "# track 1, nominal gauge: 1435 mm", {}),
+        ("x_m,gauge_mm,nominal_gauge_mm", "", {}),
+    ],
+)
+def test_the_nominal_gauge_is_taken_off(
+    tmp_path: Path, header: str, above: str, keys: dict[str, float]
+) -> None:
+    values = (X, 1435.0 + wave(20), np.full(len(X), 1435.0))[: header.count(",") + 1]
+    track = read(columns(tmp_path, header, *values, above=above), **keys)
+    np.testing.assert_allclose(1e3 * track.values[:, 3], wave(20), atol=1e-8)
+    assert track.notes == ("gauge_mm: the nominal gauge, 1435 mm, is taken off",)
+
+
+@pytest.mark.parametrize("length", [3.5, 12.0, 40.0])
+def test_waves_are_restored_from_a_chord(tmp_path: Path, length: float) -> None:
+    """By its geometry a chord of 10 m shows z(x) - (z(x - 5) + z(x + 5)) / 2 at its middle."""
+
+    def true(x: np.ndarray) -> np.ndarray:
+        return np.asarray(2.0 * np.sin(2.0 * np.pi * x / length + 1.0))
+
+    offset = true(X) - 0.5 * (true(X - 5.0) + true(X + 5.0))
+    track = read(columns(tmp_path, "x_m,alignment_10m_chord_mm", X, offset), recover=(3.0, 70.0))
+    np.testing.assert_allclose(1e3 * track.values[MIDDLE, 0], true(X[MIDDLE]), atol=0.02)
+    assert "which does not show those of 4.74 to 5.29 m" in track.notes[0]
+
+
+def test_what_a_chord_does_not_show_is_lost(tmp_path: Path) -> None:
+    """Half the chord is a whole wave: its ends and its middle move together."""
+    track = read(
+        columns(tmp_path, "x_m,alignment_10m_chord_mm", X, wave(12) + wave(5, 0.1)), recover=(3.0, 70.0)
+    )
+    share = 1.0 - np.cos(np.pi * 10.0 / 12.0)
+    np.testing.assert_allclose(1e3 * track.values[MIDDLE, 0], (wave(12) / share)[MIDDLE], atol=0.01)
+
+
+def test_a_space_curve_loses_its_layout(tmp_path: Path) -> None:
+    layout = 5e3 * (X / 1000.0) ** 2  # mm: a curve of 100 km
+    track = read(columns(tmp_path, "x_m,alignment_space_curve_mm", X, layout + wave(20)), recover=(3.0, 70.0))
+    np.testing.assert_allclose(1e3 * track.values[MIDDLE, 0], wave(20)[MIDDLE], atol=0.01)
+
+
+def test_wavelength_domains_are_added(tmp_path: Path) -> None:
+    path = columns(
+        tmp_path, "x_m,vertical_d1_mm,vertical_d2_mm,vertical_d3_mm", X, wave(20), wave(40), wave(90)
+    )
+    track = read(path, domains=("D1", "D2"))
+    np.testing.assert_allclose(1e3 * track.values[:, 1], wave(20) + wave(40), atol=1e-8)
+    assert track.notes == ("vertical_d1_mm + vertical_d2_mm: waves of 3 to 70 m, without all others",)
+
+
+def test_columns_may_be_left_out_by_name(tmp_path: Path) -> None:
+    path = columns(tmp_path, "x_m,alignment_mm,twist 3 m [mm/m]", X, wave(20), wave(5))
+    np.testing.assert_allclose(
+        1e3 * read(path, ignore=["twist 3 m [mm/m]"]).values[:, 0], wave(20), atol=1e-8
+    )
+    with pytest.raises(
+        DataError, match=r"line 1: unknown column 'twist 3 m .mm/m.'; .* or name it under ignore"
+    ):
+        read(path)
+    with pytest.raises(DataError, match="ignore: no column 'twst'"):
+        read(path, ignore=["twst"])
+
+
+@pytest.mark.parametrize(
+    ("header", "values", "keys", "message"),
+    [
+        ("x_m,alignment_mm", (12.0 + X / 1e3, wave(20)), {}, r"rows are 0.00025 m apart, .*is the unit km"),
+        ("x_km,alignment_mm", (X, wave(20)), {}, r"rows are 250 m apart, at most 10 m .*is the unit m\?"),
+        ("x_m,alignment_mm", (X, 1e3 * wave(20)), {}, r"line 4: .*at most 200 mm is allowed .is the unit mm"),
+        ("x_m,alignment_mm", (X, 1e-3 * wave(20)), {}, r"no number is above 0.002 mm; no track is as even"),
+        ("x_m,alignment", (X, wave(20)), {}, r"its unit is missing; expected 'alignment \[mm\]'"),
+        ("x_m,alignment [s]", (X, wave(20)), {}, r"unknown unit 's'; expected 'alignment \[mm\]'"),
+        ("x,alignment_mm", (X, wave(20)), {}, r"column 'x': its unit is missing; expected 'x \[m\]' or"),
+        ("x_m,alignment_mm", (-X, wave(20)), {}, r"line 3: .* positions must ascend \(turn the rows round"),
+        (
+            "x_m,alignment_mm",
+            (X * 1e300, wave(20)),
+            {},
+            "line 3: column 'x_m': found 2.5e.299; at most 1e.15",
+        ),
+        ("x_m,gauge_mm", (X, 1435 + wave(20)), {}, "holds the gauge itself, about 1435 mm; say what"),
+        ("x_m,gauge_mm", (X, 1435 + wave(20)), {"nominal_gauge": 1.52}, "nominal gauge is stated as 1520 mm"),
+        ("x_m,gauge_mm", (X, wave(20)), {"nominal_gauge": 1.435}, "holds departures already"),
+        ("x_m,cross_level_mm", (X, 120 + wave(20)), {}, "mean over 100 m is 120 mm, .*own layout out"),
+        (
+            "x_m,alignment_10m_chord_mm",
+            (X, wave(20)),
+            {},
+            "offsets from a chord of 10 m: .* not at all at 5, 2.5",
+        ),
+        (
+            "x_m,vertical_versine_mm",
+            (X, wave(20)),
+            {},
+            "a chord of unknown length; name it 'vertical_10m_chord'",
+        ),
+        ("x_m,alignment_62ft_mco_mm", (X, wave(20)), {}, r"offsets from a chord of 18.8976 m"),
+        ("x_m,alignment_space_curve_mm", (X, wave(20)), {}, "holds a space curve, .* give recover"),
+        ("x_m,alignment_d1_mm", (X, wave(20)), {}, r"one domain of EN 13848-1 alone \(D1: 3 to 25 m\)"),
+        ("x_m,alignment_d1_mm", (X, wave(20)), {"domains": ["D1", "D2"]}, "has none of D2 beside it"),
+        ("x_m,alignment_left_mm", (X, wave(20)), {}, "is of one rail; give the mean of both as 'alignment'"),
+        ("x_m,alignment_mm,alignment_d1_mm", (X, wave(20), wave(20)), {}, "name all but one under ignore"),
+        (
+            "x_m,alignment_10m_chord_mm",
+            (X, wave(20)),
+            {"recover": (3.0, 90.0)},
+            "hardly shows waves above 72.2 m",
+        ),
+        ("x_m,alignment_10m_chord_mm", (X, wave(20)), {"recover": (0.5, 60.0)}, "show waves from 1 m on"),
+        (
+            "x_m,alignment_50m_chord_mm",
+            (X, wave(20)),
+            {"recover": (3.0, 300.0)},
+            "6 times the longest wave is",
+        ),
+    ],
+)
+def test_what_is_no_track_in_the_unit_stated_is_refused(
+    tmp_path: Path, header: str, values: tuple[np.ndarray, ...], keys: dict[str, object], message: str
+) -> None:
+    with pytest.raises(DataError, match=message) as caught:
+        read(columns(tmp_path, header, *values), **keys)
+    assert str(caught.value).startswith(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"recover": [70.0, 3.0]}, "0 < shortest < longest"),
+        ({"domains": ["D1", "D3"]}, "D2 is missing between D1 and D3"),
+        ({"domains": ["D2", "D1"]}, "in order"),
+        ({"cross_level_base": 5e-324}, "greater than or equal to 0.3"),
+    ],
+)
+def test_keys_that_no_file_can_have(keys: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FileConfig.model_validate({"type": "file", "path": "a.csv"} | keys)
+
+
+def test_a_file_of_geometry_is_a_track(tmp_path: Path) -> None:
+    """Its section and gauge are those of the packaged even track."""
+    path = columns(tmp_path, "x_m,alignment_mm", X, wave(20))
+    track, even = read_track(str(path), ["irregularity.ramp=20.0"]), read_track("smooth")
+    assert track.irregularity == FileConfig(type="file", path=str(path), ramp=20.0)
+    assert (track.section, track.gauge) == (even.section, even.gauge)
+
+
+def test_the_example_of_the_documentation_is_read(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "tracks.md").read_text(encoding="utf-8")
+    track = read(write(tmp_path, text.split("```text\n")[1].split("```")[0]))
+    np.testing.assert_allclose(track.x, 12000.0 + 0.25 * np.arange(4))
+    np.testing.assert_allclose(1e3 * track.values[0] * [1, 1, 1.5, 1], [0.21, -1.02, 0.40, -0.2], atol=1e-9)

@@ -69,7 +69,8 @@ def test_carbody_bounce_is_that_of_two_masses_on_springs(emu: VehicleModel) -> N
 def test_steady_running_is_pure_rolling(emu: VehicleModel) -> None:
     steady = linearise(emu, SPEED, AMPLITUDE)
     spin = emu.multibody.wheelset_dofs[:, 4]
-    radius, delta_r = emu.scenario.vehicle.wheel_radius, np.interp(0.0, steady.table.dy, steady.table.delta_r)
+    table, radius = steady.tables[0], emu.scenario.vehicle.wheel_radius
+    delta_r = np.interp(0.0, table.dy, table.delta_r)
     # Spin rate of a wheel of radius r_0 + delta_r that rolls at V, over V / r_0.
     assert steady.v[spin] == pytest.approx(SPEED / (radius + delta_r) - SPEED / radius, rel=1e-6)
     assert np.max(np.abs(np.delete(steady.v, spin))) == 0.0

@@ -136,7 +136,7 @@ def test_static_gain_is_a_static_solution_of_the_compiled_forces(
         if name in names:
             moved[names.index(name)] = value
     steadily = np.concatenate([steady.q, steady.v, np.zeros(len(model.dampers))])
-    plant = equivalent_plant(model, SPEED, steady.track, steady.table, steady.stroke)
+    plant = equivalent_plant(model, SPEED, steady.track, steady.tables, steady.stroke)
 
     def accelerations(force: float, pushed: float) -> Array:
         loaded = plant._replace(load=plant.load + pushed * (car - bogie))
@@ -200,7 +200,7 @@ def test_small_response_is_that_of_the_simulation(model: VehicleModel) -> None:
     tangent = linearise(model, SPEED, SHIFT)
     expected = response(model, state_space_of(model, tangent))
     amplitude = 1e-7
-    simulator = Simulator(model, SPEED, track=sine_track(amplitude), table=tangent.table)
+    simulator = Simulator(model, SPEED, track=sine_track(amplitude), table=tangent.tables[0])
     telemetry, turn = forced(simulator)
     found = turn @ telemetry.acceleration / (-1j * amplitude)  # a sine
     assert found == pytest.approx(expected[:4], rel=2e-3)

@@ -19,16 +19,15 @@ from sayd_env.config.damper import (
     load_sayd,
 )
 from sayd_env.config.scenario import load_scenario
+from sayd_env.measured.valves import ThrottleField, read_valve_map
 from sayd_env.physics.sayd import rectified_flow, steady_force
 from sayd_env.physics.throttle import (
     DROP_ROOT,
     DROP_SCALE,
     ROOT_STEP,
     ROOTS,
-    ThrottleField,
     _series_table,
     overlap,
-    read_throttle_table,
     series_table,
     spring_valve_drop,
     spring_valve_flow,
@@ -90,10 +89,10 @@ def test_spring_valve_has_the_three_branches_of_equation_24() -> None:
 def test_the_overlap_ends_where_the_flow_begins_to_rise(tmp_path: Path) -> None:
     assert overlap(ORIFICE) == 0.37
     for rows, end in (
-        ("0,0.2,0.6,1\n0,0,0,0,0\n1e5,1,1,2,3\n2e5,2,2,3,4\n", 0.2),
-        ("0,1\n0,0,0\n1e5,1,2\n", 0.0),
+        ("0,0.2,0.6,1\n0,0,0,0,0\n1,1,1,2,3\n2,2,2,3,4\n", 0.2),
+        ("0,1\n0,0,0\n1,1,2\n", 0.0),
     ):
-        (tmp_path / "table.csv").write_text(f"dp,{rows}")
+        (tmp_path / "table.csv").write_text(f"dp [bar] i [-] Q [l/min],{rows}")
         assert overlap(TableThrottle(type="table", file=str(tmp_path / "table.csv"))) == end
 
 
@@ -142,7 +141,7 @@ def test_rectifier_adds_two_check_valves_in_series(current: float, kind: str) ->
 
 
 def write_table(path: Path, currents: np.ndarray, drops: np.ndarray, flows: np.ndarray) -> Path:
-    rows = [["drop \\ current", *map(repr, currents.tolist())]]
+    rows = [["drop [Pa] \\ current [-] -> flow [m3/s]", *map(repr, currents.tolist())]]
     rows += [[repr(float(dp)), *map(repr, q.tolist())] for dp, q in zip(drops, flows, strict=True)]
     path.write_text("# measured\n" + "\n".join(",".join(row) for row in rows) + "\n")
     return path
@@ -178,22 +177,27 @@ def test_a_table_is_looked_for_beside_the_file_that_names_it(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x,0,1\n0,0,0\n1e5,2e-5,1e-4\n2e5,1e-5,2e-4\n", "line 4: the flow must rise with the pressure drop"),
-        ("x,0,1\n0,0,0\n1e5,2e-5,1e-5\n", "line 3: the flow must not fall with the current"),
-        ("x,0,1\n0,0,0\n2e5,1e-5,1e-4\n1e5,2e-5,2e-4\n", "line 4: pressure drops must rise"),
-        ("x,0,0.9\n0,0,0\n1e5,1e-5,1e-4\n", "line 1: currents must rise from 0 to 1"),
-        ("x,0,1\n1e4,0,0\n1e5,1e-5,1e-4\n", "line 2: the first row must be pressure drop 0"),
-        ("x,0,1\n0,0,0\n1e5,nan,1e-4\n", "line 3: found 'nan', expected a finite number"),
-        ("x,0,1\n0,0,0\n1e5,1e-4\n", "line 3: found 2 values, expected 3"),
-        ("x,0,1\n", "at least 2 of each"),
-        ("", "at least 2 of each"),
+        ("0,1\n0,0,0\n1e5,2e-5,1e-4\n2e5,1e-5,2e-4\n", "line 4: the flow must rise with the pressure drop"),
+        ("0,1\n0,0,0\n1e5,2e-5,1e-5\n", "line 3: the flow must not fall from the closed to the open valve"),
+        ("0,1\n0,0,0\n2e5,1e-5,1e-4\n1e5,2e-5,2e-4\n", "line 4: pressure drops must rise"),
+        ("0,0.9\n0,0,0\n1e5,1e-5,1e-4\n", r"line 1: found currents from 0 to 0\.9 -; they must reach from 0"),
+        ("0,2,1\n0,0,0,0\n1e5,1e-5,1e-4,2e-4\n", "line 1: currents must rise, found 0, 2, 1"),
+        ("0,1\n0,0,1e-6\n1e5,1e-5,1e-4\n", "line 2: found a flow at pressure drop 0"),
+        ("0,1\n-1e5,1e-6,1e-5\n1e5,1e-5,1e-4\n", "line 2: found a pressure drop of -100000 Pa"),
+        ("0,1\n0,0,0\n1e5,nan,1e-4\n", "line 3: column '0': found 'nan'; expected a finite number"),
+        ("0,1\n0,0,0\n1e5,1e-4\n", "line 3: column '1': found ''; expected a"),
+        ("0,1\n1e5,1e-5,1e-4\n", "found 1 pressure drops and 2 currents; at least 2 of each"),
+        ("0,1\n", "line 1: found no header"),
+        # Cells over several lines, which once ended in an internal error.
+        ('"0\n",1\n0,0,0\n1e5,"1e-5\n",1e-4\n2e5,2e-5,2e-4\n', "line 1: "),
     ],
 )
 def test_bad_tables_are_refused(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.csv"
-    path.write_text(text)
+    path.write_text("dp [Pa] i [-] q [m3/s]," + text)
+    throttle = TableThrottle(type="table", file=str(path))
     with pytest.raises(DataError, match=message):
-        read_throttle_table(path)
+        read_valve_map(throttle)
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ def hunting(vehicle: VehicleModel, speed: float) -> Mode:
 def disturbed(vehicle: VehicleModel, speed: float, mode: Mode) -> Simulator:
     """Steady running with a little of a mode."""
     steady = linearise(vehicle, speed, AMPLITUDE)
-    simulator = Simulator(vehicle, speed, track=steady.track, table=steady.table)
+    simulator = Simulator(vehicle, speed, track=steady.track, table=steady.tables[0])
     plant, state, n = simulator.plant, simulator.state, vehicle.multibody.n
     disturbance = DISTURBANCE * mode.vector.real
     state.q[:] = steady.q + disturbance[:n]

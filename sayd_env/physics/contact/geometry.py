@@ -122,8 +122,8 @@ class ContactTable:
     c11, c22, c23 : ndarray
         Kalker's coefficients at the patch's axis ratio.
     phi_k : ndarray
-        Kinematic roll of the wheelset against the track at which the node was evaluated (rad): both wheels
-        carry the static load.
+        Kinematic roll of the wheelset against the track at which the node was evaluated (rad), over that in
+        the centre: both wheels carry the static load.
     """
 
     dy_min: float
@@ -200,6 +200,7 @@ def contact_table(
     r0: float,
     load: float,
     e: float | None = None,
+    other: tuple[Profile, Profile] | None = None,
 ) -> ContactTable:
     """Tabulate the regularised contact of a wheel on its rail.
 
@@ -217,16 +218,18 @@ def contact_table(
         Static wheel load (N): the regularisation is a share of the penetration under it.
     e : float, optional
         Lateral distance of the tape circle from the wheelset's centre (m); by default the wheel profile's.
+    other : tuple of Profile, optional
+        Wheel and rail of the wheelset's other side, where they differ; its table is this function's with
+        both sides exchanged.
 
     Raises
     ------
     DataError
         Wheel and rail do not face each other over the whole table.
     """
-    e = wheel.half_distance if e is None else e
-    pair = _pair(wheel, rail, gauge, e, config.table_step, config.half_nodes)
-    patch = _static_patch(pair, config, r0, load, wheel, rail)
-    _check_faces(pair, wheel, rail, patch.least, patch.y_c - e)
+    sides = _sides((wheel, rail), other, gauge, e, config.table_step, config.half_nodes)
+    patch = _static_patch(sides, config, r0, load)
+    _check_faces(sides[0], patch.least, patch.y_c - sides[0].e)
     c11, c22, c23 = kalker_coefficients(patch.a_s / patch.b_s, config.poisson_ratio)
     fall = 0.5 * (patch.tan_gamma[1:] + patch.tan_gamma[:-1]) * config.table_step
     fall += 0.5 * (patch.roll[1:] + patch.roll[:-1]) * np.diff(patch.y_c)
@@ -250,27 +253,26 @@ def contact_table(
 
 
 def cached_contact_table(
-    wheel: Profile, rail: Profile, gauge: float, config: ContactConfig, r0: float, load: float
+    wheel: Profile,
+    rail: Profile,
+    gauge: float,
+    config: ContactConfig,
+    r0: float,
+    load: float,
+    other: tuple[Profile, Profile] | None = None,
 ) -> ContactTable:
     """`contact_table`, from the disk if it has been made before."""
     own = [field.name for field in fields(ContactTable) if field.name not in ("dy_min", "step", "load")]
     nodes = 2 * config.half_nodes + 1
 
     def make() -> Array:
-        table = contact_table(wheel, rail, gauge, config, r0, load)
+        table = contact_table(wheel, rail, gauge, config, r0, load, other=other)
         return np.concatenate([getattr(table, name) for name in own])
 
-    numbers = (
-        gauge,
-        r0,
-        load,
-        wheel.half_distance,
-        rail.gauge_depth,
-        rail.name,
-        wheel.name,
-        config.model_dump(),
-    )
-    shapes = (values.tobytes() for profile in (wheel, rail) for values in (profile.y, profile.z))
+    profiles = (wheel, rail, *(other or ()))
+    sizes = [(profile.name, profile.half_distance, profile.gauge_depth) for profile in profiles]
+    numbers = (gauge, r0, load, sizes, config.model_dump())
+    shapes = (values.tobytes() for profile in profiles for values in (profile.y, profile.z))
     flat = cached_array("contact", (repr(numbers).encode(), *shapes, _sources()), len(own) * nodes, make)
     columns = dict(zip(own, flat.reshape(len(own), nodes), strict=True))
     first = -config.half_nodes * config.table_step
@@ -285,7 +287,13 @@ def _sources() -> bytes:
 
 
 def rigid_contact(
-    wheel: Profile, rail: Profile, gauge: float, half_width: float, step: float = 1e-5, e: float | None = None
+    wheel: Profile,
+    rail: Profile,
+    gauge: float,
+    half_width: float,
+    step: float = 1e-5,
+    e: float | None = None,
+    other: tuple[Profile, Profile] | None = None,
 ) -> RigidContact:
     """Return the touching points of rigid profiles, both wheels in contact.
 
@@ -299,22 +307,23 @@ def rigid_contact(
         Largest lateral position and distance of the positions (m).
     e : float, optional
         Lateral distance of the tape circle from the wheelset's centre (m); by default the wheel profile's.
+    other : tuple of Profile, optional
+        Wheel and rail of the wheelset's other side, as in `contact_table`.
 
     Raises
     ------
     DataError
         Wheel and rail do not face each other over the whole range.
     """
-    e = wheel.half_distance if e is None else e
-    pair = _pair(wheel, rail, gauge, e, step, round(half_width / step))
-    roll = _kinematic_roll(pair, wheel, rail)
+    sides = _sides((wheel, rail), other, gauge, e, step, round(half_width / step))
+    pair, roll, centre = sides[0], _kinematic_roll(sides), round(half_width / step)
     least, position = _lowest(pair.p, pair.h, pair.arm, pair.shifts, roll)
-    s = pair.arm[0] - e + position * step
-    _check_faces(pair, wheel, rail, least, s)
-    delta_r = np.interp(s, pair.arm - e, pair.p)
-    y = pair.shifts * step - pair.shifts[len(pair.shifts) // 2] * step
+    s = pair.arm[0] - pair.e + position * step
+    _check_faces(pair, least, s)
+    delta_r = np.interp(s, pair.arm - pair.e, pair.p)
+    y = pair.shifts * step - pair.shifts[centre] * step
     height = -least
-    return RigidContact(y, roll, height - height[len(height) // 2], s, s + y + pair.offset, delta_r)
+    return RigidContact(y, roll - roll[centre], height - height[centre], s, s + y + pair.offset, delta_r)
 
 
 def linearised(table: ContactTable, amplitude: float) -> ContactTable:
@@ -374,12 +383,30 @@ def linearised(table: ContactTable, amplitude: float) -> ContactTable:
 class _Pair:
     """Wheel and rail on one common grid, so that a shift of the wheel is a shift of indices."""
 
+    wheel: Profile
+    rail: Profile
+    e: float  # of the wheel's tape circle (m)
     p: Array  # wheel curve (m)
     h: Array  # rail curve (m), -_FAR beyond the rail
     slope: Array  # rail slope dh/dt
     arm: Array  # e + s of the wheel samples (m)
     shifts: NDArray[np.int64]  # index into h below the wheel's first sample, per node
     offset: float  # t - s in the centred position (m)
+
+
+def _sides(
+    own: tuple[Profile, Profile],
+    other: tuple[Profile, Profile] | None,
+    gauge: float,
+    e: float | None,
+    step: float,
+    half_nodes: int,
+) -> tuple[_Pair, ...]:
+    """A wheelset's sides, each as a left one: one that stands for both, or the own one and the other."""
+    pairs = (own,) if other is None else (own, other)
+    return tuple(
+        _pair(*pair, gauge, pair[0].half_distance if e is None else e, step, half_nodes) for pair in pairs
+    )
 
 
 def _pair(wheel: Profile, rail: Profile, gauge: float, e: float, step: float, half_nodes: int) -> _Pair:
@@ -391,6 +418,9 @@ def _pair(wheel: Profile, rail: Profile, gauge: float, e: float, step: float, ha
     inside = (t >= rail.y[0]) & (t <= rail.y[-1])
     curve, on_rail = CubicSpline(rail.y, rail.z), np.clip(t, rail.y[0], rail.y[-1])
     return _Pair(
+        wheel,
+        rail,
+        e,
         p=np.asarray(CubicSpline(wheel.y, wheel.z)(s)),
         h=np.where(inside, curve(on_rail), -_FAR),
         slope=np.asarray(curve(on_rail, 1)),
@@ -413,83 +443,145 @@ class _Patch(NamedTuple):
     penetration: Array  # vertical (m)
 
 
-def _static_patch(
-    pair: _Pair, config: ContactConfig, r0: float, load: float, wheel: Profile, rail: Profile
-) -> _Patch:
+def _static_patch(sides: tuple[_Pair, ...], config: ContactConfig, r0: float, load: float) -> _Patch:
     """Smoothing depth, patch and roll at each shift, together: each follows from the others.
 
     A deeper smoothing widens the patch, which lowers the penetration and so the depth: one solution at each
     node, found by the secant method on the depth's logarithm. Over the roll nodes hardly know each other: it
     changes by about a hundredth of what it changes in its own slopes, so that it settles on the way.
+
+    The roll is taken from where the wheelset stands level with its rigid profiles in the centre.
     """
-    roll = _kinematic_roll(pair, wheel, rail)
-    first, last = _windows(pair.p, pair.h, pair.arm, pair.shifts, roll)
-    log_eps = np.full(len(roll), np.log(config.regularisation * _FIRST_PENETRATION))
-    excess, move, slope = np.zeros_like(roll), np.zeros_like(roll), np.full_like(roll, -1.0)
-    stride = _COARSE
+    level = _kinematic_roll(sides)
+    at_rest = level[config.half_nodes]
+    roll = level - at_rest
+    searches = [_Search(side, config, r0, load, turn) for side, turn in _of_sides(sides, level)]
     for _ in range(_STATIC_ITERATIONS):
-        eps = np.exp(log_eps)
-        least, moments = _moments(
-            pair.p, pair.h, pair.slope, pair.arm, pair.shifts, first, last, roll, eps, stride
-        )
-        y_c, variance, tangent, delta_r = moments.T
-        variance = np.maximum(variance, config.table_step**2 / 12.0)  # a patch is no narrower than a sample
-        cosine = 1.0 / np.hypot(1.0, tangent)
-        # The gap is vertical and its argument horizontal; along the inclined patch both shrink by the cosine.
-        lateral = np.maximum(0.5 * eps / variance * cosine**3, _FLATTEST)
-        rolling = 0.5 * cosine / (r0 + delta_r)
-        c, a, b = hertz_coefficients(rolling, lateral, config.youngs_modulus, config.poisson_ratio)
-        normal = load / cosine
-        penetration = (normal / c) ** (2.0 / 3.0) / cosine
-        before, excess = excess, np.log(config.regularisation * penetration) - log_eps
+        for search, (_, turn) in zip(searches, _of_sides(sides, at_rest + roll), strict=True):
+            search.look(turn)
+        own, other = searches[0], searches[-1]
         # Moved sideways under their loads, both wheels climb by their slopes, less what they sink in: the
         # roll levels them.
-        climb = 0.5 * config.table_step * (tangent[1:] + tangent[:-1]) - 0.4 * np.diff(penetration)
-        arms = 0.5 * (y_c[1:] + y_c[:-1])
-        old, roll = roll, np.concatenate([[0.0], np.cumsum((climb + climb[::-1]) / (arms + arms[::-1]))])
-        roll = 0.5 * (roll - roll[::-1])
-        change = max(np.max(np.abs(roll - old)), np.max(np.abs(excess)))
-        if stride == 1 and change < _STATIC_TOLERANCE:
+        climb = own.climb + other.climb[::-1]
+        old, roll = roll, np.concatenate([[0.0], np.cumsum(climb / (own.arms + other.arms[::-1]))])
+        roll = 0.5 * (roll - roll[::-1]) if len(sides) == 1 else roll - roll[config.half_nodes]
+        change = max(np.max(np.abs(roll - old)), *(search.change for search in searches))
+        if own.stride == 1 and change < _STATIC_TOLERANCE:
             break
-        moved = np.abs(move) > _STATIC_TOLERANCE
-        slope[moved] = np.clip((excess - before)[moved] / move[moved], *_DEPTH_SLOPES)
-        move = -excess / slope
-        log_eps = log_eps + move
-        if stride > 1 and change < _COARSE_TOLERANCE:
-            stride, move = 1, np.zeros_like(roll)  # no secant across the change of samples
-    per_force = np.sqrt(penetration * cosine) / np.cbrt(load)
-    return _Patch(roll, least, y_c, tangent, delta_r, a * per_force, b * per_force, penetration)
+        for search in searches:
+            search.step(finer=own.stride > 1 and change < _COARSE_TOLERANCE)
+    return own.patch(roll)
 
 
-def _kinematic_roll(pair: _Pair, wheel: Profile, rail: Profile) -> Array:
-    """Roll at each shift at which both rigid wheels have the same gap; antisymmetric over the shifts."""
-    roll = np.zeros(len(pair.shifts))
+def _of_sides(sides: tuple[_Pair, ...], roll: Array) -> list[tuple[_Pair, Array]]:
+    """Each side with its roll: at y with roll phi the right wheel is a left one at -y with roll -phi."""
+    return list(zip(sides, (roll, -roll[::-1]), strict=False))
+
+
+class _Search:
+    """Smoothing depth and patch of one side at each shift, for a roll that is given."""
+
+    def __init__(self, pair: _Pair, config: ContactConfig, r0: float, load: float, roll: Array) -> None:
+        self._pair, self._config, self._r0, self._load = pair, config, r0, load
+        self._windows = _windows(pair.p, pair.h, pair.arm, pair.shifts, roll)
+        self._log_eps = np.full(len(roll), np.log(config.regularisation * _FIRST_PENETRATION))
+        self._excess, self._move, self._slope = (
+            np.zeros_like(roll),
+            np.zeros_like(roll),
+            np.full_like(roll, -1.0),
+        )
+        self.stride = _COARSE
+
+    def look(self, roll: Array) -> None:
+        """Find the patch at this depth and roll, and what depth it calls for."""
+        pair, config = self._pair, self._config
+        eps = np.exp(self._log_eps)
+        self._least, moments = _moments(
+            pair.p, pair.h, pair.slope, pair.arm, pair.shifts, *self._windows, roll, eps, self.stride
+        )
+        self._y_c, variance, self._tangent, self._delta_r = moments.T
+        variance = np.maximum(variance, config.table_step**2 / 12.0)  # a patch is no narrower than a sample
+        self._cosine = 1.0 / np.hypot(1.0, self._tangent)
+        # The gap is vertical and its argument horizontal; along the inclined patch both shrink by the cosine.
+        lateral = np.maximum(0.5 * eps / variance * self._cosine**3, _FLATTEST)
+        rolling = 0.5 * self._cosine / (self._r0 + self._delta_r)
+        c, self._a, self._b = hertz_coefficients(
+            rolling, lateral, config.youngs_modulus, config.poisson_ratio
+        )
+        normal = self._load / self._cosine
+        self._penetration = (normal / c) ** (2.0 / 3.0) / self._cosine
+        self._before = self._excess
+        self._excess = np.log(config.regularisation * self._penetration) - self._log_eps
+
+    @property
+    def climb(self) -> Array:
+        """How much the wheel rises from each node to the next (m)."""
+        slope, sunk = self._tangent[1:] + self._tangent[:-1], np.diff(self._penetration)
+        return np.asarray(0.5 * self._config.table_step * slope - 0.4 * sunk)
+
+    @property
+    def arms(self) -> Array:
+        """Arm of the contact between each node and the next (m)."""
+        return np.asarray(0.5 * (self._y_c[1:] + self._y_c[:-1]))
+
+    @property
+    def change(self) -> float:
+        """By how much the depth is off, as a share."""
+        return float(np.max(np.abs(self._excess)))
+
+    def step(self, *, finer: bool) -> None:
+        """Go on to the next depth."""
+        moved = np.abs(self._move) > _STATIC_TOLERANCE
+        steepness = (self._excess - self._before)[moved] / self._move[moved]
+        self._slope[moved] = np.clip(steepness, *_DEPTH_SLOPES)
+        self._move = -self._excess / self._slope
+        self._log_eps = self._log_eps + self._move
+        if finer:
+            self.stride, self._move = 1, np.zeros_like(self._move)  # no secant across the change of samples
+
+    def patch(self, roll: Array) -> _Patch:
+        """The patches that were found."""
+        per_force = np.sqrt(self._penetration * self._cosine) / np.cbrt(self._load)
+        axes = self._a * per_force, self._b * per_force
+        return _Patch(roll, self._least, self._y_c, self._tangent, self._delta_r, *axes, self._penetration)
+
+
+def _kinematic_roll(sides: tuple[_Pair, ...]) -> Array:
+    """Roll at each shift at which both rigid wheels have the same gap."""
+    own, other = sides[0], sides[-1]
+    roll = np.zeros(len(own.shifts))
     for _ in range(_ROLL_ITERATIONS):
-        gap, position = _lowest(pair.p, pair.h, pair.arm, pair.shifts, roll)
-        arm = pair.arm[0] + position * (pair.arm[1] - pair.arm[0])
-        # The right wheel of a wheelset at y with roll phi is a left wheel at -y with roll -phi.
-        difference = gap - gap[::-1]
+        found = [_gap_and_arm(side, turn) for side, turn in _of_sides(sides, roll)]
+        (gap, arm), (gap_other, arm_other) = found[0], found[-1]
+        difference = gap - gap_other[::-1]
         if np.max(np.abs(difference)) > 0.5 * _FAR:
-            raise DataError(_off_profile(wheel, rail))
+            raise DataError(_off_profile(own if np.max(gap) > 0.5 * _FAR else other))
         if np.max(np.abs(difference)) < _ROLL_TOLERANCE:
             break
-        roll -= difference / (arm + arm[::-1])
-    return 0.5 * (roll - roll[::-1])
+        roll -= difference / (arm + arm_other[::-1])
+    return 0.5 * (roll - roll[::-1]) if len(sides) == 1 else roll
 
 
-def _check_faces(pair: _Pair, wheel: Profile, rail: Profile, least: Array, s: Array) -> None:
+def _gap_and_arm(pair: _Pair, roll: Array) -> tuple[Array, Array]:
+    """Least gap at each shift and the arm at which it is."""
+    gap, position = _lowest(pair.p, pair.h, pair.arm, pair.shifts, roll)
+    return gap, pair.arm[0] + position * (pair.arm[1] - pair.arm[0])
+
+
+def _check_faces(pair: _Pair, least: Array, s: Array) -> None:
     """Refuse contact on the ends of a curve: it would be the end of the data, not of the body."""
+    wheel, rail = pair.wheel, pair.rail
     t = s + pair.offset + (pair.shifts - pair.shifts[len(pair.shifts) // 2]) * (pair.arm[1] - pair.arm[0])
     on_wheel = (s > wheel.y[0] + _MARGIN) & (s < wheel.y[-1] - _MARGIN)
     on_rail = (t > rail.y[0] + 0.1 * _MARGIN) & (t < rail.y[-1] - 0.1 * _MARGIN)
     if not np.all(on_wheel & on_rail & (least < 0.5 * _FAR)):
-        raise DataError(_off_profile(wheel, rail))
+        raise DataError(_off_profile(pair))
 
 
-def _off_profile(wheel: Profile, rail: Profile) -> str:
+def _off_profile(pair: _Pair) -> str:
     return (
-        f"wheel '{wheel.name}' runs off rail '{rail.name}' within the contact table: check gauge and "
-        "back-to-back distance, or reduce table_half_width"
+        f"wheel '{pair.wheel.name}' runs off rail '{pair.rail.name}' within the contact table: check gauge "
+        "and back-to-back distance, or reduce table_half_width"
     )
 
 

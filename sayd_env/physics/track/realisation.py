@@ -202,7 +202,7 @@ def _single_channel(config: SineConfig | DefectConfig, shape: Array) -> Array:
 
 
 def _measured(config: FileConfig, x: Array, length: float) -> Array:
-    measured = read_measured(config.path, config.cross_level_base)
+    measured = read_measured(config)
     first, last = measured.x[0] + config.offset, measured.x[-1] + config.offset
     values = measured.at(x - config.offset)
     if config.ramp is not None:

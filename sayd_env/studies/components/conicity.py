@@ -8,13 +8,14 @@ the static wheel load presses, is the contact table of the simulation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sayd_env.config import ConfigError
 from sayd_env.config.palette import BLUE, CYCLE, GREY, VERMILION
+from sayd_env.config.profile import sides
 from sayd_env.config.units import Array
 from sayd_env.physics.contact.conicity import equivalent_conicity, harmonic_conicity, radius_difference
 from sayd_env.physics.contact.geometry import ContactTable, RigidContact, contact_table, rigid_contact
@@ -50,10 +51,29 @@ CURVE = (
 
 
 @dataclass(frozen=True)
+class RightSide:
+    """Right wheel and rail as left ones: their contact, and the table that is read at minus the shift."""
+
+    wheel: Profile
+    rail: Profile
+    contact: RigidContact
+    table: ContactTable
+
+    def as_dict(self) -> dict[str, str]:
+        """Return names of the profiles."""
+        return {"wheel": self.wheel.name, "rail": self.rail.name}
+
+
+def _both(left: str, right: str) -> str:
+    return left if left == right else f"{left} and {right}"
+
+
+@dataclass(frozen=True)
 class ConicityResult:
     """Conicity and rolling radii of a wheelset; SI units."""
 
     wheel: Profile
+    """Left wheel, and the right one if that has no profile of its own; so `rail`, `contact` and `table`."""
     rail: Profile
     wear: float
     """0 new to 1 worn."""
@@ -72,11 +92,32 @@ class ConicityResult:
     """Touching points of the rigid profiles."""
     table: ContactTable
     """The regularised table."""
+    right: RightSide | None = None
+    """The right side, where it differs."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was recognised and changed in measured profiles."""
+        own = (self.wheel, self.rail, *((self.right.wheel, self.right.rail) if self.right else ()))
+        return tuple(dict.fromkeys(note for profile in own for note in profile.notes))
+
+    @property
+    def title(self) -> str:
+        """Wheels on rails, left and right ones where they differ."""
+        left, right = (self.wheel.name, self.rail.name), self.right
+        wheels, rails = (
+            left
+            if right is None
+            else (
+                _both(name, other.name) for name, other in zip(left, (right.wheel, right.rail), strict=True)
+            )
+        )
+        return f"{wheels} (wear {self.wear:g}) on {rails}, gauge {self.gauge * _MILLI:g} mm"
 
     def delta_r(self) -> tuple[Array, Array, Array]:
         """Lateral position, rigid and regularised difference of the rolling radii (m), every 0.1 mm."""
-        rigid_y, rigid = radius_difference(self.contact)
-        table_y, soft = radius_difference(self.table)
+        rigid_y, rigid = radius_difference(self.contact, None if self.right is None else self.right.contact)
+        table_y, soft = radius_difference(self.table, None if self.right is None else self.right.table)
         reach = round(rigid_y[-1] * 1e4)
         y = np.arange(-reach, reach + 1) * 1e-4
         return y, np.interp(y, rigid_y, rigid), np.interp(y, table_y, soft)
@@ -87,6 +128,8 @@ class ConicityResult:
         return {
             "wheel": self.wheel.name,
             "rail": self.rail.name,
+            "right": None if self.right is None else self.right.as_dict(),
+            "notes": self.notes,
             "wear": self.wear,
             "gauge_mm": self.gauge * _MILLI,
             "load_kn": self.table.load / _MILLI,
@@ -122,13 +165,10 @@ class ConicityResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the conicity at whole amplitudes, with `wide` at all of them."""
-        title = (
-            f"{self.wheel.name} (wear {self.wear:g}) on {self.rail.name}, gauge {self.gauge * _MILLI:g} mm"
-        )
         rows = [
             row for row in self._curve() if wide or np.any(np.isclose(row["amplitude_mm"], _SHOWN_AMPLITUDES))
         ]
-        print_table(console, title, CURVE, rows, wide=wide)
+        print_table(console, self.title, CURVE, rows, wide=wide)
         console.print(
             "rigid: touching points of the profiles. regularised: mean over the patch under "
             f"{self.table.load / _MILLI:g} kN a wheel;\na simulation uses the regularised contact."
@@ -152,34 +192,51 @@ def conicity(scenario: Scenario, amplitudes: Array = AMPLITUDES) -> ConicityResu
             f"contact.table_half_width: found {contact.table_half_width:g} m, amplitudes up to "
             f"{np.max(amplitudes):g} m are asked for"
         )
-    wheel, rail = wheel_profile(scenario.wheel, scenario.wear), rail_profile(scenario.rail)
     load = table_load(assemble(scenario.vehicle, scenario.track.section).wheel_load)
-    rigid = rigid_contact(wheel, rail, gauge, contact.table_half_width)
-    table = contact_table(wheel, rail, gauge, contact, scenario.vehicle.wheel_radius, load)
-    y, delta_r = radius_difference(rigid)
-    table_y, table_delta_r = radius_difference(table)
+    pairs = [
+        (wheel_profile(wheel, scenario.wear), rail_profile(rail))
+        for wheel, rail in dict.fromkeys(sides(scenario.wheel, scenario.rail))
+    ]
+    contacts, tables = [], []
+    for pair, other in zip(pairs, [*pairs[1:], *pairs[:1]] if len(pairs) > 1 else [None], strict=True):
+        contacts.append(rigid_contact(*pair, gauge, contact.table_half_width, other=other))
+        radius = scenario.vehicle.wheel_radius
+        tables.append(contact_table(*pair, gauge, contact, radius, load, other=other))
+    y, delta_r = radius_difference(contacts[0], contacts[-1])
+    table_y, table_delta_r = radius_difference(tables[0], tables[-1])
     return ConicityResult(
-        wheel=wheel,
-        rail=rail,
+        wheel=pairs[0][0],
+        rail=pairs[0][1],
         wear=scenario.wear,
         gauge=gauge,
         amplitude=np.asarray(amplitudes, dtype=float),
         tan_gamma_e=equivalent_conicity(y, delta_r, amplitudes),
         tan_gamma_e_table=equivalent_conicity(table_y, table_delta_r, amplitudes),
         harmonic=harmonic_conicity(table_y, table_delta_r, amplitudes),
-        contact=rigid,
-        table=table,
+        contact=contacts[0],
+        table=tables[0],
+        right=RightSide(*pairs[1], contacts[1], tables[1]) if len(pairs) > 1 else None,
     )
 
 
 def plot_conicity(figure: Figure, results: Sequence[ConicityResult]) -> None:
     """Draw profiles in contact with their contact lines, and conicity and rolling radii of all wheels."""
-    figure.set_size_inches(10.0, 3.2 * (1 + len(results)))
-    grid = figure.add_gridspec(1 + len(results), 2)
-    for row, result in enumerate(results):
-        _draw_pair(figure.add_subplot(grid[row, :]), result)
+    pairs = [pair for result in results for pair in _pairs(result)]
+    figure.set_size_inches(10.0, 3.2 * (1 + len(pairs)))
+    grid = figure.add_gridspec(1 + len(pairs), 2)
+    for row, pair in enumerate(pairs):
+        _draw_pair(figure.add_subplot(grid[row, :]), pair)
     _draw_curves(figure.add_subplot(grid[-1, 0]), results)
     _draw_radii(figure.add_subplot(grid[-1, 1]), results)
+
+
+def _pairs(result: ConicityResult) -> list[ConicityResult]:
+    """A result as it is for each of its sides."""
+    right = result.right
+    if right is None:
+        return [result]
+    other = replace(result, wheel=right.wheel, rail=right.rail, contact=right.contact, table=right.table)
+    return [result, other]
 
 
 def _label(result: ConicityResult) -> str:

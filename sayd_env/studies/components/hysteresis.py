@@ -14,6 +14,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
 from sayd_env.config.palette import cycled, policy_style
 from sayd_env.config.units import Array
+from sayd_env.measured.dampers import force_velocity, with_points
 from sayd_env.physics.rig import Cycle, steady_cycle, steady_sayd_cycles
 from sayd_env.physics.sayd import steady_force
 from sayd_env.report.columns import Column, Table, csv_table, print_table
@@ -210,8 +211,9 @@ class HysteresisResult:
     @property
     def _knees(self) -> Array:
         """Inner points of a passive damper's curve, shape (knees, 2): m/s and N."""
-        curve = self.damper.curve[1:-1] if isinstance(self.damper, PassiveDamperConfig) else ()
-        return np.array(curve).reshape(-1, 2)
+        if isinstance(self.damper, PassiveDamperConfig):
+            return force_velocity(self.damper)[1:-1]
+        return np.empty((0, 2))
 
     def _draw_curve(self, figure: Figure) -> None:
         if self.field is None:
@@ -229,10 +231,12 @@ class HysteresisResult:
         """Draw the curve whole, and from rest on with its knees and what the loops reach of it."""
         assert isinstance(self.damper, PassiveDamperConfig)
         reached = np.array([(loop.amplitude, loop.velocity, loop.force_peak * _KILO) for loop in self.loops])
-        knees, slowest = self._knees, 0.3 * min(reached[:, 1].min(), self.damper.curve[1][0])
-        v = np.union1d(
-            np.geomspace(slowest, max(reached[:, 1].max(), self.damper.curve[-1][0]), 200), knees[:, 0]
+        points, knees = force_velocity(self.damper), self._knees
+        slowest, fastest = (
+            0.3 * min(reached[:, 1].min(), points[1, 0]),
+            max(reached[:, 1].max(), points[-1, 0]),
         )
+        v = np.union1d(np.geomspace(slowest, fastest, 200), knees[:, 0])
         force = np.array([curve_force(self.damper, x) for x in v]) * _KILO
         whole, detail = panels(figure, 2, 2, (5.0, 4.0), width_ratios=(2, 3))
         curve = policy_style("passive").plain
@@ -280,8 +284,10 @@ def hysteresis(
         A force that does not become periodic.
     """
     damper = scenario.damper
-    if isinstance(damper, PassiveDamperConfig) and currents is not None:
-        raise ConfigError(f"damper '{damper.name}' has no valve: currents need a damper of type sayd")
+    if isinstance(damper, PassiveDamperConfig):
+        if currents is not None:
+            raise ConfigError(f"damper '{damper.name}' has no valve: currents need a damper of type sayd")
+        damper = with_points(damper)
     chosen = CURRENTS if currents is None else tuple(currents)
     for current in chosen:
         if not 0.0 <= current <= 1.0:
@@ -315,7 +321,7 @@ def _loops(
 
 def curve_force(damper: PassiveDamperConfig, velocity: float) -> float:
     """Force (N) of the damper's force-velocity curve at a velocity >= 0 (m/s); the last slope goes on."""
-    points = np.array(damper.curve)
+    points = force_velocity(damper)
     (v0, f0), (v1, f1) = points[-2:]
     if velocity > v1:
         return float(f1 + (velocity - v1) * (f1 - f0) / (v1 - v0))

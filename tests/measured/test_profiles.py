@@ -1,0 +1,321 @@
+"""Files of profiles: layouts, units, directions, faulty points; what is recognised is told."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sayd_env.config import ConfigError, DataError
+from sayd_env.config.profile import load_rail, load_wheel
+from sayd_env.config.units import Array
+from sayd_env.measured.profiles import read_profile_file
+from sayd_env.physics.profiles import rail_profile, wheel_profile
+
+Y = np.round(np.arange(-70.0, 60.01, 0.2), 6)
+
+
+@pytest.fixture(scope="module")
+def wheel() -> Array:
+    """Points of S1002 (mm)."""
+    curve = wheel_profile(load_wheel("s1002"))
+    return np.column_stack([Y, np.interp(Y, curve.y * 1e3, curve.z * 1e3)])
+
+
+@pytest.fixture(scope="module")
+def rail() -> Array:
+    """Points of the upright head 60E1 (mm)."""
+    curve = rail_profile(load_rail("60e1").model_copy(update={"cant": 0.0}))
+    y = np.arange(-36.6, 36.61, 0.2)
+    return np.column_stack([y, np.interp(y, curve.y * 1e3, curve.z * 1e3)])
+
+
+def table(points: Array, separator: str = ",", digits: int = 5, comma: bool = False, header: str = "") -> str:
+    rows = (separator.join(f"{value:.{digits}f}" for value in row) for row in points)
+    text = "\n".join(rows) + "\n"
+    return header + (text.replace(".", ",") if comma else text)
+
+
+def simpack(points: Array, kind: int = 1, keys: str = "units.len.f = +1.0e+03", weight: str = "") -> str:
+    body = "\n".join(f"  {y:.9f}  {z:.9f}{weight}" for y, z in points)
+    return (
+        f"! a comment\nheader.begin\n  version = 1\n  type = {kind} ! 0=rail\nheader.end\nspline.begin\n"
+        f"  comment = 'of ours ! really'\n  {keys}\n  point.begin\n{body}\n  point.end\nspline.end\n"
+    )
+
+
+def miniprof(points: Array, header: str = "ColumnDef=X,Y,*") -> str:
+    rows = "\n".join(f"{y:.4f}\t{z:.4f}\t0.0\t0.0\t1" for y, z in points)
+    return f"ProgramName=MiniProf\nProgramVer=2.5.1\nWheelID=3\n{header}\n\n{rows}"
+
+
+def write(path: Path, text: str | bytes) -> Path:
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def check(path: Path, points: Array, kind: str = "wheel", within: float = 6e-3) -> tuple[str, ...]:
+    """Compare the curve with points (mm); return the notes."""
+    found = read_profile_file(path, kind)  # type: ignore[arg-type]
+    assert np.all(np.diff(found.y) > 0.0)
+    inner = (points[:, 0] > found.y[0] * 1e3 + 0.01) & (points[:, 0] < found.y[-1] * 1e3 - 0.01)
+    assert np.mean(inner) > 0.8
+    heights = np.interp(points[inner, 0], found.y * 1e3, found.z * 1e3)
+    np.testing.assert_allclose(heights, points[inner, 1], atol=within)
+    return found.notes
+
+
+@pytest.mark.parametrize("separator", [";", "\t", " ", "   "])
+@pytest.mark.parametrize("every", [1, 5], ids=["0.2 mm", "whole mm"])
+def test_decimal_commas(tmp_path: Path, wheel: Array, separator: str, every: int) -> None:
+    text = table(wheel[::every], separator, 2, comma=True)
+    if every == 5:
+        text = text.replace(f",00{separator}", separator)  # y at whole mm without decimals
+    check(write(tmp_path / "w.csv", text), wheel[::every])
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_decimal_commas_between_commas_are_refused(tmp_path: Path, wheel: Array, whole: bool) -> None:
+    text = table(wheel[::5], ",", 2, comma=True)
+    path = write(
+        tmp_path / "w.csv",
+        "\n".join(line.replace(",00,", ",", 1) if whole else line for line in text.splitlines()),
+    )
+    with pytest.raises(
+        DataError, match=rf"w\.csv: line 1: .*{3 if whole else 4} columns.*decimal commas need"
+    ):
+        read_profile_file(path, "wheel")
+
+
+@pytest.mark.parametrize(
+    ("header", "codec", "told"),
+    [
+        ("y_mm,z_mm\n", "utf-8-sig", ""),
+        ("# Profil für Rad, Maß in mm\n", "cp1252", "encoding: Windows-1252"),
+        ("y [mm], z [mm]\n", "utf-16", "encoding: UTF-16"),
+        ("% measured\ny,z\nmm,mm\n", "utf-8", ""),
+    ],
+)
+def test_headers_and_encodings(tmp_path: Path, wheel: Array, header: str, codec: str, told: str) -> None:
+    path = write(tmp_path / "w.csv", table(wheel, header=header).encode(codec))
+    notes = check(path, wheel)
+    assert told in " ".join(notes)
+    assert not any("unit" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1.0, "mm"), (0.1, "cm"), (1e-3, "m"), (1 / 25.4, "in"), (1e3, "um")]
+)
+@pytest.mark.parametrize("kind", ["wheel", "rail"])
+def test_units_by_extent_are_told(
+    tmp_path: Path, wheel: Array, rail: Array, factor: float, unit: str, kind: str
+) -> None:
+    points = wheel if kind == "wheel" else rail
+    path = write(tmp_path / "p.csv", table(points * factor, digits=8))
+    notes = check(path, points, kind)
+    assert any(note.startswith(f"unit: {unit}, in which points") for note in notes)
+
+
+def test_units_are_asked_for_and_never_contradicted(tmp_path: Path, wheel: Array) -> None:
+    odd = write(tmp_path / "odd.csv", table(wheel * 7.0))
+    with pytest.raises(
+        DataError, match=r"odd\.csv: its unit is not known: points are 910 wide .*wheel\.shape\.unit"
+    ):
+        read_profile_file(odd, "wheel")
+    metres = write(tmp_path / "m.csv", table(wheel * 1e-3, digits=8, header="y_mm,z_mm\n"))
+    with pytest.raises(DataError, match=r"m\.csv: by its unit \(its header: mm, mm\) it is 0\.13 mm wide"):
+        read_profile_file(metres, "wheel")
+    with pytest.raises(DataError, match=r"shape\.unit: in\) it is .* mm wide"):
+        read_profile_file(write(tmp_path / "w.csv", table(wheel)), "wheel", unit="in")
+    assert read_profile_file(tmp_path / "w.csv", "wheel", unit="mm").notes == ()
+    force = write(tmp_path / "f.csv", table(wheel, header="y_mm,z_kN\n"))
+    with pytest.raises(DataError, match=r"f\.csv: line 1: found the unit 'kN'; expected mm, cm"):
+        read_profile_file(force, "wheel")
+
+
+def test_columns_are_found_by_name_or_asked_for(tmp_path: Path, wheel: Array) -> None:
+    points = np.column_stack([np.arange(len(wheel)), wheel[:, ::-1]])
+    named = write(tmp_path / "n.csv", table(points, header="no,z_mm,y_mm\n"))
+    assert check(named, wheel) == ("not used: column 'no'",)
+    bare = write(tmp_path / "b.csv", table(points))
+    with pytest.raises(DataError, match=r"b\.csv: line 1: found 3 columns; expected two, y and z"):
+        read_profile_file(bare, "wheel")
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+@pytest.mark.parametrize("invert", [1.0, -1.0])
+@pytest.mark.parametrize("order", [1, -1])
+def test_directions_are_recognised(
+    tmp_path: Path, wheel: Array, mirror: float, invert: float, order: int
+) -> None:
+    path = write(tmp_path / "w.csv", table((wheel * (mirror, invert))[::order]))
+    notes = check(path, wheel)
+    assert any("y turned round" in note for note in notes) == (mirror < 0.0)
+    assert any("z turned round" in note for note in notes) == (invert < 0.0)
+    if mirror < 0.0:
+        kept = read_profile_file(path, "wheel", mirror=False)
+        assert kept.y[np.argmax(kept.z)] > 0.0
+
+
+def test_points_that_coincide_are_merged_and_told(tmp_path: Path, wheel: Array) -> None:
+    twice = np.repeat(wheel, np.where(np.arange(len(wheel)) % 50 == 0, 2, 1), axis=0)
+    notes = check(write(tmp_path / "w.csv", table(twice)), wheel, within=1e-4)
+    assert any(note.startswith(f"{len(twice) - len(wheel)} points merged") for note in notes)
+    close = np.insert(wheel, 300, wheel[300] - (0.004, -0.002), axis=0)
+    notes = check(write(tmp_path / "c.csv", table(close)), wheel)
+    assert any(note.startswith("1 points merged") for note in notes)
+
+
+def test_overhangs_are_cut_behind_the_flange_and_told_elsewhere_refused(
+    tmp_path: Path, wheel: Array, rail: Array
+) -> None:
+    back = wheel.copy()
+    back[:20, 0] = -66.0 + 0.1 * np.arange(20)[::-1]  # the back of the flange leans out
+    notes = check(write(tmp_path / "w.csv", table(back)), wheel)
+    assert any("points cut behind the flange's top" in note for note in notes)
+    sides = np.vstack([rail[0] + (2.0, -20.0), rail, rail[-1] + (-2.0, -20.0)])
+    notes = check(write(tmp_path / "r.csv", table(sides)), rail, "rail")
+    assert sum("1 points cut" in note for note in notes) == 2
+    tread = wheel.copy()
+    tread[300, 0] -= 0.5
+    with pytest.raises(DataError, match=r"t\.csv: line 301: y goes from -10\.2 to -10\.5 mm, against"):
+        read_profile_file(write(tmp_path / "t.csv", table(tread)), "wheel")
+
+
+def test_one_kind_does_not_pass_as_the_other(tmp_path: Path, wheel: Array, rail: Array) -> None:
+    for name, text, asked in (
+        ("a.prw", simpack(wheel, 0), "wheel"),
+        ("b.prr", simpack(rail, 0), "wheel"),
+        ("c.prw", simpack(wheel), "rail"),
+        ("d.txt", simpack(rail, 0), "wheel"),
+        ("e.ban", miniprof(rail), "wheel"),
+        ("f.whl", miniprof(wheel), "rail"),
+    ):
+        with pytest.raises(DataError, match=rf"{name[0]}\{name[1:]}: (its header says|is a)"):
+            read_profile_file(write(tmp_path / name, text), asked)  # type: ignore[arg-type]
+    # Without a name or a header that tells it, the shape does.
+    with pytest.raises(DataError, match=r"profile 'r': no flange .* at positive y. Is it a rail"):
+        wheel_profile(load_wheel(str(write(tmp_path / "r.csv", table(rail)))))
+    short = wheel[(wheel[:, 0] > -60.0) & (wheel[:, 0] < 50.0)]
+    for points, message in ((wheel, "130 wide and 30.64 high, a rail in none"), (short, "from the crown")):
+        with pytest.raises(DataError, match=message):
+            rail_profile(load_rail(str(write(tmp_path / "w.csv", table(points)))))
+
+
+def test_simpack_steps_are_taken_in_its_order(tmp_path: Path, wheel: Array) -> None:
+    """The file holds what the steps undo: shift, then rotation about x from y to z, then mirroring."""
+    turn, shift = 0.02, np.array([3.0, -1.5])
+    cos, sin = math.cos(turn), math.sin(turn)
+    y, z = (wheel * (-1.0, 1.0)).T
+    points = np.column_stack([y * cos + z * sin, z * cos - y * sin]) - shift
+    keys = (
+        "shift.y = 3.0\n shift.z = -1.5\n rotate = 20\n units.ang.f = 1000\n mirror.y = 1\n inversion = 1\n"
+        " mirror.z = 0\n units.len = 'mm'\n units.len.f = 1e3\n approx.smooth = 0.0\n file = '-'\n type = 0"
+    )
+    assert check(write(tmp_path / "w.prw", simpack(points, keys=keys, weight="  1.0")), wheel) == ()
+
+
+def test_simpack_bounds_and_distances_are_applied(tmp_path: Path, wheel: Array) -> None:
+    keys = "point.dist.min = 0.3\n bound.y.min = -60\n bound.y.max = 40\n bound.z.min = -1\n bound.z.max = 50"
+    found = read_profile_file(write(tmp_path / "w.prw", simpack(wheel, keys=keys)), "wheel")
+    assert (found.y[0] >= -0.060, found.y[-1] <= 0.040) == (True, True)
+    assert np.min(np.hypot(np.diff(found.y), np.diff(found.z))) >= 0.3e-3
+    assert np.min(found.z) == pytest.approx(-1e-3)
+    assert [note.split()[1] for note in found.notes[:3]] == ["points", "points", "heights"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("rotat = 0.1", "line 8: unknown key 'rotat', did you mean 'rotate'"),
+        ("approx.smooth = 0.5", "line 8: approx.smooth: found 0.5; SIMPACK's smoothing"),
+        ("rotate = 3", "rotate: found 3 rad"),
+        ("units.len.f = 0", "units.len.f: found 0; expected a factor above 0"),
+        ("units.len.f = -1e3", "units.len.f: found -1e3; expected a factor above 0"),
+        ("units.len.f = 1e-300", "by its unit (units.len.f)"),
+        ("units.len.f = 1.2.3", "units.len.f: found '1.2.3'; expected a factor"),
+        ("units.len = 'mm'\n units.len.f = 1", "units.len = mm has the factor 1000"),
+        ("units.len = 'furlong'", "units.len: found 'furlong'; expected mm, cm"),
+        ("shift.y = 1e300", "shift.y: found 1e300; expected 1e+06 at most"),
+        ("shift.y = 1e999", "shift.y: found '1e999'; expected a number that is finite"),
+        ("shift.y = .", "shift.y: found '.'; expected a number"),
+        ("mirror.y = 2", "mirror.y: found 2; expected 0 or 1"),
+        ("rotate = 0\n rotate = 0.025", "line 9: key 'rotate' appears twice"),
+        ("rotate 0.025", "expected key = value"),
+        ("header.begin", "header.begin is out of place"),
+        ("wheel.begin", "unknown section 'wheel'"),
+    ],
+)
+def test_simpack_keys_are_applied_or_refused(tmp_path: Path, wheel: Array, keys: str, message: str) -> None:
+    path = write(tmp_path / "w.prw", simpack(wheel, keys=keys))
+    with pytest.raises(DataError) as caught:
+        read_profile_file(path, "wheel")
+    assert str(caught.value).startswith(str(path))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("version = 1", "version = 2", "only version 1"),
+        ("type = 1", "type = 7", "type: found 7; expected 0 or 1"),
+        ("-70.000000000", "1.2.3", "line 10: found '1.2.3'; expected y and z"),
+        ("  point.end\nspline.end\n", "", "ends within section 'point'"),
+    ],
+)
+def test_simpack_files_that_are_damaged(
+    tmp_path: Path, wheel: Array, old: str, new: str, message: str
+) -> None:
+    path = write(tmp_path / "w.prw", simpack(wheel).replace(old, new))
+    with pytest.raises(DataError) as caught:
+        read_profile_file(path, "wheel")
+    assert message in str(caught.value)
+
+
+def test_miniprof(tmp_path: Path, wheel: Array, rail: Array) -> None:
+    notes = check(write(tmp_path / "w.whl", miniprof(wheel * (1.0, -1.0))), wheel)
+    assert notes == ("z turned round, so that it is upwards: the flange points to negative z in the file",)
+    moved = miniprof(rail - (5.0, -2.0), "XOffset=5.0\nYOffset=-2.0\nMyKey=4\nXYPoints=367")
+    assert check(write(tmp_path / "r.ban", moved), rail, "rail") == (
+        "keys of the header that are not used: mykey",
+    )
+    swapped = miniprof(wheel[:, ::-1], "ColumnDef=Y,X,A,C,N").replace(".", ",")
+    assert check(write(tmp_path / "s.whl", swapped.replace("2,5,1", "2.5.1")), wheel) == ("decimal commas",)
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("ColumnDef=X,Y", "found 5 values; ColumnDef has X,Y"),
+        ("ColumnDef=X,A,*", "line 4: ColumnDef: found 'X,A,*'; expected letters"),
+        ("XYPoints=12", "line 4: XYPoints: found 12, but the file has 651 points"),
+        ("XOffset=two", "line 4: XOffset: found 'two'; expected a number"),
+    ],
+)
+def test_miniprof_headers_that_cannot_be_used(
+    tmp_path: Path, wheel: Array, header: str, message: str
+) -> None:
+    path = write(tmp_path / "w.whl", miniprof(wheel, header))
+    with pytest.raises(DataError) as caught:
+        read_profile_file(path, "wheel")
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "no points"),
+        (b"# nothing\n", "no points"),
+        (b"\x00\x01\x02" * 100, "is not a text file"),
+        (b"1,2\n" * 30, "unit is not known"),
+        (b"1e300,-1e300\n-1e300,1e300\n" * 30, "unit is not known"),
+        (b"y,z\n" + b"1,x\n" * 30, "line 2: column 'z': found 'x'; expected a number"),
+    ],
+)
+def test_files_that_are_no_profiles(tmp_path: Path, content: bytes, message: str) -> None:
+    with pytest.raises((ConfigError, DataError), match=r"p\.csv") as caught:
+        read_profile_file(write(tmp_path / "p.csv", content), "wheel")
+    assert message in str(caught.value)
