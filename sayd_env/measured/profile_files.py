@@ -25,7 +25,7 @@ from sayd_env.config.errors import DataError
 from sayd_env.config.files import MIB, read_bytes
 from sayd_env.config.loader import nearest
 from sayd_env.config.units import Array
-from sayd_env.measured.dialect import decode, lines_of
+from sayd_env.measured.dialect import decode, is_number, lines_of
 from sayd_env.measured.table import TextTable, table_of
 from sayd_env.measured.units import name_and_unit, unit_of
 
@@ -43,7 +43,7 @@ KINDS: Mapping[str, Kind] = {
 UNITS: Mapping[str, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "um": 1e-6}
 """Units of length in which profiles come (m)."""
 
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 _FARTHEST = 1e6  # units of length of the file; a metre in micrometres
 _STEEPEST_TURN = 0.5  # rad; a rail is inclined by 1:20, a scan turned by more is not a profile
 
@@ -133,6 +133,12 @@ def _shift(text: str, where: str) -> float:
     return value
 
 
+def _distance(text: str, where: str) -> float:
+    if (value := number(text, where)) < 0.0:
+        raise DataError(f"{where}: found {text}; expected 0 or more")
+    return value
+
+
 def _plain(text: str, where: str) -> str:
     del where
     return text.strip("'\"")
@@ -156,7 +162,7 @@ _SIMPACK: Mapping[str, Mapping[str, _Reader]] = {
         "file.mtime": number,
         "comment": _plain,
         "type": number,
-        "point.dist.min": number,
+        "point.dist.min": _distance,
         "shift.y": _shift,
         "shift.z": _shift,
         "rotate": number,
@@ -364,16 +370,19 @@ def read_miniprof(lines: list[str], source: str) -> RawProfile:
     header, body = _miniprof_parts(lines, source)
     columns, any_more = _column_def(header.get("columndef", ("X,Y,*", "")))
     points, numbers, comma = [], [], _decimal_comma(text for _, text in body)
+    usual = len(body[0][1].split()) if body else 0
     for count, text in body:
         where = f"{source}: line {count}"
         fields = (text.replace(",", ".") if comma else text).split()
+        if len(fields) != usual:
+            raise DataError(f"{where}: found {len(fields)} values; the first point has {usual}")
         if len(fields) < len(columns) or (len(fields) > len(columns) and not any_more):
             raise DataError(f"{where}: found {len(fields)} values; ColumnDef has {','.join(columns)}")
         row = [number(field, where) for field in fields[: len(columns)]]
         points.append((row[columns.index("X")], row[columns.index("Y")]))
         numbers.append(count)
     offsets = [
-        number(text.replace(",", "."), where) if text else 0.0
+        number(text.replace(",", ".") if comma else text, where) if text else 0.0
         for text, where in (header.get(name, ("", "")) for name in ("xoffset", "yoffset"))
     ]
     if "xypoints" in header:
@@ -479,6 +488,11 @@ def read_points(text: str, source: str) -> RawProfile:
     table = table_of(lines, source, comments=comments, separator=separator)
     if not len(table):
         return RawProfile(np.empty((0, 2)), [])
+    if found := [name for name in table.names if is_number(name)]:
+        where = f"{source}: line {table.head.line}"
+        raise DataError(
+            f"{where}: found {_short(found[0])} beside what is no number; expected numbers, or names"
+        )
     columns = _lateral_and_vertical(table)
     units, said = _units_of(table, columns)
     others = [table.titled(k) for k in range(table.head.width) if k not in columns]

@@ -36,6 +36,12 @@ with or without its sides. No profile fits in two units."""
 SAME = 0.015e-3
 """Points nearer to each other than this (m) are one: scans are rounded to 0.01 mm."""
 
+WIDEST_GAP, RUNNING = 6e-3, (-0.025, 0.020)
+"""Points may be so far apart (m) where wheels run, about the tape circle and the middle of the head."""
+
+_KEPT = 0.6
+"""Share of the points that must be left when overhangs are cut."""
+
 FREE = {"wheel": (0.0, 0.025), "rail": (-0.025, 0.020)}
 """Where a curve must not turn back (m): from the flange's top to beyond the tread; about the crown."""
 
@@ -192,7 +198,9 @@ def _single_valued(
         y, z, lines = y[::-1], z[::-1], lines[::-1]
     y, z, lines, merged = _merged(y, z, lines)
     notes = (
-        [f"{merged} points merged that lie within {SAME * 1e3:g} mm or above one another"] if merged else []
+        [f"{_points(merged)} merged, which lay within {SAME * 1e3:g} mm of or above another"]
+        if merged
+        else []
     )
     top = int(np.argmax(z))
     low, high = (y[top] + reach if kind == "rail" else reach for reach in FREE[kind])
@@ -207,11 +215,34 @@ def _single_valued(
             f"{path}: line {lines[at]}: y goes from {y[at - 1] * 1e3:g} to {y[at] * 1e3:g} mm, against the "
             "direction of the other points"
         )
+    _check_rest(path, y[first : last + 1], len(y), kind)
     names = ("behind the flange's top", "beyond the tread") if kind == "wheel" else ("inside", "outside")
     for count, at, where in ((first, first, names[0]), (len(y) - 1 - last, last, names[1])):
         if count:
-            notes.append(f"{count} points cut {where}, where the curve overhangs at y = {y[at] * 1e3:.2f} mm")
+            notes.append(
+                f"{_points(count)} cut {where}, where the curve overhangs at y = {y[at] * 1e3:.2f} mm"
+            )
     return y[first : last + 1], z[first : last + 1], notes
+
+
+def _points(count: int) -> str:
+    return f"{count} point{'s' * (count != 1)}"
+
+
+def _check_rest(path: Path, y: Array, before: int, kind: Kind) -> None:
+    """Refuse points in no order, several curves in one file, and gaps where wheels run."""
+    if len(y) < max(FEWEST_POINTS, _KEPT * before):
+        raise DataError(
+            f"{path}: only {len(y)} of {before} points follow one another in y; expected one "
+            "curve, point by point"
+        )
+    centre = 0.0 if kind == "wheel" else 0.5 * (y[0] + y[-1])
+    low, high = (centre + reach for reach in RUNNING)
+    for i in np.flatnonzero((np.diff(y) > WIDEST_GAP) & (y[1:] > low) & (y[:-1] < high))[:1]:
+        raise DataError(
+            f"{path}: no points between y = {y[i] * 1e3:g} and {y[i + 1] * 1e3:g} mm; at most "
+            f"{WIDEST_GAP * 1e3:g} mm may lie between two where wheels run"
+        )
 
 
 def _merged(y: Array, z: Array, lines: list[int]) -> tuple[Array, Array, list[int], int]:

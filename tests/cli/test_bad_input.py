@@ -216,12 +216,15 @@ wheel: {kind: wheel, name: mine, back_to_back: 1.353, tape_to_back: 0.07, shape:
     [
         ("", "found no points, at least 20 are needed"),
         ("y,z\n1,2\n2,3\n", "found 2 points, at least 20 are needed"),
-        ("y,z\n" + "a,b\n" * 30, "line 2: found 'a,b', expected two numbers y z (mm)"),
+        ("y,z\n" + "a,b\n" * 30, "found no points, at least 20 are needed"),
         (
             "".join(f"{y},{'nan' if y == 5 else 0}\n" for y in range(30)),
-            "line 6: found a value that is not finite",
+            "line 6: column 2: found 'nan'; expected a finite number",
         ),
-        ("".join(f"{40 if y == 7 else y},0\n" for y in range(30)), "line 9: y goes from 40 to 8 mm, against"),
+        (
+            "".join(f"{40 if y == 7 else y},0\n" for y in range(30)),
+            "its unit is not known: points are 40 wide and 0 high",
+        ),
         (bytes(range(256)), "is not a text file"),
         (None, "no such profile file"),
     ],

@@ -165,7 +165,7 @@ def test_points_that_coincide_are_merged_and_told(tmp_path: Path, wheel: Array) 
     assert any(note.startswith(f"{len(twice) - len(wheel)} points merged") for note in notes)
     close = np.insert(wheel, 300, wheel[300] - (0.004, -0.002), axis=0)
     notes = check(write(tmp_path / "c.csv", table(close)), wheel)
-    assert any(note.startswith("1 points merged") for note in notes)
+    assert any(note.startswith("1 point merged") for note in notes)
 
 
 def test_overhangs_are_cut_behind_the_flange_and_told_elsewhere_refused(
@@ -177,11 +177,29 @@ def test_overhangs_are_cut_behind_the_flange_and_told_elsewhere_refused(
     assert any("points cut behind the flange's top" in note for note in notes)
     sides = np.vstack([rail[0] + (2.0, -20.0), rail, rail[-1] + (-2.0, -20.0)])
     notes = check(write(tmp_path / "r.csv", table(sides)), rail, "rail")
-    assert sum("1 points cut" in note for note in notes) == 2
+    assert sum("1 point cut" in note for note in notes) == 2
     tread = wheel.copy()
     tread[300, 0] -= 0.5
     with pytest.raises(DataError, match=r"t\.csv: line 301: y goes from -10\.2 to -10\.5 mm, against"):
         read_profile_file(write(tmp_path / "t.csv", table(tread)), "wheel")
+
+
+def test_points_without_order_and_gaps_are_refused(tmp_path: Path, wheel: Array) -> None:
+    shuffled = np.random.default_rng(0).permutation(wheel)
+    for name, points, message in (
+        ("s.csv", shuffled, r"only \d+ of 651 points follow one another|against the direction"),
+        ("t.csv", np.vstack([wheel, wheel]), r"only 651 of 1302 points follow one another"),
+        (
+            "g.csv",
+            np.vstack([wheel[:300], wheel[360:]]),
+            r"no points between y = -10\.2 and 2 mm; at most 6 mm",
+        ),
+    ):
+        with pytest.raises(DataError, match=message):
+            read_profile_file(write(tmp_path / name, table(points)), "wheel")
+    damaged = write(tmp_path / "d.csv", table(wheel).replace("-70.00000", "0x10"))
+    with pytest.raises(DataError, match=r"d\.csv: line 1: found '9\.51926' beside what is no number"):
+        read_profile_file(damaged, "wheel")
 
 
 def test_one_kind_does_not_pass_as_the_other(tmp_path: Path, wheel: Array, rail: Array) -> None:
@@ -240,6 +258,8 @@ def test_simpack_bounds_and_distances_are_applied(tmp_path: Path, wheel: Array) 
         ("units.len = 'furlong'", "units.len: found 'furlong'; expected mm, cm"),
         ("shift.y = 1e300", "shift.y: found 1e300; expected 1e+06 at most"),
         ("shift.y = 1e999", "shift.y: found '1e999'; expected a number that is finite"),
+        ("point.dist.min = -1", "point.dist.min: found -1; expected 0 or more"),
+        ("shift.y = \u0663", "expected a number"),
         ("shift.y = .", "shift.y: found '.'; expected a number"),
         ("mirror.y = 2", "mirror.y: found 2; expected 0 or 1"),
         ("rotate = 0\n rotate = 0.025", "line 9: key 'rotate' appears twice"),
@@ -292,6 +312,7 @@ def test_miniprof(tmp_path: Path, wheel: Array, rail: Array) -> None:
         ("ColumnDef=X,Y", "found 5 values; ColumnDef has X,Y"),
         ("ColumnDef=X,A,*", "line 4: ColumnDef: found 'X,A,*'; expected letters"),
         ("XYPoints=12", "line 4: XYPoints: found 12, but the file has 651 points"),
+        ("XOffset=1,000", "line 4: XOffset: found '1,000'; expected a number"),
         ("XOffset=two", "line 4: XOffset: found 'two'; expected a number"),
     ],
 )
