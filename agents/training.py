@@ -43,6 +43,7 @@ from sayd_env.agents.table import Table
 from sayd_env.config import ConfigError, DataError, parse_yaml, read_text
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.explain import shown
+from sayd_env.config.files import MIB
 from sayd_env.config.storage import remove_leftovers, reserved, write_file
 from sayd_env.config.units import Array
 from sayd_env.envs.keywords import configured
@@ -350,7 +351,7 @@ def _starts(config: TrainConfig, folder: Path, digest: str) -> list[dict[str, An
         raise ConfigError(
             f"--resume {folder}: {differences}. Only {', '.join(sorted(MAY_CHANGE))} may change"
         )
-    run = parse_yaml(read_text(folder / RUN), str(folder / RUN))
+    run = parse_yaml(read_text(folder / RUN, largest=MIB), str(folder / RUN))
     starts = run.get("starts") if isinstance(run, dict) else None
     if not isinstance(starts, list) or not all(isinstance(start, dict) for start in starts):
         raise DataError(f"{folder / RUN}: is damaged; expected the starts of the run")

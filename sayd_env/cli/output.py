@@ -133,7 +133,9 @@ class _Lines:
 
 
 def _line(console: Console, text: str) -> None:
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    from sayd_env.config.errors import printable  # noqa: PLC0415 - keeps --help fast
+
+    console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def _console(*, to_stderr: bool, width: int = PLAIN_WIDTH) -> Console:

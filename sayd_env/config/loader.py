@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin, absurd_numbers, explain, nearest, shown
+from sayd_env.config.files import MIB, read_bytes
 
 __all__ = [
     "apply_overrides",
@@ -156,22 +157,12 @@ def packaged_names(kind: str) -> list[str]:
     return sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
 
 
-def read_text(path: Path, what: str = "file") -> str:
-    """Read a user's text file; raise `ConfigError` if that fails."""
+def read_text(path: Path, what: str = "file", largest: int = 64 * MIB) -> str:
+    """Read a user's text file of at most so many bytes; raise `ConfigError` if that fails."""
     try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            raise ConfigError(f"{path}: is a device or a pipe, expected a {what}")
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such {what}") from None
-    except IsADirectoryError:
-        raise ConfigError(f"{path}: is a directory, expected a {what}") from None
+        return read_bytes(path, what, largest).decode("utf-8")
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is not a text file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except ValueError:  # a NUL or half of a surrogate pair
-        raise ConfigError(f"{path}: is not a valid file name") from None
 
 
 def is_path(name_or_path: str) -> bool:
@@ -195,7 +186,7 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
         A packaged name (``emu``) or a path to a YAML file.
     """
     if is_path(name_or_path):
-        return parse_yaml(read_text(Path(name_or_path)), name_or_path), name_or_path
+        return parse_yaml(read_text(Path(name_or_path), largest=MIB), name_or_path), name_or_path
     names = packaged_names(kind)
     if name_or_path not in names:
         raise ConfigError(

@@ -53,7 +53,11 @@ def message_of(call: Any, *arguments: Any, **keywords: Any) -> str:
         ("settings", ["friction=0.3", 5], "settings: found ['friction=0.3', 5]; expected"),
         ("settings", ["wear=0x" + "f" * 20000], f"wear: found {UNWRITTEN}"),
         ("settings", ['wear=!!int ""'], "has a value that does not fit its tag"),
-        ("settings", ['track.irregularity={type: file, path: "a\\0b"}'], r"found 'a\x00b'; expected text without"),
+        (
+            "settings",
+            ['track.irregularity={type: file, path: "a\\0b"}'],
+            r"found 'a\x00b'; expected text without",
+        ),
         ("environment", HUGER, f"environment: found {UNWRITTEN}; expected the name"),
         ("environment", "a\0b", r"unknown env 'a\x00b'; available: faults, line, nominal"),
         ("environment", "\x1b[2J", r"unknown env '\x1b[2J'; available: faults, line, nominal"),
