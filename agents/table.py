@@ -68,9 +68,11 @@ class Table:
 
 def _read(path: Path, numbers: Collection[str], texts: Collection[str]) -> Iterator[dict[str, Any]]:
     reader = csv.reader(io.StringIO(read_text(path, "table"), newline=""), strict=True)
-    header: list[str] = []
     try:
-        header = next(reader, header)
+        header = next(reader, ["nothing"])
+        if header and not (len(set(header)) == len(header) and {*numbers, *texts} <= set(header)):
+            expected = ", ".join((*texts, *numbers)) or "different columns"
+            raise ValueError(f"found columns {', '.join(header[:10])}; expected {expected}")
         for cells in reader:
             if len(cells) != len(header):
                 raise ValueError(f"found {len(cells)} cells; the header has {len(header)}")

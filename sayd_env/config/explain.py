@@ -14,7 +14,7 @@ Path = tuple[int | str, ...]
 """Path to a value in nested data."""
 
 LONGEST_FOUND = 60
-SMALLEST, LARGEST = 1e-30, 1e20
+SMALLEST, LARGEST = 1e-40, 1e40
 """Magnitudes of numbers but 0: beyond all quantities, and far from where products leave the floats."""
 TAGS = ("type", "law", "kind", "algorithm")
 """Fields by which the members of a union are distinguished."""
