@@ -326,10 +326,20 @@ def _assign(data: Any, keys: list[str], value: Any, item: str) -> None:
                 return
             if key not in node:
                 known = [str(name) for name in node]
-                raise ConfigError(f"{item}: no key '{where}'{nearest(key, known)}; here: {', '.join(known)}")
+                raise ConfigError(
+                    f"{item}: no key '{where}'{nearest(key, known)}; here: {', '.join(known)}"
+                    f"{_other_type(keys[:depth], node)}"
+                )
             node = node[key]
         else:
             raise ConfigError(f"{item}: '{'.'.join(keys[:depth])}' is a value, not a section")
+
+
+def _other_type(keys: list[str], node: dict[str, Any]) -> str:
+    """Where keys of another type are looked for in a part of a scenario, say how it becomes one of it."""
+    if len(keys) != 1 or not isinstance(node.get("type"), str):
+        return ""
+    return f". It is of type '{node['type']}'; for keys of another, set {keys[0]}=NAME first"
 
 
 def _list_index(node: list[Any], key: str, where: str, item: str) -> int:

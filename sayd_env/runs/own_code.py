@@ -224,7 +224,7 @@ def _covered(path: Path, root: Path) -> list[Path]:
     found = set[Path]()
     while todo:
         file = todo.pop()
-        if file in found:
+        if file in found or not file.is_file():  # a pipe, of which nobody knows when it ends
             continue
         found.add(file)
         if file.suffix == ".py" and str(root) not in _INSTALLED:
