@@ -44,7 +44,7 @@ from sayd_env.config import ConfigError, DataError, parse_yaml, read_text
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.explain import shown
 from sayd_env.config.files import MIB
-from sayd_env.config.storage import remove_leftovers, reserved, write_file
+from sayd_env.config.storage import remove_leftovers, reserved, write_files
 from sayd_env.config.units import Array
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.registration import VERSION
@@ -154,8 +154,6 @@ class _Run:
         self.env, self.encoding = make_learning_env(config)
         self.model = make_model(config, self.env)
         _make_folders(folder, resume=resume)
-        remove_leftovers(folder)
-        remove_leftovers(folder / CHECKPOINTS)
         self.origin = Progress(0, 0, len(starts), 0.0)
         found = _checkpoints(folder)
         if found:
@@ -171,8 +169,7 @@ class _Run:
         self.about = about | {"libraries": {name: metadata.version(name) for name in LIBRARIES}}
         start = {"begun": datetime.now(UTC).isoformat(timespec="seconds"), "step": self.steps} | self.about
         text = {"environment_sha256": self.digest, "starts": [*starts, start]}
-        write_file(folder / CONFIG, _yaml(config.model_dump(mode="json")))
-        write_file(folder / RUN, _yaml(text))
+        write_files(folder, {CONFIG: _yaml(config.model_dump(mode="json")), RUN: _yaml(text)})
 
     def learn(self, report: Report) -> None:
         """Run what is left of the training."""
@@ -328,11 +325,14 @@ class _Writer(KVWriter):
 def _make_folders(folder: Path, *, resume: bool) -> None:
     """Make the folders of a run; refuse a new one in a folder that holds something."""
     try:
-        if not resume and any(folder.iterdir()):
+        remove_leftovers(folder)
+        remove_leftovers(folder / CHECKPOINTS)
+        # A run that was killed before it had written anything leaves the empty folder of its checkpoints.
+        if not resume and any(path.name != CHECKPOINTS or any(path.iterdir()) for path in folder.iterdir()):
             raise ConfigError(
                 f"{folder}: is not empty; take another folder, or go on with that run by --resume"
             )
-        (folder / CHECKPOINTS).mkdir(exist_ok=resume)
+        (folder / CHECKPOINTS).mkdir(exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be made ({error.strerror or error})") from None
 
