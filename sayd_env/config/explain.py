@@ -71,13 +71,14 @@ def explain(
 
 def absurd_numbers(data: Any, source: str, origins: Iterable[Origin] = ()) -> str:
     """Say which numbers anywhere in data are beyond `SMALLEST` and `LARGEST`, one line for each."""
-    known, lines, todo = list(origins), [], [((), data)]
+    known, lines = list(origins), []
+    todo: list[tuple[Path, Any]] = [((), data)]
     while todo:
         path, value = todo.pop()
         if isinstance(value, Mapping):
-            todo += [((*path, key), child) for key, child in reversed(value.items())]
+            todo += [((*path, key), child) for key, child in list(value.items())[::-1]]
         elif isinstance(value, list | tuple):
-            todo += [((*path, place), child) for place, child in reversed(list(enumerate(value)))]
+            todo += [((*path, place), child) for place, child in list(enumerate(value))[::-1]]
         elif isinstance(value, int | float) and value and not SMALLEST <= abs(value) <= LARGEST:
             origin = _origin(known, path) or Origin((), source)
             lines.append(
