@@ -197,8 +197,8 @@ def test_a_bad_vehicle_file_is_named_with_the_part(refused: Refused):
         ("mass: 49962.0", "mass: -49962.0", "bodies.carbody.mass: found -49962.0; expected a number greater"),
         ("body: axlebox", "body: axelbox", "primary_spring: unknown body 'axelbox', did you mean 'axlebox'?"),
         (
-            "stiffness: 2.0e6",
-            "stifness: 2.0e6",
+            "stiffness: 2.0e+6",
+            "stifness: 2.0e+6",
             "unknown key 'elements.anti_roll_bar.stifness', did you mean",
         ),
         ("type: bush", "type: bsh", "elements.primary_spring.type: found 'bsh', did you mean 'bush'?"),

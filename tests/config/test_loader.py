@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
+import yaml
 from pydantic import Field
 
 from sayd_env.config import (
@@ -220,6 +222,15 @@ def test_absurd_numbers_are_named_before_anybody_computes_with_them():
             load_scenario("estimates", [f"{key}={value}"])
         expected = f"--set: {key}: found {value}; expected 0 or a number of a magnitude from 1e-40 to 1e+40"
         assert str(caught.value) == expected
+
+
+def test_plain_yaml_reads_the_same_numbers_in_packaged_files():
+    """A point and a sign in the exponent: YAML 1.1, as PyYAML reads it, takes 30.0e6 for text."""
+    for file in resources.files("sayd_env.configs").iterdir():
+        for path in file.iterdir() if file.is_dir() else ():
+            if path.name.endswith(".yaml"):
+                text = path.read_text(encoding="utf-8")
+                assert yaml.safe_load(text) == parse_yaml(text, path.name), path.name
 
 
 def test_packaged_names_are_offered():
