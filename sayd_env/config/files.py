@@ -1,4 +1,4 @@
-"""Files of a user as bytes: regular files of a limited size, refused before they are read."""
+"""Files of a user: regular files of a limited size, refused before anything is read of them."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from sayd_env.config.errors import ConfigError
 MIB = 2**20
 
 
-def read_bytes(path: Path, what: str, largest: int) -> bytes:
+def read_bytes(path: Path, what: str, largest: int, most: int | None = None) -> bytes:
     """Content of a regular file.
 
     Parameters
     ----------
     path : Path
-        The file. A pipe or a device is not opened for reading: it might never end, or never begin.
+        The file. A pipe or a device is not waited for: it might never begin, or never end.
     what : str
         What it should be, for messages.
     largest : int
-        Most bytes that are read.
+        Most bytes that it may have.
+    most : int, optional
+        Bytes that are read of its beginning; all by default.
 
     Raises
     ------
@@ -32,11 +34,11 @@ def read_bytes(path: Path, what: str, largest: int) -> bytes:
         # Without waiting: to open a pipe for reading otherwise lasts until somebody writes to it.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(descriptor, "rb") as file:
-            kind = os.fstat(descriptor).st_mode
-            if stat.S_ISREG(kind):
-                content = file.read(largest + 1)  # a file under /proc has no size before it is read
-            elif not stat.S_ISDIR(kind):
+            about = os.fstat(descriptor)
+            if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
                 raise ConfigError(f"{path}: is a device or a pipe, expected a {what}")
+            # A file under /proc has no size before it is read.
+            content = b"" if about.st_size > largest else file.read(largest + 1 if most is None else most)
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such {what}") from None
     except IsADirectoryError:
@@ -45,6 +47,6 @@ def read_bytes(path: Path, what: str, largest: int) -> bytes:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError:  # a NUL or half of a surrogate pair
         raise ConfigError(f"{path}: is not a valid file name") from None
-    if len(content) > largest:
+    if max(about.st_size, len(content)) > largest:
         raise ConfigError(f"{path}: is larger than {largest // MIB} MiB, the most that is read of a {what}")
     return content
