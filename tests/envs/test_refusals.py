@@ -93,6 +93,8 @@ def test_keywords(keyword: str, value: Any, found: str) -> None:
         ("num_envs", HUGER, f"num_envs: found {UNWRITTEN}; expected"),
         ("num_threads", HUGER, f"num_threads: found {UNWRITTEN}; expected"),
         ("max_episode_steps", HUGE, "max_episode_steps: found 1000"),
+        ("max_episode_steps", np.zeros(3), "max_episode_steps: found array([0., 0., 0.]); expected"),
+        ("max_episode_steps", Silent(), "max_episode_steps: found a Silent too long to write; expected"),
         ("max_episode_steps", HUGER, f"max_episode_steps: found {UNWRITTEN}; expected"),
         ("autoreset_mode", HUGER, f"autoreset_mode: found {UNWRITTEN}; expected one of"),
         ("autoreset_mode", np.zeros(3), "autoreset_mode: found array([0., 0., 0.]); expected one of"),
@@ -149,7 +151,16 @@ def test_masks(mask: Any) -> None:
 
 @pytest.mark.parametrize(
     "actions",
-    [[[HUGE, 0.5]], [[-HUGER, 0.5]], [[Fraction(HUGE), 0.5]], [["a", "b"]], [[1j, 0.5]], None, [[0.5], [1]]],
+    [
+        [["1", "0"]],
+        [[HUGE, 0.5]],
+        [[-HUGER, 0.5]],
+        [[Fraction(HUGE), 0.5]],
+        [["a", "b"]],
+        [[1j, 0.5]],
+        None,
+        [[0.5], [1]],
+    ],
     ids=kind,
 )
 def test_actions(actions: Any, quick: str) -> None:
@@ -158,14 +169,24 @@ def test_actions(actions: Any, quick: str) -> None:
     assert message_of(vector.step, actions).startswith("action: found ")
 
 
+@pytest.mark.parametrize("name", [5, HUGER, None, b"mppt2", np.zeros(3), Silent()], ids=kind)
+def test_names_of_controllers(name: Any) -> None:
+    assert message_of(baselines.make, name, SaydEnv()).startswith("policy: found ")
+
+
 @pytest.mark.parametrize("name", ["constant:0.3", "mppt2", "skyhook-onoff"], ids=kind)
 def test_observations_of_controllers(name: str) -> None:
     env = SaydEnv()
     policy = baselines.make(name, env)
-    for value in (np.nan, np.inf):
-        observation = np.zeros(41, np.float32)
+    for value, allowed in (
+        (np.nan, "finite numbers"),
+        (np.inf, "finite numbers"),
+        (1e308, "numbers up to 3.4e+38"),
+    ):
+        observation = np.zeros(41)
         observation[40] = value
-        expected = f"observation: found {value} for 'speed'; expected finite numbers"
+        expected = f"observation: found {value} for 'speed'; expected {allowed}"
         assert message_of(policy.predict, observation).endswith(expected)
-    for other in (["a"] * 41, [1j] * 41, [HUGE] * 41, 5.0, None):
+    assert np.all(np.isfinite(policy.predict(np.full(41, 3.4e38))[0]))
+    for other in (["a"] * 41, ["1"] * 41, [np.datetime64("now")] * 41, [1j] * 41, [HUGE] * 41, 5.0, None):
         assert "observation" in message_of(policy.predict, other)
