@@ -128,19 +128,24 @@ def _parsed(text: str, source: str) -> Any:
 
 def _check_content(content: Any, source: str) -> None:
     """Refuse what holds or nests more than any configuration, and control characters and half characters."""
-    todo, count = [(content, 0)], 0
+    todo: list[tuple[tuple[Any, ...], Any]] = [((), content)]
+    count = 0
     while todo:
-        value, depth = todo.pop()
+        path, value = todo.pop()
         count += 1
-        children = [*value, *value.values()] if isinstance(value, dict) else value
-        if isinstance(children, list | tuple | set):
-            todo += [(child, depth + 1) for child in children]
-            if depth == MOST_LEVELS:
+        if isinstance(value, dict | list | tuple | set):
+            inner = value.items() if isinstance(value, dict) else enumerate(value)
+            keys = value if isinstance(value, dict) else ()
+            todo += [((*path, key), child) for key, child in inner] + [(path, key) for key in keys]
+            if len(path) == MOST_LEVELS:
                 raise ConfigError(f"{source}: is nested too deeply, beyond {MOST_LEVELS} levels")
             if count + len(todo) > MOST_VALUES:
                 raise ConfigError(_too_much(source))
         elif isinstance(value, str) and any(_is_control(sign) for sign in value):
-            raise ConfigError(f"{source}: found {shown(value)}; expected text without control characters")
+            key = ".".join(map(str, path)) + ": " * bool(path)
+            raise ConfigError(
+                f"{source}: {key}found {shown(value)}; expected text without control characters"
+            )
 
 
 def _too_much(source: str) -> str:

@@ -171,7 +171,7 @@ def laughs(twice: str) -> str:
         ("a: " + "[" * 60 + "]" * 60, "is nested too deeply, beyond 50 levels"),
         ("a: '" + "x" * 300_000 + "'", "is longer than 262144 characters"),
         (f"a: {'9' * 5000}", "has a number too long to read"),
-        ('a: "\\e[2J"', "found '\\x1b[2J'; expected text without control characters"),
+        ('a: "\\e[2J"', "a: found '\\x1b[2J'; expected text without control characters"),
         ('a: "\\uD800"', "found '\\ud800'; expected text without control characters"),
         *((laughs(begin), "holds more than 50000 values, counted wherever an alias") for begin in LAUGHS),
     ],

@@ -20,6 +20,11 @@ HUGER = 10**5000
 UNWRITTEN = "a int too long to write"
 
 
+RECURSIVE: list[Any] = []
+"""A list that holds itself."""
+RECURSIVE.append(RECURSIVE)
+
+
 class Silent:
     """An object that cannot say what it is."""
 
@@ -119,6 +124,7 @@ def test_keywords_of_a_batch(keyword: str, value: Any, found: str) -> None:
         ({"track": "\x1b[2J"}, r"unknown track '\x1b[2J'; available: china"),
         ({"track": "a/" * 5000 + "b.yaml"}, "b.yaml: cannot be read"),
         ({"faults": np.array(5)}, "options: faults: found array(5); expected a list of faults"),
+        ({"faults": RECURSIVE}, "options: faults.0: found [[...]]; expected keys and values"),
         ({"faults": b"stuck"}, "options: faults: found b'stuck'; expected a list of faults"),
         ({HUGER: 1}, f"options: unknown key {UNWRITTEN}; allowed"),
         (5, "options: found 5; expected keys and values"),
