@@ -39,7 +39,8 @@ def read_bytes(path: Path, what: str, largest: int, most: int | None = None) -> 
                 raise ConfigError(f"{path}: is a device or a pipe, expected a {what}")
             # A file under /proc has no size before it is read, and one that waits for more gives None.
             wanted = 0 if about.st_size > largest else largest + 1 if most is None else most
-            content = file.read(wanted) or b""
+            # Python takes as much memory as is asked for, whatever there is.
+            content = file.read(min(wanted, about.st_size + 1) if about.st_size else wanted) or b""
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such {what}") from None
     except IsADirectoryError:
