@@ -275,7 +275,7 @@ NAMED = "name: a-policy"
         (lambda good: text_of(good, "control_period: 0.05", "control_period: 5.0e-324"), "control_period"),
         (lambda good: text_of(good, "control_period: 0.05", "control_period: 0.03"), "divides a second"),
         (lambda good: text_of(good, "middle: 80.0", "middle: -1.7e308"), "middle"),
-        (lambda good: text_of(good, "made:", LAUGHS + "}\nother:"), "more than 50000 values, counted wherever"),
+        (lambda good: text_of(good, "made:", LAUGHS + "}\nother:"), "more than 50000 values"),
         (
             lambda good: text_of(good, "made:", "made: {a: !!binary aGVsbG8=}\nother:"),
             "expected text, finite",
