@@ -22,11 +22,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.agents.config import NetworkConfig, OutputConfig
-from sayd_env.agents.policy_archive import file_digest, read_bytes
+from sayd_env.agents.policy_archive import LARGEST, file_digest, read_bytes
 from sayd_env.agents.policy_file import Layers, LearnedPolicy, StoredPolicy, describe
 from sayd_env.config import ConfigError, DataError, validate
 from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.files import MIB
 from sayd_env.config.learner import WIDEST, InputConfig, load_learner
 from sayd_env.envs.environment import action_box, observation_box
 from sayd_env.envs.episode_batch import environment_scenario, make_interface
@@ -153,6 +154,8 @@ def _algorithm(path: Path) -> str:
     """Name of the algorithm, read without unpickling anything."""
     try:
         with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > LARGEST:
+                raise ConfigError(f"{path}: holds more than {LARGEST // MIB} MiB")
             content = json.loads(archive.read("data"))
             whole = archive.testzip() is None
         module, keys = content["policy_class"]["__module__"], set(content)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.config import ConfigError, DataError, parse_yaml
+from sayd_env.config import DataError, files, parse_yaml
 from sayd_env.config.explain import shown
 
 AnyArray = npt.NDArray[Any]
@@ -24,7 +24,7 @@ Arrays = Mapping[str, tuple[tuple[int, ...], str]]
 """Shape and type of each array."""
 
 DESCRIPTION = "policy.yaml"
-LARGEST = 256 * 2**20
+LARGEST = 256 * files.MIB
 """Bytes of a file."""
 LONGEST_TEXT = 2**17
 """Bytes of a description."""
@@ -41,7 +41,7 @@ _BROKEN = (
 """What the readers of the standard library and of NumPy raise about a damaged file."""
 
 
-def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
+def read_bytes(path: Path) -> bytes:
     """Content of a file of limited size.
 
     Raises
@@ -49,15 +49,7 @@ def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
     ConfigError
         There is no such file, it is too large, or it is no file but a device or a directory.
     """
-    try:
-        if path.exists() and not path.is_file():
-            raise ConfigError(f"{shown_path(path)}: is no file")
-        if path.stat().st_size > largest:
-            raise ConfigError(f"{shown_path(path)}: is larger than {largest // 2**20} MiB")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: no file can have such a name
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{shown_path(path)}: cannot be read ({reason})") from None
+    return files.read_bytes(path, "policy file", LARGEST)
 
 
 def file_digest(path: Path | str) -> str:
@@ -185,7 +177,7 @@ class PolicyArchive:
 
 
 def _checked(content: Any, where: str) -> Any:
-    """Refuse what nobody can count, write or print: aliases of aliases, bytes, dates, control characters."""
+    """Refuse what a description does not hold: too many values, bytes, dates, numbers without end."""
     todo, count = [content], 0
     while todo:
         value = todo.pop()
@@ -193,10 +185,7 @@ def _checked(content: Any, where: str) -> Any:
         children = [*value, *value.values()] if isinstance(value, dict) else value
         if isinstance(value, dict | list):
             todo += children
-        elif isinstance(value, str):
-            if not value.replace("\n", "").replace("\t", "").isprintable():
-                raise DataError(f"{where}: found {shown(value)}; expected text without control characters")
-        elif not (value is None or _is_number(value)):
+        elif not (value is None or isinstance(value, str) or _is_number(value)):
             raise DataError(
                 f"{where}: found {shown(value)}; expected text, finite numbers, true, false, null"
             )

@@ -42,7 +42,9 @@ from sayd_env.agents.policy_file import StoredPolicy, describe, read_policy, sav
 from sayd_env.agents.table import Table
 from sayd_env.config import ConfigError, DataError, parse_yaml, read_text
 from sayd_env.config.errors import Interrupted
-from sayd_env.config.storage import remove_leftovers, write_file
+from sayd_env.config.explain import shown
+from sayd_env.config.files import MIB
+from sayd_env.config.storage import remove_leftovers, reserved, write_files
 from sayd_env.config.units import Array
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.registration import VERSION
@@ -102,24 +104,26 @@ def train(
     Raises
     ------
     ConfigError
-        A configuration that does not fit, a folder that is not empty, a run whose configuration is another.
+        A configuration that does not fit, a folder that is not empty or in which another process trains, a
+        run whose configuration is another.
     DataError
-        A damaged checkpoint.
+        A damaged checkpoint or table.
     StudyError
         A file cannot be written; the last checkpoint stays.
     Interrupted
         By Ctrl-C or SIGTERM, after all was saved.
     """
     torch.set_num_threads(config.torch_threads)
-    run = _Run(config, folder, evaluator, resume=resume, about=dict(about or {}))
-    try:
-        run.learn(progress or _silent)
-    except KeyboardInterrupt:
-        run.keep()
-        raise Interrupted(
-            f"saved at step {run.steps} of {config.total_steps}; go on with --resume {folder}"
-        ) from None
-    return run.outcome()
+    with reserved(folder, "trains"):
+        run = _Run(config, folder, evaluator, resume=resume, about=dict(about or {}))
+        try:
+            run.learn(progress or _silent)
+        except KeyboardInterrupt:
+            run.keep()
+            raise Interrupted(
+                f"saved at step {run.steps} of {config.total_steps}; go on with --resume {folder}"
+            ) from None
+        return run.outcome()
 
 
 def environment_digest(config: TrainConfig) -> str:
@@ -149,10 +153,7 @@ class _Run:
         starts = _starts(config, folder, self.digest) if resume else []
         self.env, self.encoding = make_learning_env(config)
         self.model = make_model(config, self.env)
-        if not resume:
-            _make_folders(folder)
-        remove_leftovers(folder)
-        remove_leftovers(folder / CHECKPOINTS)
+        _make_folders(folder, resume=resume)
         self.origin = Progress(0, 0, len(starts), 0.0)
         found = _checkpoints(folder)
         if found:
@@ -161,15 +162,14 @@ class _Run:
         self.steps, self.clock = self.origin.steps, time.monotonic()
         seed_environments(self.env, config.seed, self.origin.restarts)
         self.model.action_space.seed(config.seed + self.origin.restarts)
-        self.evaluations = Table(folder / "evaluations.csv", until=self.steps)
-        self.log = Table(folder / "progress.csv", until=self.steps)
-        self.references = Table(folder / "references.csv")
+        self.evaluations = Table(folder / "evaluations.csv", numbers=("steps", "J"), until=self.steps)
+        self.log = Table(folder / "progress.csv", numbers=("steps",), until=self.steps)
+        self.references = Table(folder / "references.csv", numbers=("J",), texts=("policy",))
         self.best = _cost_of(folder / BEST)
         self.about = about | {"libraries": {name: metadata.version(name) for name in LIBRARIES}}
         start = {"begun": datetime.now(UTC).isoformat(timespec="seconds"), "step": self.steps} | self.about
         text = {"environment_sha256": self.digest, "starts": [*starts, start]}
-        write_file(folder / CONFIG, _yaml(config.model_dump(mode="json")))
-        write_file(folder / RUN, _yaml(text))
+        write_files(folder, {CONFIG: _yaml(config.model_dump(mode="json")), RUN: _yaml(text)})
 
     def learn(self, report: Report) -> None:
         """Run what is left of the training."""
@@ -322,15 +322,17 @@ class _Writer(KVWriter):
         self._table.save()
 
 
-def _make_folders(folder: Path) -> None:
-    """Make the folders of a new run; refuse one that holds something."""
+def _make_folders(folder: Path, *, resume: bool) -> None:
+    """Make the folders of a run; refuse a new one in a folder that holds something."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
+        remove_leftovers(folder)
+        remove_leftovers(folder / CHECKPOINTS)
+        # A run that was killed before it had written anything leaves the empty folder of its checkpoints.
+        if not resume and any(path.name != CHECKPOINTS or any(path.iterdir()) for path in folder.iterdir()):
             raise ConfigError(
                 f"{folder}: is not empty; take another folder, or go on with that run by --resume"
             )
-        (folder / CHECKPOINTS).mkdir()
+        (folder / CHECKPOINTS).mkdir(exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be made ({error.strerror or error})") from None
 
@@ -349,15 +351,16 @@ def _starts(config: TrainConfig, folder: Path, digest: str) -> list[dict[str, An
         raise ConfigError(
             f"--resume {folder}: {differences}. Only {', '.join(sorted(MAY_CHANGE))} may change"
         )
-    run = parse_yaml(read_text(folder / RUN), str(folder / RUN))
-    if not isinstance(run, dict) or not isinstance(run.get("starts"), list):
+    run = parse_yaml(read_text(folder / RUN, largest=MIB), str(folder / RUN))
+    starts = run.get("starts") if isinstance(run, dict) else None
+    if not isinstance(starts, list) or not all(isinstance(start, dict) for start in starts):
         raise DataError(f"{folder / RUN}: is damaged; expected the starts of the run")
     if run.get("environment_sha256") != digest:
         raise ConfigError(
             f"--resume {folder}: the environment '{config.environment.name}', or the study behind it, is "
             "another one than when the run began; start a new run"
         )
-    return list(run["starts"])
+    return starts
 
 
 def _flat(content: Any, above: str = "") -> dict[str, Any]:
@@ -374,8 +377,19 @@ def _checkpoints(folder: Path) -> list[Path]:
 
 
 def _cost_of(path: Path) -> float:
-    """J of the best policy so far; infinite if there is none."""
-    return float(read_policy(path).description.made["J"]) if path.is_file() else float("inf")
+    """J of the best policy so far; infinite if there is none.
+
+    Raises
+    ------
+    DataError
+        The file is damaged, or does not say.
+    """
+    if not path.is_file():
+        return float("inf")
+    found = read_policy(path).made("J")
+    if isinstance(found, bool) or not isinstance(found, int | float):
+        raise DataError(f"{path}: made.J: found {shown(found)}; expected the J of the best policy of a run")
+    return float(found)
 
 
 def _yaml(content: Any) -> bytes:

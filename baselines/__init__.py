@@ -25,6 +25,7 @@ from sayd_env.baselines.policy import Policy
 from sayd_env.baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
 from sayd_env.config import ConfigError
 from sayd_env.config.control import controller_of, load_controller
+from sayd_env.config.explain import shown
 from sayd_env.envs.registration import policy_loader
 
 __all__ = ["NAMES", "Policy", "interface_of", "make", "parse"]
@@ -109,7 +110,9 @@ def parse(text: str) -> tuple[str, dict[str, float]]:
     ConfigError
         A value after another name than ``constant``, or one that is not a number from 0 to 1.
     """
-    name, colon, value = str(text).strip().partition(":")
+    if not isinstance(text, str):
+        raise ConfigError(f"policy: found {shown(text)}; expected a name, or a path as text")
+    name, colon, value = text.strip().partition(":")
     if not colon or name not in NAMES:
         return name, {}
     if name != "constant":

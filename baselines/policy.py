@@ -17,6 +17,9 @@ Flags = npt.NDArray[np.bool_]
 Parameters = TypeVar("Parameters", bound=Model)
 State = TypeVar("State")
 
+LARGEST = float(np.finfo(np.float32).max)
+"""Of an observation, which has single precision."""
+
 
 class Policy(ABC, Generic[Parameters, State]):
     """A controller that uses sensor signals only.
@@ -101,11 +104,14 @@ class Policy(ABC, Generic[Parameters, State]):
         """Return the newest readings of the sensors, one row a vehicle, and whether it is a single one."""
         values, single = self.interface.rows(observation, self.name)
         newest = values[:, -1] if self.interface.observation == "history" else values
-        if not np.isfinite(newest).all():
-            vehicle, place = np.argwhere(~np.isfinite(newest))[0]
+        usable = np.abs(newest) <= LARGEST
+        if not usable.all():
+            vehicle, place = np.argwhere(~usable)[0]
+            found = newest[vehicle, place]
+            expected = f"numbers up to {LARGEST:.2g}" if np.isfinite(found) else "finite numbers"
             raise ConfigError(
-                f"{self.name}: observation: found {newest[vehicle, place]} for "
-                f"'{self.interface.signals[place].name}'; expected finite numbers"
+                f"{self.name}: observation: found {found} for '{self.interface.signals[place].name}'; "
+                f"expected {expected}"
             )
         return newest[:, self._columns], single
 

@@ -15,7 +15,6 @@ from threadpoolctl import threadpool_limits
 INPUT_ERROR = 2
 FAILURE = 1
 INTERRUPTED = 130
-LONGEST_MESSAGE = 2000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -117,9 +116,12 @@ def _interrupted() -> int:
 
 
 def _complain(message: str) -> None:
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
+    with suppress(ImportError):  # a defect of the installation, which the message reports
+        from sayd_env.config.errors import on_a_screen  # noqa: PLC0415
+
+        message = on_a_screen(message)
     with suppress(OSError):  # nobody reads it
-        print(f"sayd: {line[:LONGEST_MESSAGE]}", file=sys.stderr)
+        print(f"sayd: {' '.join(message.split())}", file=sys.stderr)
 
 
 def _drop_stdout() -> None:

@@ -148,11 +148,23 @@ class _Lines:
             _line(self.console, f"sayd {self.command}: {done:g} of {total:g} {what}".rstrip())
 
 
+class _SafeConsole(Console):
+    """A console on which a name that holds control characters, as those of files may, moves no cursor."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        from sayd_env.config.errors import printable  # noqa: PLC0415 - keeps --help fast
+
+        def safe(text: str) -> str:
+            return "\n".join(map(printable, text.split("\n")))
+
+        super().print(*(safe(each) if isinstance(each, str) else each for each in objects), **options)
+
+
 def _line(console: Console, text: str) -> None:
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _console(*, to_stderr: bool, width: int = PLAIN_WIDTH) -> Console:
-    console = Console(stderr=to_stderr)
+    console = _SafeConsole(stderr=to_stderr)
     # A file or a pipe has no width, whatever the environment says.
-    return console if console.is_terminal else Console(stderr=to_stderr, width=width)
+    return console if console.is_terminal else _SafeConsole(stderr=to_stderr, width=width)

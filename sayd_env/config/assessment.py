@@ -20,19 +20,19 @@ class AssessmentConfig(Model):
     sample_rate: float = quantity("Hz", "rate at which simulated signals are sampled", gt=0, le=2e4)
     minimum_sample_rate: float = quantity("Hz", "lowest sampling rate of a recording", gt=0)
 
-    segment_length: float = quantity("m", "distance of one spectrum", gt=0)
-    segment_overlap: float = quantity("-", "share of a segment that the next one repeats", ge=0, lt=1)
+    segment_length: float = quantity("m", "distance of one spectrum", ge=1.0)
+    segment_overlap: float = quantity("-", "share of a segment that the next one repeats", ge=0, le=0.99)
     frequency_min: float = quantity("Hz", "lowest dominant frequency", gt=0)
-    frequency_max: float = quantity("Hz", "highest dominant frequency", gt=0)
-    frequency_step: float = quantity("Hz", "step of the fixed frequency grid", gt=0)
+    frequency_max: float = quantity("Hz", "highest dominant frequency", gt=0, le=1e3)
+    frequency_step: float = quantity("Hz", "step of the fixed frequency grid", ge=1e-3)
 
     band_half_width: float = quantity("Hz", "the pass band reaches this far to both sides of f_0", gt=0)
     band_min: float = quantity("Hz", "lowest edge of the pass band", gt=0)
     filter_order: int = quantity("-", "order of the Butterworth prototype", ge=1, le=10)
     filter_padding: float = quantity("s", "mirrored signal in front of and behind the filtered one", ge=0)
 
-    window_length: float = quantity("m", "window of the sliding RMS", gt=0)
-    window_step: float = quantity("m", "step of the sliding RMS", gt=0)
+    window_length: float = quantity("m", "window of the sliding RMS", ge=0.1)
+    window_step: float = quantity("m", "step of the sliding RMS", ge=0.01)
 
     grid_tolerance: float = quantity(
         "m/s", "a critical speed that moves further on another speed grid is sensitive to the grid", gt=0

@@ -24,9 +24,11 @@ class OnlineConfig(Model):
     """
 
     start_frequency: float = quantity("Hz", "f_0 until the distance of one spectrum has been run", gt=0.0)
-    frequency_step: float = quantity("Hz", "step of the grid of f_0", gt=0.0)
+    frequency_step: float = quantity("Hz", "step of the grid of f_0", ge=1e-3)
     block: float = quantity("s", "the spectrum is that of the means over this time, or of samples", gt=0.0)
-    settling: float = quantity("s", "kept signal that a filter with a new band runs over first", gt=0.0)
+    settling: float = quantity(
+        "s", "kept signal that a filter with a new band runs over first", gt=0.0, le=60.0
+    )
 
 
 def load_online(name: str = "online", overrides: Iterable[str] = ()) -> OnlineConfig:

@@ -187,7 +187,7 @@ class SaydDamperConfig(Part):
         "m3/(s Pa)", "Conductance of the bleed from each chamber to the tank, laminar", ge=0.0, le=1e-9
     )
     valve: ValveDynamics
-    step: float = quantity("s", "Longest step of the hydraulics' integration", gt=0.0, le=1e-3)
+    step: float = quantity("s", "Longest step of the hydraulics' integration", ge=1e-7, le=1e-3)
 
 
 DamperConfig = Annotated[PassiveDamperConfig | SaydDamperConfig, Field(discriminator="type")]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-LONGEST_LINE, MOST_LINES = 1200, 30
-"""What fits on a screen."""
+from itertools import accumulate
+
+LONGEST_LINE, MOST_LINES, MOST_CHARACTERS = 1200, 22, 1900
+"""What fits on a screen of 80 by 24."""
 
 
 class SaydError(Exception):
@@ -14,17 +16,28 @@ class SaydError(Exception):
     """
 
     def __init__(self, message: object = "") -> None:
-        lines = [_printable(line) for line in str(message).split("\n")]
-        if len(lines) > MOST_LINES:
-            lines[MOST_LINES - 1 :] = [f"... and {len(lines) - MOST_LINES + 1} lines more"]
-        super().__init__("\n".join(lines))
+        super().__init__(on_a_screen(str(message)))
 
 
-def _printable(line: str) -> str:
-    if len(line) > LONGEST_LINE:
-        half = (LONGEST_LINE - 5) // 2
-        line = f"{line[:half]} ... {line[-half:]}"
-    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in line)
+def on_a_screen(message: str) -> str:
+    """A message as a terminal takes it: control characters escaped, and no more than a screen holds of it."""
+    lines = [_shortened(printable(_shortened(line))) for line in message.split("\n")]
+    ends = accumulate(len(line) + 1 for line in lines)
+    fitting = min(sum(end <= MOST_CHARACTERS for end in ends), MOST_LINES)
+    if fitting < len(lines):
+        kept = max(fitting - 1, 1)
+        lines[kept:] = [f"... and {len(lines) - kept} lines more"]
+    return "\n".join(lines)
+
+
+def printable(text: str) -> str:
+    """Text without what a terminal would act on, or could not show: it is escaped."""
+    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
+
+
+def _shortened(line: str) -> str:
+    half = (LONGEST_LINE - 5) // 2
+    return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
 
 
 class ConfigError(SaydError):

@@ -14,6 +14,8 @@ Path = tuple[int | str, ...]
 """Path to a value in nested data."""
 
 LONGEST_FOUND = 60
+SMALLEST, LARGEST = 1e-40, 1e40
+"""Magnitudes of numbers but 0: beyond all quantities, and far from where products leave the floats."""
 TAGS = ("type", "law", "kind", "algorithm")
 """Fields by which the members of a union are distinguished."""
 
@@ -67,6 +69,25 @@ def explain(
     return "\n".join(lines)
 
 
+def absurd_numbers(data: Any, source: str, origins: Iterable[Origin] = ()) -> str:
+    """Say which numbers anywhere in data are beyond `SMALLEST` and `LARGEST`, one line for each."""
+    known, lines = list(origins), []
+    todo: list[tuple[Path, Any]] = [((), data)]
+    while todo:
+        path, value = todo.pop()
+        if isinstance(value, Mapping):
+            todo += [((*path, key), child) for key, child in list(value.items())[::-1]]
+        elif isinstance(value, list | tuple):
+            todo += [((*path, place), child) for place, child in list(enumerate(value))[::-1]]
+        elif isinstance(value, int | float) and value and not SMALLEST <= abs(value) <= LARGEST:
+            origin = _origin(known, path) or Origin((), source)
+            lines.append(
+                f"{origin.source}: {_named(data, path, origin)}: found {shown(value)}; expected 0 or a "
+                f"number of a magnitude from {SMALLEST:g} to {LARGEST:g}"
+            )
+    return "\n".join(lines)
+
+
 class _Problem(NamedTuple):
     detail: ErrorDetails
     path: Path
@@ -101,7 +122,7 @@ def shown(value: Any) -> str:
     """Return a value as a message shows it: not longer than a line."""
     try:
         text = repr(value)
-    except ValueError:  # Python writes no number of more than 4300 digits
+    except Exception:  # a number of more than 4300 digits, lists in lists without end, a class of one's own
         text = f"a {type(value).__name__} too long to write"
     return text if len(text) <= LONGEST_FOUND else text[: LONGEST_FOUND - 3] + "..."
 

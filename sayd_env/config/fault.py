@@ -124,7 +124,8 @@ def parse_faults(raw: Any, source: str) -> tuple[Fault, ...]:
     ConfigError
         Not a list, or a fault that cannot be.
     """
-    if isinstance(raw, str | bytes) or not isinstance(raw, Sequence | np.ndarray) or np.ndim(raw) == 0:
+    single = isinstance(raw, np.ndarray) and raw.ndim == 0
+    if single or isinstance(raw, str | bytes) or not isinstance(raw, Sequence | np.ndarray):
         raise ConfigError(f"{source}: faults: found {shown(raw)}; expected a list of faults")
     return validate(_Faults, {"faults": [_plain(entry) for entry in raw]}, source).faults
 

@@ -37,8 +37,10 @@ def read_bytes(path: Path, what: str, largest: int, most: int | None = None) -> 
             about = os.fstat(descriptor)
             if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
                 raise ConfigError(f"{path}: is a device or a pipe, expected a {what}")
-            # A file under /proc has no size before it is read.
-            content = b"" if about.st_size > largest else file.read(largest + 1 if most is None else most)
+            # A file under /proc has no size before it is read, and one that waits for more gives None.
+            wanted = 0 if about.st_size > largest else largest + 1 if most is None else most
+            # Python takes as much memory as is asked for, whatever there is.
+            content = file.read(min(wanted, about.st_size + 1) if about.st_size else wanted) or b""
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such {what}") from None
     except IsADirectoryError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Callable, Hashable, Iterable
 from functools import partial
 from importlib import resources
@@ -13,7 +14,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.explain import Origin, explain, nearest, shown
+from sayd_env.config.explain import Origin, absurd_numbers, explain, nearest, shown
+from sayd_env.config.files import MIB, read_bytes
 
 __all__ = [
     "apply_overrides",
@@ -35,11 +37,29 @@ __all__ = [
 
 M = TypeVar("M", bound=BaseModel)
 
+LONGEST_TEXT = 2**18
+"""Characters of a YAML text: 35 times the longest packaged one, read in seconds."""
+MOST_VALUES = 50_000
+"""Values in it, counted wherever an alias repeats them."""
+MOST_LEVELS = 50
+"""Levels of nesting in it."""
 _MERGE = "tag:yaml.org,2002:merge"
 
 
 class _Loader(yaml.SafeLoader):
     """Safe YAML that refuses duplicate keys and reads 1e5 as a number (YAML 1.2, unlike PyYAML's 1.1)."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        merged = 0
+        for key_node, value_node in node.value:
+            if key_node.tag == _MERGE:
+                for part in value_node.value if isinstance(value_node, yaml.SequenceNode) else [value_node]:
+                    if isinstance(part, yaml.MappingNode):
+                        self.flatten_mapping(part)
+                        merged += len(part.value)
+                    if merged > MOST_VALUES:  # merged sections grow before anybody can count what they hold
+                        raise ConfigError(_too_much(node.start_mark.name))
+        super().flatten_mapping(node)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
@@ -64,7 +84,24 @@ _Loader.add_implicit_resolver(
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Parse YAML text; raise `ConfigError` naming the source and the line."""
+    """Parse YAML text.
+
+    Raises
+    ------
+    ConfigError
+        It is no YAML, too long or too deep, holds too much (aliases of aliases), or text that no file or
+        terminal takes. The message names the source and, where there is one, the line.
+    """
+    if len(text) > LONGEST_TEXT:
+        raise ConfigError(
+            f"{source}: is longer than {LONGEST_TEXT} characters, the most that is read of YAML"
+        )
+    content = _parsed(text, source)
+    _check_content(content, source)
+    return content
+
+
+def _parsed(text: str, source: str) -> Any:
     try:
         loader = _Loader(text)
     except yaml.YAMLError:  # a character that YAML does not allow
@@ -75,8 +112,9 @@ def parse_yaml(text: str, source: str) -> Any:
     try:
         return loader.get_single_data()
     except ValueError as error:  # for example a date that does not exist
-        raise ConfigError(f"{source}: {error}") from None
-    except (LookupError, TypeError, AttributeError):  # a tag such as !!int on text
+        digits = "int_max_str_digits" in str(error)
+        raise ConfigError(f"{source}: {'has a number too long to read' if digits else error}") from None
+    except (LookupError, TypeError, AttributeError, ArithmeticError):  # a tag such as !!int on text
         raise ConfigError(f"{source}: has a value that does not fit its tag") from None
     except RecursionError:
         raise ConfigError(f"{source}: is nested too deeply") from None
@@ -89,28 +127,48 @@ def parse_yaml(text: str, source: str) -> Any:
         loader.dispose()
 
 
+def _check_content(content: Any, source: str) -> None:
+    """Refuse what holds or nests more than any configuration, and control characters and half characters."""
+    todo: list[tuple[tuple[Any, ...], Any]] = [((), content)]
+    count = 0
+    while todo:
+        path, value = todo.pop()
+        count += 1
+        if isinstance(value, dict | list | tuple | set):
+            inner = value.items() if isinstance(value, dict) else enumerate(value)
+            keys = value if isinstance(value, dict) else ()
+            todo += [((*path, key), child) for key, child in inner] + [(path, key) for key in keys]
+            if len(path) == MOST_LEVELS:
+                raise ConfigError(f"{source}: is nested too deeply, beyond {MOST_LEVELS} levels")
+            if count + len(todo) > MOST_VALUES:
+                raise ConfigError(_too_much(source))
+        elif isinstance(value, str) and any(_is_control(sign) for sign in value):
+            key = ".".join(map(str, path)) + ": " * bool(path)
+            raise ConfigError(
+                f"{source}: {key}found {shown(value)}; expected text without control characters"
+            )
+
+
+def _too_much(source: str) -> str:
+    return f"{source}: holds more than {MOST_VALUES} values, counted wherever an alias repeats them"
+
+
+def _is_control(sign: str) -> bool:
+    return unicodedata.category(sign) in ("Cc", "Cs") and sign not in "\n\t\r"
+
+
 def packaged_names(kind: str) -> list[str]:
     """Names of the packaged configurations of a kind (`vehicle`, `damper`, `profile`, ...)."""
     folder = resources.files("sayd_env.configs").joinpath(kind)
     return sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
 
 
-def read_text(path: Path, what: str = "file") -> str:
-    """Read a user's text file; raise `ConfigError` if that fails."""
+def read_text(path: Path, what: str = "file", largest: int = 64 * MIB) -> str:
+    """Read a user's text file of at most so many bytes; raise `ConfigError` if that fails."""
     try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            raise ConfigError(f"{path}: is a device or a pipe, expected a {what}")
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such {what}") from None
-    except IsADirectoryError:
-        raise ConfigError(f"{path}: is a directory, expected a {what}") from None
+        return read_bytes(path, what, largest).decode("utf-8")
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is not a text file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except ValueError:  # a NUL or half of a surrogate pair
-        raise ConfigError(f"{path}: is not a valid file name") from None
 
 
 YAML = (".yaml", ".yml")
@@ -139,7 +197,7 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
         A packaged name (``emu``) or a path to a YAML file.
     """
     if is_path(name_or_path):
-        return parse_yaml(read_text(Path(name_or_path)), name_or_path), name_or_path
+        return parse_yaml(read_text(Path(name_or_path), largest=MIB), name_or_path), name_or_path
     names = packaged_names(kind)
     if name_or_path not in names:
         raise ConfigError(
@@ -170,10 +228,18 @@ def validate(model: type[M], data: Any, source: str, origins: Iterable[Origin] =
     Each line names the file, the key, what was found and what is allowed (with its unit). `origins` says
     which parts of the data come from other files than `source`, or from options.
     """
+    known = list(origins)
     try:
-        return model.model_validate(section(data, source))
+        found = model.model_validate(section(data, source))
     except ValidationError as error:
-        raise ConfigError(explain(model, data, error, source, origins)) from None
+        raise ConfigError(explain(model, data, error, source, known)) from None
+    except ArithmeticError:  # a check of ours that cannot compute with such a number
+        if not (problems := absurd_numbers(data, source, known)):
+            raise
+        raise ConfigError(problems) from None
+    if problems := absurd_numbers(data, source, known):
+        raise ConfigError(problems)
+    return found
 
 
 def validated(model: type[M], data: dict[str, Any], source: str, overrides: Iterable[str]) -> M:
@@ -276,10 +342,20 @@ def _assign(data: Any, keys: list[str], value: Any, item: str) -> None:
                 return
             if key not in node:
                 known = [str(name) for name in node]
-                raise ConfigError(f"{item}: no key '{where}'{nearest(key, known)}; here: {', '.join(known)}")
+                raise ConfigError(
+                    f"{item}: no key '{where}'{nearest(key, known)}; here: {', '.join(known)}"
+                    f"{_other_type(keys[:depth], node)}"
+                )
             node = node[key]
         else:
             raise ConfigError(f"{item}: '{'.'.join(keys[:depth])}' is a value, not a section")
+
+
+def _other_type(keys: list[str], node: dict[str, Any]) -> str:
+    """Where keys of another type are looked for in a part of a scenario, say how it becomes one of it."""
+    if len(keys) != 1 or not isinstance(node.get("type"), str):
+        return ""
+    return f". It is of type '{node['type']}'; for keys of another, set {keys[0]}=NAME first"
 
 
 def _list_index(node: list[Any], key: str, where: str, item: str) -> int:

@@ -6,6 +6,7 @@ tell apart. Where there are more things than colours, markers and lines tell the
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import warnings
@@ -119,8 +120,12 @@ def plain_matplotlib() -> Iterator[None]:
     """Matplotlib as it comes: no window, none of the reader's settings, and a ``$`` that starts no formula.
 
     Import it inside. It cannot be imported where MPLBACKEND names what is not installed, as in a process that
-    a notebook has started, and no picture of ours needs a backend.
+    a notebook has started, and no picture of ours needs a backend. Its log says where it keeps its own files
+    if the user's folder cannot be written: that concerns nobody.
     """
+    log = logging.getLogger("matplotlib")
+    level = log.level
+    log.setLevel(logging.ERROR)
     asked = os.environ.pop("MPLBACKEND", None)
     try:
         import matplotlib as mpl  # noqa: PLC0415 - slow to import, and --json needs none
@@ -130,5 +135,8 @@ def plain_matplotlib() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", mpl.MatplotlibDeprecationWarning)  # of settings that we do not use
         settings = {key: mpl.rcParamsDefault[key] for key in mpl.rcParamsDefault if "backend" not in key}
-    with mpl.rc_context({**settings, "text.parse_math": False}):
-        yield
+    try:
+        with mpl.rc_context({**settings, "text.parse_math": False}):
+            yield
+    finally:
+        log.setLevel(level)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import platform
 import re
+import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
-from sayd_env.config.errors import StudyError
+from sayd_env.config.errors import ConfigError, StudyError
 
 
 def write_file(path: Path, content: bytes) -> None:
@@ -99,14 +102,47 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what processes of this machine had not finished when they were killed."""
+    """Remove what processes of this machine had not finished when they were killed.
+
+    Whatever is written does this first, once in a process for each folder: see `_temporary`.
+    """
     for path in folder.glob(f".*.{_MACHINE}.*.tmp"):
-        if _is_alive(path.suffixes[-2].removeprefix(".")):
+        if _is_alive(*path.name.removesuffix(".tmp").split(".")[-2:]):
             continue
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
+
+
+@contextmanager
+def reserved(folder: Path, work: str) -> Iterator[None]:
+    """Keep a folder, which is made if need be, for one process and work, which ends with the process at most.
+
+    The lock is one of the operating system on the folder, and leaves nothing behind.
+
+    Raises
+    ------
+    ConfigError
+        Another process works there, or the folder cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{folder}: cannot be made ({getattr(error, 'strerror', None) or error})") from None
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(
+                f"{folder}: another process {work} here; wait for its end, or take another folder"
+            ) from None
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(descriptor)
 
 
 @contextmanager
@@ -123,11 +159,21 @@ _MACHINE = re.sub(r"\W", "_", platform.node())
 """Several machines may write into one folder."""
 
 
+_START = secrets.token_hex(4)
+"""Several processes may have one number: in a container that is started again, each has that of the last."""
+
+
 def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{_MACHINE}.{os.getpid()}.tmp")
+    _remove_leftovers_once(path.parent)
+    return path.with_name(f".{path.name}.{_MACHINE}.{_START}.{os.getpid()}.tmp")
 
 
-def _is_alive(process: str) -> bool:
+_remove_leftovers_once = cache(remove_leftovers)
+
+
+def _is_alive(start: str, process: str) -> bool:
+    if process == str(os.getpid()):
+        return start == _START
     try:
         os.kill(int(process), 0)
     except (ValueError, OverflowError, ProcessLookupError):

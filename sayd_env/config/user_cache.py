@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from sayd_env.config.errors import on_a_screen
+
 
 def cache_folder(name: str = "") -> Path | None:
     """Folder of this name that can be written, made if need be; None if there is no place for one.
@@ -65,4 +67,4 @@ def _is_writable(folder: Path) -> bool:
 @cache
 def report_once(line: str) -> None:
     """Log a message once in a process; where none is set up, it appears on standard error."""
-    logging.getLogger("sayd_env").warning(line)
+    logging.getLogger("sayd_env").warning("%s", on_a_screen(line))

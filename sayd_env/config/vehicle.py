@@ -226,16 +226,18 @@ class VehicleConfig(Part):
         bodies = {body.name: body for body in self.bodies}
         if len(bodies) != len(self.bodies):
             raise ValueError("two bodies have the same name")
-        for item in (*self.bodies, *self.elements):
-            for name in item.per:
-                if name not in self.sets:
-                    raise ValueError(f"{item.name}: unknown set '{name}'{nearest(name, self.sets)}")
+        for kind, items in (("bodies", self.bodies), ("elements", self.elements)):
+            for item in items:
+                for name in item.per:
+                    if name not in self.sets:
+                        known = f"{nearest(name, self.sets)}; sets: {', '.join(self.sets) or 'none'}"
+                        raise ValueError(f"{kind}: {item.name}: unknown set '{name}'{known}")
         for body in self.bodies:
             if body.carrier is not None:
-                _check_body(body.name, body.carrier, body.per, bodies)
+                _check_body(f"bodies: {body.name}", body.carrier, body.per, bodies)
         for element in self.elements:
             for end in (element.a, element.b):
-                _check_body(element.name, end.body, element.per, bodies)
+                _check_body(f"elements: {element.name}", end.body, element.per, bodies)
         if not any(body.role == "wheelset" for body in self.bodies):
             raise ValueError("a vehicle needs at least one body with the role 'wheelset'")
         return self

@@ -121,10 +121,10 @@ def number_array(name: str, values: Any, shape: tuple[int, ...]) -> Array:
     """
     try:
         found = np.asarray(values)
-        if np.iscomplexobj(found):  # NumPy would drop the imaginary part
+        if found.dtype.kind not in "biufO":  # NumPy would drop imaginary parts, and read texts and dates
             raise TypeError
         return np.asarray(found, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
+    except Exception:  # objects of one's own raise what they like
         raise ConfigError(f"{name}: found {shown(values)}; expected numbers of shape {shape}") from None
 
 

@@ -92,8 +92,10 @@ class SaydVectorEnv(
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
         threads = None if num_threads is None else whole_number("num_threads", num_threads, 1)
         self._make(self.num_envs, environment, keywords, scaled, info, render_mode, threads, OWN_KEYWORDS)
-        if max_episode_steps is not None and max_episode_steps != -1:
-            self.batch.steps = min(self.batch.steps, whole_number("max_episode_steps", max_episode_steps, 1))
+        # With -1, Gymnasium's clients ask for no limit of their own.
+        limit = -1 if max_episode_steps is None else whole_number("max_episode_steps", max_episode_steps, -1)
+        if limit != -1:
+            self.batch.steps = min(self.batch.steps, whole_number("max_episode_steps", limit, 1))
         self._begun = False
         self.metadata = {
             **self.metadata,

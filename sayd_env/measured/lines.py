@@ -12,6 +12,7 @@ import numpy as np
 
 from sayd_env.config.conditions import Knots, Line, Section, TrackPiece, checked, joined
 from sayd_env.config.errors import DataError
+from sayd_env.config.files import MIB, read_bytes
 from sayd_env.config.line import LineConfig, read_line, resolve, resolve_rails
 from sayd_env.config.track import FileConfig
 from sayd_env.config.units import Array
@@ -63,17 +64,13 @@ def line_content(line: str) -> dict[str, Any]:
     ------
     ConfigError
         A file, key or value that cannot be used.
-    DataError
-        A measured file that cannot be read.
     """
     config = read_line(line)
     content = config.model_dump(mode="json")
     if config.file is None:
         return content
-    try:
-        return content | {"sha256": hashlib.sha256(Path(config.file).read_bytes()).hexdigest()}
-    except OSError as error:
-        raise DataError(f"{config.file}: cannot be read ({error.strerror})") from None
+    measured = read_bytes(Path(config.file), "measured line", 256 * MIB)
+    return content | {"sha256": hashlib.sha256(measured).hexdigest()}
 
 
 def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:

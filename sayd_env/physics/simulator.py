@@ -33,6 +33,8 @@ from sayd_env.physics.rows import Column, Rows, sparse_rows
 from sayd_env.physics.step import advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 
+SHORTEST_STEP = 1e-6
+"""s; shorter steps than numerics.step may have are not taken: a run of them would have no end."""
 FASTEST = 50.0
 """No part of a vehicle moves faster against the running train (m/s, rad/s): beyond it, numbers do."""
 
@@ -165,11 +167,16 @@ class VehicleModel:
         Raises
         ------
         ConfigError
-            A speed outside the vehicle's range.
+            A speed outside the vehicle's range, or masses so small that the step would have no end.
         """
         self.check_speed(speed)
         numerics, sample = self.scenario.numerics, 1.0 / self.scenario.assessment.sample_rate
         longest = min(numerics.step, numerics.creep_step * speed / self._creep_rate)
+        if not longest >= SHORTEST_STEP:
+            raise ConfigError(
+                f"vehicle '{self.scenario.vehicle.name}': creep forces on so small masses of a wheelset and "
+                f"track.section need steps of {longest:.3g} s; at least {SHORTEST_STEP:g} s is allowed"
+            )
         count = math.ceil(sample / longest - 1e-9)
         return sample / count, count
 

@@ -12,6 +12,7 @@ import ast
 import hashlib
 import importlib
 import importlib.util
+import os
 import sys
 import sysconfig
 import traceback
@@ -28,12 +29,15 @@ import numpy.typing as npt
 from sayd_env.config import ConfigError
 from sayd_env.config.errors import SaydError
 from sayd_env.config.explain import shown
+from sayd_env.config.files import MIB, read_bytes
 from sayd_env.envs.episode_batch import checked_actions
 from sayd_env.envs.interface import Interface
 
 KEYWORDS = ("observation", "history", "valves", "control_period")
 """What a factory may ask of its environment."""
 _INSTALLED = tuple(sysconfig.get_path(name) for name in ("purelib", "platlib", "stdlib"))
+LARGEST = 2 * MIB
+"""Of a file of code."""
 _PACKAGE = str(Path(__file__).resolve().parents[1])
 _loaded: dict[str, tuple[str, ModuleType]] = {}  # hash of the code and module, by what names it
 
@@ -60,7 +64,7 @@ class OwnPolicy:
         """
         place, _, name = text.rpartition(":")
         if place.endswith(".py"):
-            place = str(Path(place).resolve())
+            place = os.path.realpath(place)  # a link to itself has a path as well
         digest, factory = _factory(place, name)
         needs = getattr(factory, "environment", {})
         if not isinstance(needs, Mapping) or not set(needs) <= set(KEYWORDS):
@@ -224,12 +228,12 @@ def _covered(path: Path, root: Path) -> list[Path]:
     found = set[Path]()
     while todo:
         file = todo.pop()
-        if file in found:
+        if file in found or not file.is_file():  # a pipe, of which nobody knows when it ends
             continue
         found.add(file)
         if file.suffix == ".py" and str(root) not in _INSTALLED:
             with suppress(SyntaxError, ValueError):  # reported where it is imported
-                for name in _names(ast.parse(file.read_bytes())):
+                for name in _names(ast.parse(read_bytes(file, "Python file", LARGEST))):
                     todo += _beside(root, name)
     return sorted(found)
 

@@ -275,7 +275,7 @@ NAMED = "name: a-policy"
         (lambda good: text_of(good, "control_period: 0.05", "control_period: 5.0e-324"), "control_period"),
         (lambda good: text_of(good, "control_period: 0.05", "control_period: 0.03"), "divides a second"),
         (lambda good: text_of(good, "middle: 80.0", "middle: -1.7e308"), "middle"),
-        (lambda good: text_of(good, "made:", LAUGHS + "}\nother:"), "more than 10000 values"),
+        (lambda good: text_of(good, "made:", LAUGHS + "}\nother:"), "more than 50000 values"),
         (
             lambda good: text_of(good, "made:", "made: {a: !!binary aGVsbG8=}\nother:"),
             "expected text, finite",
@@ -329,7 +329,7 @@ def test_files_of_somebody_who_means_harm_are_refused(
 
 @pytest.mark.parametrize("path", ["/dev/zero", "/dev", "a\0b.npz", f"{'n' * 5000}.npz", "\x1b[2J.npz"])
 def test_what_is_no_file_is_refused(path: str) -> None:
-    with pytest.raises(ConfigError, match=r"is no file|cannot be read") as caught:
+    with pytest.raises(ConfigError, match=r"a policy file|cannot be read|is not a valid") as caught:
         read_policy(path)
     assert str(caught.value).isprintable()
     assert len(str(caught.value)) < 1500

@@ -35,6 +35,7 @@ from sayd_env.agents.training import train as learn  # noqa: E402
 from sayd_env.cli import main  # noqa: E402
 from sayd_env.config import ConfigError, DataError  # noqa: E402
 from sayd_env.config.errors import Interrupted, StudyError  # noqa: E402
+from sayd_env.config.storage import reserved  # noqa: E402
 from sayd_env.envs.loop import COST_ACCELERATION, COST_FORCE  # noqa: E402
 from sayd_env.envs.registration import VERSION  # noqa: E402
 from sayd_env.envs.single import SaydEnv  # noqa: E402
@@ -304,6 +305,29 @@ def test_a_damaged_checkpoint_is_refused(trained: Trained, tmp_path: Path) -> No
         (tmp_path / file.name).write_bytes(file.read_bytes()[:-40])
     with pytest.raises(DataError, match="damaged"):
         load_model(tmp_path, make_model(trained.config, env))
+
+
+def test_two_trainings_in_one_folder_and_damaged_files_are_refused(trained: Trained, tmp_path: Path) -> None:
+    config, folder = trained.config, tmp_path / "run"
+    with reserved(folder, "trains"), pytest.raises(ConfigError, match="another process trains here"):
+        train(config, folder)
+    assert list(folder.iterdir()) == []
+    shutil.copytree(trained.folder, folder, dirs_exist_ok=True)
+    before = (folder / "run.yaml").read_bytes()
+    for name, content, message in (
+        ("run.yaml", b"starts: [1]", "run.yaml: is damaged; expected the starts of the run"),
+        ("evaluations.csv", b"steps,J\n0,x\n", "evaluations.csv: line 2: is damaged"),
+        ("progress.csv", b"\0", "progress.csv: line 1: is damaged"),
+        ("references.csv", b"policy\nmppt2\n", "references.csv: line 1: is damaged"),
+        ("best.npz", b"PK", "best.npz: is damaged or no policy"),
+        ("best.npz", (folder / "last.npz").read_bytes(), "best.npz: made.J: found None; expected the J"),
+    ):
+        good = (folder / name).read_bytes()
+        (folder / name).write_bytes(content)
+        with pytest.raises(DataError, match=message):
+            train(config, folder, resume=True)
+        (folder / name).write_bytes(good)
+    assert (folder / "run.yaml").read_bytes() == before
 
 
 def test_ctrl_c_saves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
+import yaml
 from pydantic import Field
 
 from sayd_env.config import (
@@ -24,6 +26,7 @@ from sayd_env.config import (
 from sayd_env.config.base import Number
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.loader import validated
+from sayd_env.config.scenario import load_scenario
 
 
 class Spring(Model):
@@ -139,6 +142,15 @@ def test_a_list_that_lost_its_bad_entries_is_not_called_too_short():
     assert "expected at least 1 entries, found 0" in message("name: a\nparts: []")
 
 
+LAUGHS = ("[*{0}, *{0}]", "{{<<: [*{0}, *{0}]}}", "{{<<: *{0}, <<: *{0}}}", "{{a: *{0}, b: *{0}}}")
+
+
+def laughs(twice: str) -> str:
+    """An anchor that stands for 2^40 values, doubled line by line."""
+    lines = (f"b{i + 1}: &b{i + 1} " + twice.format(f"b{i}") for i in range(40))
+    return "\n".join(("b0: &b0 {x: 1}", *lines))
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -156,6 +168,12 @@ def test_a_list_that_lost_its_bad_entries_is_not_called_too_short():
         ("a: !!python/object:os.system x\n", "line 1: could not determine a constructor"),
         ("a: \x07\n", "is not a text file"),
         ("[" * 5000, "is nested too deeply"),
+        ("a: " + "[" * 60 + "]" * 60, "is nested too deeply, beyond 50 levels"),
+        ("a: '" + "x" * 300_000 + "'", "is longer than 262144 characters"),
+        (f"a: {'9' * 5000}", "has a number too long to read"),
+        ('a: "\\e[2J"', "a: found '\\x1b[2J'; expected text without control characters"),
+        ('a: "\\uD800"', "found '\\ud800'; expected text without control characters"),
+        *((laughs(begin), "holds more than 50000 values, counted wherever an alias") for begin in LAUGHS),
     ],
 )
 def test_text_that_is_no_configuration(text: str, expected: str):
@@ -183,6 +201,36 @@ def test_files_that_cannot_be_read(tmp_path: Path):
         with pytest.raises(ConfigError) as caught:
             read_text(path)
         assert str(caught.value) == f"{path}: {expected}"
+
+
+def test_a_file_beyond_the_limit_is_refused_before_it_is_read(tmp_path: Path):
+    file = tmp_path / "endless.yaml"
+    with file.open("wb") as stream:
+        stream.truncate(2**40)
+    with pytest.raises(ConfigError, match="is larger than 1 MiB, the most that is read of a file"):
+        read_config("vehicle", str(file))
+
+
+def test_absurd_numbers_are_named_before_anybody_computes_with_them():
+    for key, value in (
+        ("vehicle.bodies.wheelset.mass", "5e-324"),
+        ("vehicle.elements.air_spring.a.at.1", "1.7e+308"),
+        ("track.section.seat_half_spacing", "1e+300"),
+        ("track.irregularity.density.omega_s", "1e+41"),
+    ):
+        with pytest.raises(ConfigError) as caught:
+            load_scenario("estimates", [f"{key}={value}"])
+        expected = f"--set: {key}: found {value}; expected 0 or a number of a magnitude from 1e-40 to 1e+40"
+        assert str(caught.value) == expected
+
+
+def test_plain_yaml_reads_the_same_numbers_in_packaged_files():
+    """A point and a sign in the exponent: YAML 1.1, as PyYAML reads it, takes 30.0e6 for text."""
+    for file in resources.files("sayd_env.configs").iterdir():
+        for path in file.iterdir() if file.is_dir() else ():
+            if path.name.endswith(".yaml"):
+                text = path.read_text(encoding="utf-8")
+                assert yaml.safe_load(text) == parse_yaml(text, path.name), path.name
 
 
 def test_packaged_names_are_offered():

@@ -20,6 +20,11 @@ HUGER = 10**5000
 UNWRITTEN = "a int too long to write"
 
 
+RECURSIVE: list[Any] = []
+"""A list that holds itself."""
+RECURSIVE.append(RECURSIVE)
+
+
 class Silent:
     """An object that cannot say what it is."""
 
@@ -53,7 +58,11 @@ def message_of(call: Any, *arguments: Any, **keywords: Any) -> str:
         ("settings", ["friction=0.3", 5], "settings: found ['friction=0.3', 5]; expected"),
         ("settings", ["wear=0x" + "f" * 20000], f"wear: found {UNWRITTEN}"),
         ("settings", ['wear=!!int ""'], "has a value that does not fit its tag"),
-        ("settings", ['track.irregularity={type: file, path: "a\\0b"}'], r"a\x00b: is not a valid file name"),
+        (
+            "settings",
+            ['track.irregularity={type: file, path: "a\\0b"}'],
+            r"found 'a\x00b'; expected text without",
+        ),
         ("environment", HUGER, f"environment: found {UNWRITTEN}; expected the name"),
         ("environment", "a\0b", r"unknown env 'a\x00b'; available: faults, line, nominal"),
         ("environment", "\x1b[2J", r"unknown env '\x1b[2J'; available: faults, line, nominal"),
@@ -89,6 +98,8 @@ def test_keywords(keyword: str, value: Any, found: str) -> None:
         ("num_envs", HUGER, f"num_envs: found {UNWRITTEN}; expected"),
         ("num_threads", HUGER, f"num_threads: found {UNWRITTEN}; expected"),
         ("max_episode_steps", HUGE, "max_episode_steps: found 1000"),
+        ("max_episode_steps", np.zeros(3), "max_episode_steps: found array([0., 0., 0.]); expected"),
+        ("max_episode_steps", Silent(), "max_episode_steps: found a Silent too long to write; expected"),
         ("max_episode_steps", HUGER, f"max_episode_steps: found {UNWRITTEN}; expected"),
         ("autoreset_mode", HUGER, f"autoreset_mode: found {UNWRITTEN}; expected one of"),
         ("autoreset_mode", np.zeros(3), "autoreset_mode: found array([0., 0., 0.]); expected one of"),
@@ -113,6 +124,7 @@ def test_keywords_of_a_batch(keyword: str, value: Any, found: str) -> None:
         ({"track": "\x1b[2J"}, r"unknown track '\x1b[2J'; available: china"),
         ({"track": "a/" * 5000 + "b.yaml"}, "b.yaml: cannot be read"),
         ({"faults": np.array(5)}, "options: faults: found array(5); expected a list of faults"),
+        ({"faults": RECURSIVE}, "options: faults.0: found [[...]]; expected keys and values"),
         ({"faults": b"stuck"}, "options: faults: found b'stuck'; expected a list of faults"),
         ({HUGER: 1}, f"options: unknown key {UNWRITTEN}; allowed"),
         (5, "options: found 5; expected keys and values"),
@@ -145,7 +157,16 @@ def test_masks(mask: Any) -> None:
 
 @pytest.mark.parametrize(
     "actions",
-    [[[HUGE, 0.5]], [[-HUGER, 0.5]], [[Fraction(HUGE), 0.5]], [["a", "b"]], [[1j, 0.5]], None, [[0.5], [1]]],
+    [
+        [["1", "0"]],
+        [[HUGE, 0.5]],
+        [[-HUGER, 0.5]],
+        [[Fraction(HUGE), 0.5]],
+        [["a", "b"]],
+        [[1j, 0.5]],
+        None,
+        [[0.5], [1]],
+    ],
     ids=kind,
 )
 def test_actions(actions: Any, quick: str) -> None:
@@ -154,14 +175,24 @@ def test_actions(actions: Any, quick: str) -> None:
     assert message_of(vector.step, actions).startswith("action: found ")
 
 
+@pytest.mark.parametrize("name", [5, HUGER, None, b"mppt2", np.zeros(3), Silent()], ids=kind)
+def test_names_of_controllers(name: Any) -> None:
+    assert message_of(baselines.make, name, SaydEnv()).startswith("policy: found ")
+
+
 @pytest.mark.parametrize("name", ["constant:0.3", "mppt2", "skyhook-onoff"], ids=kind)
 def test_observations_of_controllers(name: str) -> None:
     env = SaydEnv()
     policy = baselines.make(name, env)
-    for value in (np.nan, np.inf):
-        observation = np.zeros(41, np.float32)
+    for value, allowed in (
+        (np.nan, "finite numbers"),
+        (np.inf, "finite numbers"),
+        (1e308, "numbers up to 3.4e+38"),
+    ):
+        observation = np.zeros(41)
         observation[40] = value
-        expected = f"observation: found {value} for 'speed'; expected finite numbers"
+        expected = f"observation: found {value} for 'speed'; expected {allowed}"
         assert message_of(policy.predict, observation).endswith(expected)
-    for other in (["a"] * 41, [1j] * 41, [HUGE] * 41, 5.0, None):
+    assert np.all(np.isfinite(policy.predict(np.full(41, 3.4e38))[0]))
+    for other in (["a"] * 41, ["1"] * 41, [np.datetime64("now")] * 41, [1j] * 41, [HUGE] * 41, 5.0, None):
         assert "observation" in message_of(policy.predict, other)

@@ -63,6 +63,7 @@ def test_what_the_typeface_lacks_is_replaced():
 
 @pytest.mark.parametrize("backend", ["module://matplotlib_inline.backend_inline", "none-such", "TkAgg"])
 def test_a_backend_that_is_not_installed_is_not_asked_for(backend: str):
+    """Nor does a folder that Matplotlib cannot write cause a word of it."""
     code = (
         "import os, sys; sys.modules['matplotlib_inline'] = None;"
         "from sayd_env.report.figures import png_bytes;"
@@ -70,7 +71,14 @@ def test_a_backend_that_is_not_installed_is_not_asked_for(backend: str):
         f"assert os.environ['MPLBACKEND'] == {backend!r};"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "MPLBACKEND": backend})
+    nowhere = {name: "/proc/none" for name in ("HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")}
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        check=True,
+        capture_output=True,
+        env={**os.environ, "MPLBACKEND": backend} | nowhere,
+    )
+    assert found.stderr == b""
 
 
 def test_the_reader_s_own_settings_change_no_figure(tmp_path: Path):

@@ -146,6 +146,16 @@ def test_code_that_cannot_be_loaded_is_reported(text: str, message: str, tmp_pat
         policy_spec("nothing.here:make")
 
 
+def test_what_is_no_file_of_code_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    (tmp_path / "loop.py").symlink_to("loop.py")
+    os.mkfifo(tmp_path / "pipe.py")
+    with (tmp_path / "large.py").open("wb") as stream:
+        stream.truncate(2**40)
+    for name, message in (("loop", "no such file"), ("pipe", "no such file"), ("large", "larger than 2 MiB")):
+        with pytest.raises(ConfigError, match=message):
+            policy_spec(f"{tmp_path / name}.py:make")
+
+
 def test_an_edit_counts_and_is_loaded(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the file, in what it imports or names, in a package; not in a file beside it that it ignores."""
     seen = np.zeros(41, np.float32)
