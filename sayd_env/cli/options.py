@@ -266,6 +266,38 @@ class ScenarioOptions(Group):
         except ValueError:
             return read_track(self.gauge).gauge
 
+    def sweep(self, runs: int, most: int = 10_000) -> tuple[list[Variant], list[Scenario]]:
+        """Configurations by the values of ``--set``, each with its scenario.
+
+        Parameters
+        ----------
+        runs : int
+            Runs of each.
+        most : int
+            Runs of all together: some hours on two cores.
+
+        Raises
+        ------
+        ConfigError
+            As `read` and `variants`.
+        """
+        from sayd_env.config.sweep import variants  # noqa: PLC0415 - keeps --help fast
+
+        given = {name: getattr(self, name) for name in ("wear", "friction", "rail", "track", "damper")}
+        taken = [name for name, value in given.items() if value is not None]
+        found = variants(self.assignments, runs, taken=taken, most=most)
+        return found, [self._with(variant).load() for variant in found]
+
+    def _with(self, variant: Variant) -> ScenarioOptions:
+        """The same with the assignments of one configuration."""
+        other = copy.copy(self)
+        other.assignments = list(variant.assignments)
+        return other
+
+    def load(self) -> Scenario:
+        """Read the scenario."""
+        raise NotImplementedError
+
 
 def say_notes(parts: Mapping[str, Any]) -> None:
     """Tell on standard error what was recognised in measured files, and done to their numbers.
@@ -285,38 +317,6 @@ def say_notes(parts: Mapping[str, Any]) -> None:
         notes += profile_notes(parts)
     for note in notes:
         sys.stderr.write(f"sayd: {note}\n")
-
-    def sweep(self, runs: int, most: int = 10_000) -> tuple[list[Variant], list[Scenario]]:
-        """Configurations by the values of ``--set``, each with its scenario.
-
-        Parameters
-        ----------
-        runs : int
-            Runs of each.
-        most : int
-            Runs of all together: some hours on two cores.
-
-        Raises
-        ------
-        ConfigError
-            As `read` and `variants`.
-        """
-        from sayd_env.config.sweep import variants  # noqa: PLC0415 - keeps --help fast
-
-        given = {name: getattr(self, name) for name in ("wear", "friction", "track", "damper")}
-        taken = [name for name, value in given.items() if value is not None]
-        found = variants(self.assignments, runs, taken=taken, most=most)
-        return found, [self._with(variant).load() for variant in found]
-
-    def _with(self, variant: Variant) -> ScenarioOptions:
-        """The same with the assignments of one configuration."""
-        other = copy.copy(self)
-        other.assignments = list(variant.assignments)
-        return other
-
-    def load(self) -> Scenario:
-        """Read the scenario."""
-        raise NotImplementedError
 
 
 class VehicleOptions(ScenarioOptions):

@@ -11,9 +11,9 @@ from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS, MOUNTS, POINTS
 from sayd_env.config.units import Array
-from sayd_env.envs.vehicle import longitudinal_rows
 from sayd_env.fmu.variable import INPUT, OUTPUT, PARAMETER, TIME, Variable
 from sayd_env.physics import sayd
+from sayd_env.physics.layout import longitudinal_rows
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.physics.step import advance
