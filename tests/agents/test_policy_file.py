@@ -172,7 +172,7 @@ def test_damaged_files_are_refused(interface: Interface, tmp_path: Path) -> None
         path.write_bytes(content)
         with pytest.raises(DataError, match="damaged or no policy"):
             read_policy(path)
-    with pytest.raises(ConfigError, match="No such file"):
+    with pytest.raises(ConfigError, match="no such policy file"):
         read_policy(tmp_path / "none.npz")
 
 
@@ -329,7 +329,7 @@ def test_files_of_somebody_who_means_harm_are_refused(
 
 @pytest.mark.parametrize("path", ["/dev/zero", "/dev", "a\0b.npz", f"{'n' * 5000}.npz", "\x1b[2J.npz"])
 def test_what_is_no_file_is_refused(path: str) -> None:
-    with pytest.raises(ConfigError, match=r"a policy file|cannot be read|is not a valid") as caught:
+    with pytest.raises(ConfigError, match=r"policy file|cannot be read|is not a valid") as caught:
         read_policy(path)
     assert str(caught.value).isprintable()
     assert len(str(caught.value)) < 1500
