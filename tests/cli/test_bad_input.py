@@ -249,14 +249,14 @@ def test_a_bad_profile_file_is_named(content: str | bytes | None, message: str, 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "is empty; expected a header with x_m or x_km and any of alignment_mm"),
+        ("", "is empty; expected a header and rows of numbers"),
         ("x_m,alignment_mm\n0,1\n", "found 1 rows of numbers; at least 4 are needed"),
         ("x_m,alignmnt_mm\n0,1\n", "line 1: unknown column 'alignmnt_mm', did you mean 'alignment_mm'?"),
         ("x_m,alignment_mm\n0,1\n1,nan\n2,1\n3,1\n", "line 3: column 'alignment_mm': found 'nan'"),
         ("x_m,alignment_mm\n0,1\n2,1\n1,1\n3,1\n", "line 4: x_m 1 comes after x_m 2; positions must ascend"),
         ("x_m,alignment_mm\n0,a\n1,1\n2,1\n3,1\n", "line 2: column 'alignment_mm': found 'a'"),
         ("x_m,alignment_mm\n0,1\n1,1\n2,1\n3,1\n", "covers 0 to 3 m of a run from 0 to"),
-        (None, "no such file"),
+        (None, "no such table over distance"),
     ],
 )
 def test_a_bad_irregularity_file_is_named(content: str | None, message: str, refused: Refused):

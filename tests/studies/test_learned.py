@@ -51,7 +51,7 @@ def test_a_blind_policy_runs_as_the_constant_command(file: Path) -> None:
 
 
 def test_what_cannot_be_used_is_refused(file: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match="no such policy file"):
         policy_spec("nothing.npz")
     (tmp_path / "half.npz").write_bytes(file.read_bytes()[:300])
     with pytest.raises(DataError, match="damaged"):

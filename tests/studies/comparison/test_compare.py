@@ -123,7 +123,7 @@ def test_who_takes_part_by_default():
     ("text", "message"),
     [
         ("mppt3", r"'mppt3': unknown, did you mean 'mppt"),
-        ("nowhere.npz", r"nowhere.npz: cannot be read"),
+        ("nowhere.npz", r"nowhere.npz: no such policy file"),
         ("x={0}/empty", r"empty: holds no files of learned policies"),
         ("a b={0}/a.npz", r"'a b=...': expected a name of letters"),
         ("x={0}/a.npz+{0}/a.npz", r"a.npz: is the same policy as .*a.npz"),
