@@ -299,8 +299,8 @@ class ScenarioOptions(Group):
         raise NotImplementedError
 
 
-def say_notes(parts: Mapping[str, Any]) -> None:
-    """Tell on standard error what was recognised in measured files, and done to their numbers.
+def notes_of(parts: Mapping[str, Any]) -> tuple[str, ...]:
+    """What was recognised in measured files that parts of a configuration name, and done to their numbers.
 
     Raises
     ------
@@ -308,14 +308,14 @@ def say_notes(parts: Mapping[str, Any]) -> None:
         One cannot be used.
     """
     from sayd_env.measured.notes import measured_notes  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415
 
-    notes = list(measured_notes(parts))
-    profiles = [parts[key] for key in ("wheel", "rail") if key in parts]
-    if any(each.shape.file is not None or each.right is not None for each in profiles):
-        from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415 - SciPy takes its time
+    return (*profile_notes(parts), *measured_notes(parts))
 
-        notes += profile_notes(parts)
-    for note in notes:
+
+def say_notes(parts: Mapping[str, Any]) -> None:
+    """Tell `notes_of` on standard error; errors as there."""
+    for note in notes_of(parts):
         sys.stderr.write(f"sayd: {note}\n")
 
 

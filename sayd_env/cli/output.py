@@ -102,13 +102,12 @@ def command_text() -> str:
 
 def _notes(config: Any) -> tuple[str, ...]:
     """What was recognised in measured files that a configuration names, and done to their numbers."""
-    from sayd_env.config.errors import SaydError  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.measured.notes import measured_notes  # noqa: PLC0415
-    from sayd_env.physics.profiles import profile_notes  # noqa: PLC0415
+    from sayd_env.cli.options import notes_of  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.errors import SaydError  # noqa: PLC0415
 
     parts = dict(config) if isinstance(config, BaseModel | Mapping) else {}
     try:
-        return (*profile_notes(parts), *measured_notes(parts))
+        return notes_of(parts)
     except SaydError:  # a file that was taken away since: no reason to lose the result
         return ()
 

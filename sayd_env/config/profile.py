@@ -195,9 +195,6 @@ def _check_right(left: WheelProfileConfig | RailProfileConfig, common: str) -> N
         )
 
 
-ProfileConfig = WheelProfileConfig | RailProfileConfig
-
-
 def sides(
     wheel: WheelProfileConfig, rail: RailProfileConfig
 ) -> tuple[tuple[WheelProfileConfig, RailProfileConfig], tuple[WheelProfileConfig, RailProfileConfig]]:

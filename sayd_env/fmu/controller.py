@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sayd_env.agents.policy_archive import read_bytes
 from sayd_env.config import ConfigError, validate
 from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig, load_environment
@@ -35,7 +36,7 @@ def controller_content(policy: str) -> tuple[dict[str, str], Mapping[str, bytes]
                 f"policy {policy}: code of one's own cannot be packed; export it as .npz or .onnx"
             )
         return {"policy": policy}, {}
-    return {"file": path.name}, {path.name: path.read_bytes()}
+    return {"file": path.name}, {path.name: read_bytes(path)}
 
 
 class ControllerUnit:

@@ -68,7 +68,9 @@ _OTHER_SPELLING = {
     "1/min": "rpm",
     "none": "-",
 }
-# Where case matters not: mN and MN would, so no mN is known above.
+# Milli and mega differ by case alone: what would be the other one is no spelling of a unit that is known.
+_MILLI_OR_MEGA = frozenset({"mN", "mPa", "MV", "MA", "Mbar", "Ms", "Mm"})
+# Elsewhere case does not matter.
 _IN_LOWER_CASE = {name.lower(): unit for name, unit in _KNOWN.items()} | {
     other: _KNOWN[name] for other, name in _OTHER_SPELLING.items()
 }
@@ -90,6 +92,8 @@ def unit_of(text: str) -> Unit | None:
     ('acceleration', 'km/h', None)
     """
     plain = without_brackets(text).replace("/(", "/").translate(_SIGNS)
+    if plain in _MILLI_OR_MEGA:
+        return None
     return _KNOWN.get(plain) or _IN_LOWER_CASE.get(plain.lower())
 
 

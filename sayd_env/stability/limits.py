@@ -47,14 +47,46 @@ def limits(axle_load: float, bogie_mass: float) -> Limits:
 
 
 def track_shift_limit(axle_load: float) -> float:
-    """Limit of the track shift force's sliding RMS (N), see `limits`."""
+    """Limit of the track shift force's sliding RMS, see `limits`.
+
+    Parameters
+    ----------
+    axle_load : float
+        Static load of a wheelset (N).
+
+    Returns
+    -------
+    float
+        Half of the limit of the single force, 10 kN + P/3 (eq. 25), N.
+
+    Raises
+    ------
+    ConfigError
+        A load that is not positive.
+    """
     if not (math.isfinite(axle_load) and axle_load > 0):
         raise ConfigError(f"axle load: found {axle_load:g} N; it must be positive")
     return 0.5 * (10e3 + axle_load / 3)
 
 
 def acceleration_limit(bogie_mass: float) -> float:
-    """Limit of the sliding RMS of the bogie frame's lateral acceleration (m/s2), see `limits`."""
+    """Limit of the sliding RMS of the bogie frame's lateral acceleration, see `limits`.
+
+    Parameters
+    ----------
+    bogie_mass : float
+        Mass of a bogie with its wheelsets (kg).
+
+    Returns
+    -------
+    float
+        Half of 12 - m_b/5 with the mass in tonnes (eq. 26), m/s2.
+
+    Raises
+    ------
+    ConfigError
+        A mass that is not positive, or for which eq. 26 leaves no limit (60 t and above).
+    """
     if not 0 < bogie_mass < 60e3:
         raise ConfigError(f"bogie mass: found {bogie_mass:g} kg; it must lie between 0 and 60,000 kg")
     return 0.5 * (12 - bogie_mass / 1e3 / 5)

@@ -146,3 +146,9 @@ def test_units_as_people_spell_them(header: str, name: str, quantity: str, facto
     unit = unit_of(text)
     assert unit is not None
     assert (found, unit.quantity, unit.factor) == (name, quantity, pytest.approx(factor))
+
+
+@pytest.mark.parametrize("text", ["mN", "[mPa]", "MV", "MA", "Mbar", "Ms", "Mm"])
+def test_milli_is_not_mega(text: str) -> None:
+    """Prefixes of SI that case alone tells apart: a factor of 1e9."""
+    assert unit_of(text) is None
