@@ -38,10 +38,13 @@ MOST_VALUES = 200_000_000
 FORMATS = "text tables (.csv, .txt), MDF (.mf4, .mdf), TDMS, MATLAB (.mat) and Parquet"
 EXTRA = "pip install 'sayd-env[measured]'"
 
+CLOCKS = "hh:mm:ss.sss, yyyy-mm-dd hh:mm:ss.sss or dd.mm.yyyy hh:mm:ss.sss"
+"""Layouts of times of day that text tables may have."""
 _CLOCK = re.compile(
     r"(?:\d{4}-\d{1,2}-\d{1,2}[T ]+|\d{1,2}\.\d{1,2}\.\d{4} +)?"
     r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?(?:Z|[+-]\d{2}:?\d{2})?"
 )
+_LIKE_A_DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}\b|\d+:\d")
 _GERMAN_DATE = re.compile(r"^(\d{1,2})\.(\d{1,2})\.(\d{4})")
 _DAY = 86400.0
 
@@ -154,15 +157,19 @@ def _text(path: Path) -> Iterator[Contents]:
             raise ConfigError(f"{path}: is in no format that is read: {FORMATS}") from None
         raise
     if not table.names:
+        above = f" (what stands above has not {table.head.width} names)" if table.head.preamble else ""
         raise DataError(
-            f"{table.source}: line {table.head.line}: found no header; expected a name and a unit for each of"
-            f" {table.head.width} columns, such as time_s, speed_kmh, bogie1_front_m_s2, wheelset1_kn"
+            f"{table.source}: line {table.head.line}: found no header{above}; expected a name and a unit for"
+            f" each of {table.head.width} columns, such as time_s, speed_kmh, bogie1_front_m_s2, wheelset1_kn"
         )
     units = table.head.units or ("",) * len(table.names)
     clocks = [k for k in range(len(table.names)) if not units[k] and len(table) and _is_clock(table, k)]
 
     def values(places: Sequence[int]) -> list[Array]:
         plain = [k for k in places if k not in clocks]
+        for k in plain:
+            if len(table) and _LIKE_A_DATE.match(table.first(k)):
+                raise _no_time(table, 0, k, table.first(k))
         found = dict(zip(plain, table.numbers(plain, gaps=True).T, strict=True))
         return [found[k] if k in found else _seconds(table, k) for k in places]
 
@@ -190,9 +197,13 @@ def _seconds(table: TextTable, column: int) -> Array:
         with suppress(ValueError):
             return _since_first([cell.replace("T", " ") for cell in cells])
         wrong = 0
-    raise DataError(
-        f"{table.where(wrong, column)}: found '{cells[wrong][:40]}'; expected seconds, hh:mm:ss.sss or"
-        " yyyy-mm-dd hh:mm:ss.sss"
+    raise _no_time(table, wrong, column, cells[wrong])
+
+
+def _no_time(table: TextTable, row: int, column: int, cell: str) -> DataError:
+    return DataError(
+        f"{table.where(row, column)}: found '{cell[:40]}'; expected seconds, {CLOCKS}; or give the sampling"
+        " rate (--sample-rate HZ), which stands above all times in the file"
     )
 
 

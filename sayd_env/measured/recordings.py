@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import re
+import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 from sayd_env.config import DataError, nearest
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.units import KMH, Array
-from sayd_env.measured.formats import MOST_VALUES, Contents, opened
+from sayd_env.measured.formats import CLOCKS, MOST_VALUES, Contents, opened
 from sayd_env.measured.sampling import Series, put_right, sampled
 from sayd_env.measured.units import Unit, name_and_unit, unit_of
 
@@ -60,10 +61,31 @@ class Recording:
 
 
 _ALLOWED = "s or ms (time), km/h or m/s (speed), m/s2 or g (acceleration), N or kN (track shift force)"
-_TIME = re.compile(r"(?:.*[./])?(?:t|time|zeit|elapsed|timestamp|time[ _]?stamp)\b.*", re.IGNORECASE)
+_TIME_WORDS = "time|zeit|uhrzeit|temps|heure|date|datum|elapsed|timestamp|time[ _]?stamp"
+_TIME = re.compile(rf"(?:.*[./])?(?:t|{_TIME_WORDS})\b.*", re.IGNORECASE)
+# These cannot be anything else, while "t oil" is a temperature.
+_SURELY_TIME = re.compile(rf"(?:.*[./])?(?:t|{_TIME_WORDS})", re.IGNORECASE)
 _SPEED = re.compile(r".*(?:speed|velocity|geschw|vitesse).*|(?:.*[./])?v(?:[ _-].*)?", re.IGNORECASE)
 # The limit of acceleration is one of lateral ones on the bogie frame: names of others pass for none.
-_ELSEWHERE = re.compile(r"vert|longit|car ?body|wagenkasten|axle[ _]?box", re.IGNORECASE)
+_ELSEWHERE = re.compile(
+    r"vert|longit|l(?:ä|ae|a)ngs|(?<![a-z])hoch(?![a-z])|car[ _-]?body|kasten|caisse|axle[ _-]?box|lager"
+    r"|bo[iî]te|essieu|(?<![a-z])(?:a|acc)?[ _.]?[xz](?![a-z])",
+    re.IGNORECASE,
+)
+# The limit of force is one of the sum of both wheels' guiding forces Y.
+_SUM = re.compile(
+    r"(?:sum(?:me)?|somme|[Σ∑])[ _.]*(?:(?:of|der|des)[ _]+)?Y|Y[ _.]*(?:sum|somme)", re.IGNORECASE
+)
+_OTHER_FORCE = re.compile(
+    r"(?<![a-z])[QY][lr]?(?![a-z])|wheel[ _-]?(?:load|force)|axle[ _-]?load|radlast|radkraft|damper|yaw"
+    r"|d(?:ä|ae|a)mpfer|amortisseur|spring|feder|ressort|zug[ _-]?kraft|traction|coupler|brak|brems",
+    re.IGNORECASE,
+)
+# A train moves far below these; what lies above is in another unit, or no measurement.
+_LARGEST = {"acceleration": (1000.0, "1000 m/s2"), "force": (1e6, "1 MN")}
+# What loggers write where they have no value, and how far above nearly all others it stands then.
+_CODES = np.array([999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0])
+_FAR, _NEARLY_ALL = 20.0, 0.999
 # Nothing on rails is faster: a speed beyond it was given in another unit than its header says.
 _FASTEST = 200.0
 _FASTEST_RATE = 1e6
@@ -95,7 +117,7 @@ def read_recording(
     A column's unit stands in the file beside it, below its name, at the end of its name or in brackets:
     ``time_s``, ``speed_kmh``, ``bogie1_front_m_s2``, ``wheelset1_kn``, ``bogie1 front [m/s^2]``. Columns of
     acceleration are lateral accelerations of the bogie frame above a wheelset, columns of force are track
-    shift forces.
+    shift forces; one whose name says otherwise is refused, unless `columns` has it.
 
     Parameters
     ----------
@@ -127,7 +149,7 @@ def read_recording(
     if sample_rate is not None and not 0 < sample_rate <= _FASTEST_RATE:
         raise DataError(f"sampling rate: found {sample_rate:g} Hz; allowed: above 0 to {_FASTEST_RATE:g} Hz")
     with opened(path) as contents:
-        roles = _roles(contents, _columns(contents, columns), columns)
+        roles = _roles(contents, _columns(contents, columns, sample_rate is not None), columns)
         _check_speed_source(contents, roles, speed)
         used = [*roles.channels, *([roles.speed] if roles.speed else [])]
         series, timing = _series(contents, used, roles.time, sample_rate)
@@ -143,8 +165,8 @@ def read_recording(
     )
 
 
-def _columns(contents: Contents, chosen: Sequence[str] | None) -> list[_Column]:
-    """Columns that are understood, those of time and speed included."""
+def _columns(contents: Contents, chosen: Sequence[str] | None, rated: bool) -> list[_Column]:
+    """Columns that are understood, those of time and speed included; given a rate, no times are needed."""
     parsed = [_parsed(contents, place) for place in range(len(contents.columns))]
     _check_names(contents, parsed, chosen)
     result = []
@@ -155,6 +177,15 @@ def _columns(contents: Contents, chosen: Sequence[str] | None) -> list[_Column]:
         known = unit_of(text) if text else None
         wanted = chosen is None or header in chosen or name in chosen
         meaning = known.quantity if known else ""
+        if known is None and chosen is None and _SURELY_TIME.fullmatch(name):
+            if rated:
+                continue
+            found = f"unit {text!r}" if text else "no unit"
+            raise DataError(
+                f"{contents.source}: column '{header}': found {found} and no time of day; allowed: numbers"
+                f" with s or ms in the header, or {CLOCKS}; or give the sampling rate (--sample-rate HZ),"
+                " which stands above all times in the file"
+            )
         if known is None or (wanted and meaning not in ("time", "speed", *_QUANTITIES)):
             if wanted:
                 _refuse(contents, header or f"number {place + 1}", text, parsed)
@@ -199,14 +230,31 @@ def _check_names(contents: Contents, parsed: Sequence[_Parsed], chosen: Sequence
 
 
 def _refuse(contents: Contents, header: str, text: str, parsed: Sequence[_Parsed]) -> None:
-    usable = [each.name for each in parsed if (u := unit_of(each.unit)) and u.quantity in _QUANTITIES]
-    shown = " ".join(f'--column "{name}"' for name in usable[:4])
-    hint = f", for example {shown}" if usable else ""
+    hint = _example(parsed)
     raise DataError(
         f"{contents.source}: column '{header}': found {f'unit {text!r}' if text else 'no unit'}; allowed, in"
         f" brackets, at the end of the name or in a row below it: {_ALLOWED}. Name the columns to read to"
         f" leave others out{hint}"
     )
+
+
+def _example(parsed: Sequence[_Parsed]) -> str:
+    usable = [
+        each.name
+        for each in parsed
+        if (u := unit_of(each.unit)) and u.quantity in _QUANTITIES and not _other(each.name, u.quantity)
+    ]
+    shown = " ".join(f'--column "{name}"' for name in usable[:4])
+    return f", for example {shown}" if usable else ""
+
+
+def _other(name: str, quantity: str) -> str:
+    """What in a name says that the limit of its quantity is not one of it, "" for nothing."""
+    plain = unicodedata.normalize("NFC", name)
+    found = (
+        _ELSEWHERE.search(plain) if quantity == "acceleration" else _OTHER_FORCE.search(_SUM.sub("", plain))
+    )
+    return found[0] if found else ""
 
 
 def _roles(contents: Contents, columns: list[_Column], chosen: Sequence[str] | None) -> _Roles:
@@ -218,7 +266,7 @@ def _roles(contents: Contents, columns: list[_Column], chosen: Sequence[str] | N
         if (
             column.unit.quantity != "time"
             and not _SPEED.fullmatch(column.name)
-            and column.name.lower() in ("t", "time")
+            and _SURELY_TIME.fullmatch(column.name)
         ):
             _wrong_unit(source, column, "time")
     for column in times:
@@ -246,10 +294,16 @@ def _roles(contents: Contents, columns: list[_Column], chosen: Sequence[str] | N
         )
     channels = [c for c in columns if c.unit.quantity in _QUANTITIES]
     for column in channels:
-        if chosen is None and (found := _ELSEWHERE.search(column.name)):
+        if chosen is None and (found := _other(column.name, column.unit.quantity)):
+            limited = (
+                "lateral accelerations of the bogie frame"
+                if column.unit.quantity == "acceleration"
+                else "track shift forces, sums of Y over both wheels of a wheelset"
+            )
+            hint = _example([_parsed(contents, place) for place in range(len(contents.columns))])
             raise DataError(
-                f"{source}: column '{column.header}': its name says '{found[0]}', and the limit is one of"
-                " lateral accelerations of the bogie frame; name the columns to assess with --column"
+                f"{source}: column '{column.header}': its name says '{found}', and the limit is one of"
+                f" {limited}; name the columns to assess with --column{hint}"
             )
     if not channels:
         raise DataError(
@@ -341,6 +395,7 @@ def _check(column: _Column, numbers: Array, where: Callable[[int], str]) -> None
     if (infinite := np.flatnonzero(np.isinf(numbers))).size:
         raise DataError(f"{where(int(infinite[0]))}: found an infinite number")
     if column.unit.quantity != "speed":
+        _check_size(column, numbers, where)
         return
     wrong = np.flatnonzero((numbers <= 0) | (numbers > _FASTEST))
     if wrong.size:
@@ -348,6 +403,28 @@ def _check(column: _Column, numbers: Array, where: Callable[[int], str]) -> None
         raise DataError(
             f"{where(row)}: speed {numbers[row] * KMH:g} km/h; allowed: above 0 to {_FASTEST * KMH:g} km/h"
             " (is the unit in the header right? cut standstill off)"
+        )
+
+
+def _check_size(column: _Column, numbers: Array, where: Callable[[int], str]) -> None:
+    """Refuse what no train does: numbers too large, and codes that a logger writes in place of one."""
+    largest, allowed = _LARGEST[column.unit.quantity]
+    size = np.abs(numbers)
+    wrong = np.flatnonzero(size > largest)
+    why = f"allowed: up to {allowed}"
+    if not wrong.size:
+        # Written in the unit of the file.
+        coded = np.isclose(size[:, None], column.unit.factor * _CODES, rtol=1e-9, atol=0.0).any(axis=1)
+        if not coded.any():
+            return
+        usual = float(np.nanquantile(size, _NEARLY_ALL))
+        wrong = np.flatnonzero(coded & (size > _FAR * usual))
+        why = f"nearly all others are below {usual / column.unit.factor:.3g} {column.unit.name}"
+    if wrong.size:
+        row = int(wrong[0])
+        found = f"{numbers[row] / column.unit.factor:g} {column.unit.name}"
+        raise DataError(
+            f"{where(row)}: found {found}; {why} (is the unit right? an error code of the logger?)"
         )
 
 

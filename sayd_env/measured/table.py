@@ -169,6 +169,8 @@ class TextTable:
     def _refuse(self, row: int, column: int, cell: str) -> NoReturn:
         finite = cell.lower().lstrip("+-").startswith(("nan", "inf"))
         expected = "a finite number" if finite else "a number"
+        if _THOUSANDS.fullmatch(cell):
+            expected += "; thousands separators are not read"
         raise DataError(f"{self.where(row, column)}: found '{cell[:40]}'; expected {expected}")
 
     def _read(self, columns: Sequence[int], **how: Any) -> pd.DataFrame:
@@ -187,6 +189,7 @@ class TextTable:
         )
 
 
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:([,.' \u2019\u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d*)?")
 _TRUTH = re.compile("true|false", re.IGNORECASE)
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[-+]?\d)")
 _MISSING = sorted({form for word in MISSING for form in (word, word.upper(), word.capitalize(), "NaN")})

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sayd_env.config import ConfigError, DataError
+from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.palette import CYCLE, GREY, SKY, VERMILION
 from sayd_env.config.scenario import Scenario
@@ -150,7 +150,17 @@ class ChannelResult:
 
     @property
     def stable(self) -> bool:
-        """Whether the maximum does not exceed the limit."""
+        """Whether the maximum does not exceed the limit.
+
+        Raises
+        ------
+        StudyError
+            The maximum is no number, so that there is no verdict.
+        """
+        if math.isnan(self.rms_max):
+            raise StudyError(
+                f"channel '{self.channel.name}': its largest sliding RMS is no number; no verdict"
+            )
         return self.rms_max <= self.limit
 
     def row(self) -> dict[str, Any]:

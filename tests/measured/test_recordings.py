@@ -6,6 +6,7 @@ import io
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.io import savemat
 
-from sayd_env.config import ConfigError, DataError
+from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.scenario import load_scenario
 from sayd_env.measured import formats, recordings
@@ -396,6 +397,151 @@ def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(DataError, match=message) as caught:
         assess_file(path, SETTINGS, TRAIN)
     assert str(caught.value).startswith(str(path))
+
+
+def columns(path: Path, *headers: str) -> Path:
+    """A ride with the same sine in each column."""
+    header = ";".join(["time_s", "speed_kmh", *headers])
+    return write(path, header, [TIME, np.full_like(TIME, 270.0), *[STABLE] * len(headers)], ";")
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        *(
+            f"{name} [m/s2]"
+            for name in (
+                "az_bogie1",
+                "acc_x",
+                "acc_z",
+                "Radsatzlager quer",
+                "Fahrzeugkasten quer",
+                "DG1 längs",
+                "DG1 la\u0308ngs",
+                "DG1 hoch",
+                "DG1_hoch",
+                "acc caisse y",
+                "boite d'essieu",
+                "boîte d'essieu",
+            )
+        ),
+        *(
+            f"{name} [kN]"
+            for name in (
+                "Q1",
+                "Y11",
+                "Radlast",
+                "Zugkraft",
+                "damper force",
+                "yaw damper",
+                "spring force",
+                "Primärfeder 1",
+            )
+        ),
+        "damper_force.front.left.upper_n",
+        "Q.front.leading.left_n",
+        "Y.front.leading.left_n",
+    ],
+)
+def test_signals_without_these_limits_are_refused_unless_named(tmp_path: Path, header: str) -> None:
+    path = columns(tmp_path / "a.csv", header, "bogie_m_s2")
+    with pytest.raises(DataError, match=r"its name says .* --column") as caught:
+        read_recording(path, SETTINGS)
+    assert f"column '{header}'" in str(caught.value)
+    assert str(caught.value).endswith('for example --column "bogie"')
+    assert len(read_recording(path, SETTINGS, columns=[header]).channels) == 1
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        *("ay_bogie1 [m/s2]", "acc, bogie 1, lateral [m/s2]", "DG1 quer [m/s2]", "bogie_m_s2"),
+        *("lateral_acceleration.front.leading_m_s2", "wheelset1_kn", "track_shift.front.leading_n"),
+        *("sum Y [kN]", "ΣY [kN]", "sumY ws 1 [kN]", "Summe Y RS1 [kN]", "sum of Y [kN]"),
+    ],
+)
+def test_signals_with_these_limits_are_taken(tmp_path: Path, header: str) -> None:
+    assert len(read_recording(columns(tmp_path / "a.csv", header), SETTINGS).channels) == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "value", "message"),
+    [
+        ("bogie [m/s2]", 1e200, r"found 1e\+200 m/s2; allowed: up to 1000 m/s2 .*unit right\? an error code"),
+        ("bogie [m/s2]", -9999.0, "found -9999 m/s2; allowed: up to 1000 m/s2"),
+        ("bogie [mm/s2]", 9999.0, "found 9999 mm/s2; nearly all others are below 4 mm/s2"),
+        ("ws [N]", -9999.0, "found -9999 N; nearly all others are below 4 N"),
+        ("ws [kN]", 1001.0, "found 1001 kN; allowed: up to 1 MN"),
+    ],
+)
+def test_what_no_train_does_is_refused_by_place(
+    tmp_path: Path, header: str, value: float, message: str
+) -> None:
+    signal = STABLE.copy()
+    signal[100] = value
+    path = write(tmp_path / "a.csv", f"time_s;{header}", [TIME, signal], ";")
+    with pytest.raises(DataError, match=message) as caught:
+        read_recording(path, SETTINGS, speed=SPEED)
+    assert f"line 102: column '{header}'" in str(caught.value)
+
+
+def test_large_but_possible_samples_are_taken(tmp_path: Path) -> None:
+    signal = STABLE.copy()
+    signal[100] = 999.5
+    path = write(tmp_path / "a.csv", "time_s;bogie [m/s2]", [TIME, signal], ";")
+    assert read_recording(path, SETTINGS, speed=SPEED).signals.max() == pytest.approx(999.5)
+    forces = write(tmp_path / "b.csv", "time_s;ws [N]", [TIME, 9999.0 * np.sign(STABLE + 0.1)], ";")
+    assert read_recording(forces, SETTINGS, speed=SPEED).signals.max() == 9999.0
+
+
+def test_no_number_is_no_verdict(ride: Path) -> None:
+    channel = assess_file(ride, SETTINGS, TRAIN).channels[0]
+    with pytest.raises(StudyError, match="'bogie1_front': its largest sliding RMS is no number"):
+        _ = replace(channel, rms_max=float("nan")).stable
+
+
+@pytest.mark.parametrize("name", ["temps", "Uhrzeit", "heure", "Datum", "date"])
+def test_other_names_of_times(tmp_path: Path, name: str) -> None:
+    rows = (f"{t:.3f}\t270\t{a:.6f}" for t, a in zip(TIME, STABLE, strict=True))
+    text = "\r\n".join([f"{name} (s)\tv (km/h)\tAccélération latérale bogie (m/s²)", *rows])
+    (tmp_path / "a.txt").write_text(text, encoding="utf-16", newline="")
+    found = read_recording(tmp_path / "a.txt", SETTINGS)
+    assert found.sample_rate == pytest.approx(RATE)
+    assert found.channels[0].name == "Accélération latérale bogie"
+    np.testing.assert_allclose(found.signals[:, 0], STABLE, atol=1e-6)
+
+
+@pytest.mark.parametrize("stamp", ["11/22/2022 07:00:{:06.3f}", "{:.3f}"])
+def test_times_that_are_not_understood_ask_for_the_rate(tmp_path: Path, stamp: str) -> None:
+    rows = (f"{stamp.format(t)};270;{a:.6f}" for t, a in zip(TIME, STABLE, strict=True))
+    (tmp_path / "a.csv").write_text("\n".join(["time;speed_kmh;bogie_m_s2", *rows]))
+    with pytest.raises(DataError, match=r"column 'time'.* s or ms .*dd.mm.yyyy.*--sample-rate HZ") as caught:
+        read_recording(tmp_path / "a.csv", SETTINGS)
+    assert "--column" not in str(caught.value)
+    found = read_recording(tmp_path / "a.csv", SETTINGS, sample_rate=RATE)
+    np.testing.assert_allclose(found.signals[:, 0], STABLE, atol=1e-6)
+
+
+@pytest.mark.parametrize("stamp", ["11/22/2022 07:00:00.000", "22-11-2022 07:00:00", "07:00"])
+def test_dates_under_a_unit_of_time_ask_for_the_rate(tmp_path: Path, stamp: str) -> None:
+    rows = "\n".join(f"{stamp};270;{k}" for k in range(4))
+    (tmp_path / "a.csv").write_text(f"time_s;speed_kmh;ws_n\n{rows}\n", encoding="utf-8")
+    with pytest.raises(DataError, match=rf"line 2: .*'{stamp}'; expected .*dd.mm.yyyy.*--sample-rate HZ"):
+        read_recording(tmp_path / "a.csv", SETTINGS)
+
+
+def test_a_header_with_too_few_names_is_told(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time_s;speed_kmh;ws_n\n" + "0.0;270;1;1\n" * 4)
+    with pytest.raises(DataError, match=r"line 2: found no header \(what stands above has not 4 names\)"):
+        read_recording(tmp_path / "a.csv", SETTINGS)
+
+
+@pytest.mark.parametrize("cell", ['"1,004.9"', "1'004.9", "1 004,9", "1\u202f004,9", '"1,004,000.5"'])
+def test_thousands_separators_are_named(tmp_path: Path, cell: str) -> None:
+    rows = "\n".join(f"{k};270;{value}" for k, value in enumerate(["5", cell, "7", "8"]))
+    (tmp_path / "a.csv").write_text(f"time_s;speed_kmh;ws_n\n{rows}\n", encoding="utf-8")
+    with pytest.raises(DataError, match=r"line 3: column 'ws_n'.*; thousands separators are not read"):
+        read_recording(tmp_path / "a.csv", SETTINGS)
 
 
 def test_bad_options(ride: Path, tmp_path: Path) -> None:
