@@ -191,7 +191,8 @@ def _check_right(left: WheelProfileConfig | RailProfileConfig, common: str) -> N
     if getattr(left, common) != getattr(left.right, common):
         raise ValueError(
             f"right.{common}: found {getattr(left.right, common):g}; expected that of the left one, "
-            f"{getattr(left, common):g} m"
+            f"{getattr(left, common):g} m: set {left.kind}.{common} or {left.kind}.right.{common} "
+            "to the common one"
         )
 
 

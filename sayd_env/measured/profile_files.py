@@ -40,7 +40,9 @@ KINDS: Mapping[str, Kind] = {
 }
 """What a file is by the end of its name."""
 
-UNITS: Mapping[str, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "um": 1e-6}
+UNITS: Mapping[str, float] = {
+    unit.name: unit.factor for unit in map(unit_of, ("mm", "cm", "m", "in", "um")) if unit is not None
+}
 """Units of length in which profiles come (m)."""
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
@@ -256,7 +258,7 @@ def _simpack_parts(
             known = _SIMPACK.get(section, {})
             if name not in known:
                 raise DataError(
-                    f"{where}: unknown key '{name[:40]}'{nearest(name, known)} of "
+                    f"{where}: unknown key {_short(name)}{nearest(name, known)} of "
                     f"{f'section {section!r}' if section else 'no section'}; it might change the curve"
                 )
             if name in sections[section]:
@@ -280,7 +282,7 @@ _WITHIN = {"header": [], "spline": [], "point": ["spline"]}
 def _nest(inside: list[str], name: str, what: str, where: str) -> None:
     """Enter or leave a section."""
     if name not in _WITHIN:
-        raise DataError(f"{where}: unknown section '{name[:40]}'; expected {', '.join(_WITHIN)}")
+        raise DataError(f"{where}: unknown section {_short(name)}; expected {', '.join(_WITHIN)}")
     if inside != (_WITHIN[name] if what == "begin" else [*_WITHIN[name], name]):
         raise DataError(f"{where}: {name}.{what} is out of place")
     if what == "begin":
@@ -422,7 +424,7 @@ def _miniprof_parts(lines: list[str], source: str) -> tuple[Header, list[tuple[i
         elif not over and (match := re.fullmatch(r"([A-Za-z][\w .]*?)\s*=\s*(.*)", text)):
             name = re.sub(r"\s", "", match[1].lower())
             if name in header:
-                raise DataError(f"{where}: key '{match[1][:40]}' appears twice")
+                raise DataError(f"{where}: key {_short(match[1])} appears twice")
             header[name] = match[2], f"{where}: {match[1]}"
         else:
             # Programs exist that leave out the blank line.

@@ -39,6 +39,23 @@ SAME = 0.015e-3
 WIDEST_GAP, RUNNING = 6e-3, (-0.025, 0.020)
 """Points may be so far apart (m) where wheels run, about the tape circle and the middle of the head."""
 
+COARSE = 1e-3
+"""Points of a tread that are farther apart (m) are told: conicity at small amplitudes depends on what lies
+between them."""
+
+STANDS_OFF, KINK, NOISE = 3e-5, 0.06, 8.0
+"""A point may stand off the curve through its neighbours by this (m), by what a kink of this slope makes, by
+what rounding makes, or by so many times as much as half of the points do: scans are rough all along."""
+
+CHECKED: dict[Kind, float] = {"wheel": 0.030, "rail": 0.025}
+"""How far (m) from the tape circle and from the middle of the head single points are checked."""
+
+TAPE_TO_BACK, BACK_OFF = 0.070, 1e-3
+"""Usual distance of a wheel's tape circle from its back (m; EN 13715); by how much more a file's is told."""
+
+BACK = (0.5e-3, 3e-3)
+"""A back stands where points within the first width (m) span at least the second height."""
+
 _KEPT = 0.6
 """Share of the points that must be left when overhangs are cut."""
 
@@ -64,7 +81,13 @@ class MeasuredProfile:
 
 
 def read_profile_file(
-    path: Path, kind: Kind, *, unit: str | None = None, mirror: bool | None = None, invert: bool | None = None
+    path: Path,
+    kind: Kind,
+    *,
+    unit: str | None = None,
+    mirror: bool | None = None,
+    invert: bool | None = None,
+    smoothing: float = 0.0,
 ) -> MeasuredProfile:
     """Read a measured profile.
 
@@ -78,6 +101,8 @@ def read_profile_file(
         Of its numbers; by default what the file says, else the one in which they make a profile.
     mirror, invert : bool, optional
         Whether y and z are turned round; by default so that z is upwards and a wheel's flange at negative y.
+    smoothing : float
+        Length (m) over which the curve will be smoothed; with one, a point may stand off its neighbours.
 
     Returns
     -------
@@ -87,8 +112,8 @@ def read_profile_file(
     Raises
     ------
     DataError
-        Empty, too short, not numeric or unsorted points (the line is named); no unit that fits; the other
-        kind.
+        Empty, too short, not numeric or unsorted points (the line is named), a point that stands off its
+        neighbours; no unit that fits; a wheel whose y = 0 is not its tape circle; the other kind.
     """
     text, encoding = read_lines(path)
     lines = text.split("\n")
@@ -103,10 +128,11 @@ def read_profile_file(
         found = f"{len(raw.points)} points" if len(raw.points) else "no points"
         raise DataError(f"{path}: found {found}, at least {FEWEST_POINTS} are needed")
     y, z, notes = _in_metres(path, raw, kind, unit)
-    y, z, turned = _upright(y, z, kind, mirror, invert)
-    y, z, cleaned = _single_valued(path, y, z, raw.lines, kind)
+    y, z, turned = _upright(path, y, z, kind, mirror, invert)
+    placed = _back(y, z) if kind == "wheel" else _gauge_face(mirror)
+    y, z, cleaned = _single_valued(path, y, z, raw.lines, kind, smoothing)
     coded = () if encoding == "UTF-8" else (f"encoding: {encoding}",)
-    return MeasuredProfile(y, z, (*coded, *raw.notes, *notes, *turned, *cleaned))
+    return MeasuredProfile(y, z, (*coded, *raw.notes, *notes, *turned, *placed, *cleaned))
 
 
 def _check_kind(path: Path, raw: RawProfile, kind: Kind) -> None:
@@ -161,7 +187,7 @@ def _fits(kind: Kind, width: float, height: float) -> bool:
 
 
 def _upright(
-    y: Array, z: Array, kind: Kind, mirror: bool | None, invert: bool | None
+    path: Path, y: Array, z: Array, kind: Kind, mirror: bool | None, invert: bool | None
 ) -> tuple[Array, Array, list[str]]:
     """Curve with z upwards and a wheel's flange at negative y, if not told otherwise.
 
@@ -178,11 +204,51 @@ def _upright(
         if invert:
             notes.append(f"z turned round, so that it is upwards: the {_TELLTALE[kind]} in the file")
     z = -z if invert else z
+    if kind == "wheel":
+        _check_origin(path, y, z)
     if mirror is None:
         mirror = kind == "wheel" and bool(y[np.argmax(z)] > 0.0)
         if mirror:
             notes.append("y turned round, so that the flange is at negative y")
     return (-y if mirror else y), z, notes
+
+
+def _check_origin(path: Path, y: Array, z: Array) -> None:
+    """Refuse a wheel whose points lie all on one side of what should be its tape circle."""
+    low, high = np.min(y), np.max(y)
+    if low < -_ORIGIN and high > _ORIGIN:
+        return
+    flange_low = y[np.argmax(z)] < 0.5 * (low + high)
+    tape = low + TAPE_TO_BACK if flange_low else high - TAPE_TO_BACK
+    remedy = "subtract" if tape > 0.0 else "add"
+    raise DataError(
+        f"{path}: y runs from {low * 1e3 + 0.0:g} to {high * 1e3 + 0.0:g} mm in the file; y = 0 must be "
+        f"the tape circle, {TAPE_TO_BACK * 1e3:g} mm from the wheel's back: {remedy} {abs(tape) * 1e3:g} mm, "
+        "if the points begin at the back"
+    )
+
+
+_ORIGIN = 0.010
+"""How far a wheel reaches at least (m) to both sides of its tape circle, whatever is missing or shifted."""
+
+
+def _back(y: Array, z: Array) -> list[str]:
+    """Where the back of a wheel stands, if the points reach it and it is not where it usually is."""
+    end = np.min(y)
+    width, height = BACK
+    if np.ptp(z[y <= end + width]) < height or abs(end + TAPE_TO_BACK) <= BACK_OFF:
+        return []
+    return [
+        f"the wheel's back stands at y = {end * 1e3:.1f} mm, usual are {-TAPE_TO_BACK * 1e3:g}: y = 0 must "
+        "be the tape circle, and wheel.tape_to_back its distance from the back"
+    ]
+
+
+def _gauge_face(mirror: bool | None) -> list[str]:
+    """Which side of a rail is taken for its inner one, if nobody has said it."""
+    if mirror is not None:
+        return []
+    return ["gauge face: taken to be at negative y; if it is at positive y, set rail.shape.mirror=true"]
 
 
 _CLEARLY = 1.5
@@ -191,7 +257,7 @@ _TELLTALE: dict[Kind, str] = {"wheel": "flange points to negative z", "rail": "s
 
 
 def _single_valued(
-    path: Path, y: Array, z: Array, lines: list[int], kind: Kind
+    path: Path, y: Array, z: Array, lines: list[int], kind: Kind, smoothing: float
 ) -> tuple[Array, Array, list[str]]:
     """Points in the order of y, those that coincide merged, what overhangs cut off."""
     if y[-1] < y[0]:
@@ -216,13 +282,52 @@ def _single_valued(
             "direction of the other points"
         )
     _check_rest(path, y[first : last + 1], len(y), kind)
+    if not smoothing:
+        _check_single(path, y[first : last + 1], z[first : last + 1], lines[first : last + 1], kind)
     names = ("behind the flange's top", "beyond the tread") if kind == "wheel" else ("inside", "outside")
     for count, at, where in ((first, first, names[0]), (len(y) - 1 - last, last, names[1])):
         if count:
             notes.append(
                 f"{_points(count)} cut {where}, where the curve overhangs at y = {y[at] * 1e3:.2f} mm"
             )
-    return y[first : last + 1], z[first : last + 1], notes
+    return y[first : last + 1], z[first : last + 1], notes + _coarse(y[first : last + 1], kind)
+
+
+def _coarse(y: Array, kind: Kind) -> list[str]:
+    """That the points of a tread are far apart."""
+    tread = y[(y > RUNNING[0]) & (y < RUNNING[1])]
+    if kind != "wheel" or len(tread) < 2 or (apart := np.max(np.diff(tread))) <= COARSE * 1.001:
+        return []
+    return [
+        f"points up to {apart * 1e3:.2g} mm apart on the tread: conicity at small amplitudes is uncertain by "
+        "some 5 %"
+    ]
+
+
+def _check_single(path: Path, y: Array, z: Array, lines: list[int], kind: Kind) -> None:
+    """Refuse a point that stands off the parabola through two neighbours on each side."""
+    centre = 0.0 if kind == "wheel" else 0.5 * (y[0] + y[-1])
+    places = np.arange(2, len(y) - 2)
+    places = places[np.abs(y[places] - centre) < CHECKED[kind]]
+    if not len(places):
+        return
+    around = places[:, None] + np.array([-2, -1, 1, 2])
+    apart = (y[places + 2] - y[places - 2])[:, None] / 4.0
+    away = (y[around] - y[places][:, None]) / apart
+    weights = np.linalg.pinv(np.stack([np.ones_like(away), away, away**2], axis=-1))[:, 0]
+    off = z[places] - np.sum(weights * z[around], axis=1)
+    heights = np.diff(np.unique(np.round(z, 10)))
+    rounding = 0.5 * np.min(heights, initial=1e-4) * (1.0 + np.sum(np.abs(weights), axis=1))
+    kink = KINK / 3.0 * apart[:, 0]
+    allowed = np.maximum(STANDS_OFF + kink + rounding, NOISE * np.median(np.abs(off)))
+    worst = int(np.argmax(np.abs(off) - allowed))
+    if abs(off[worst]) > allowed[worst]:
+        at, found, most = places[worst], abs(off[worst]) * 1e3, allowed[worst] * 1e3
+        raise DataError(
+            f"{path}: line {lines[at]}: the point at y = {y[at] * 1e3:g} mm stands {found:.2g} mm off "
+            f"the curve through its neighbours; the rounding and the roughness of the file explain at most "
+            f"{most:.2g} mm: remove the point"
+        )
 
 
 def _points(count: int) -> str:

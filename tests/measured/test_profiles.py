@@ -14,6 +14,8 @@ from sayd_env.config.units import Array
 from sayd_env.measured.profiles import read_profile_file
 from sayd_env.physics.profiles import rail_profile, wheel_profile
 
+GAUGE_FACE = "gauge face: taken to be at negative y; if it is at positive y, set rail.shape.mirror=true"
+AWAY = np.array([5.0, 0.0])  # mm
 Y = np.round(np.arange(-70.0, 60.01, 0.2), 6)
 
 
@@ -247,6 +249,7 @@ def test_simpack_bounds_and_distances_are_applied(tmp_path: Path, wheel: Array) 
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
+        ("a" * 50 + " = 0.1", "line 8: unknown key '" + "a" * 37 + "...'"),
         ("rotat = 0.1", "line 8: unknown key 'rotat', did you mean 'rotate'"),
         ("approx.smooth = 0.5", "line 8: approx.smooth: found 0.5; SIMPACK's smoothing"),
         ("rotate = 3", "rotate: found 3 rad"),
@@ -301,6 +304,7 @@ def test_miniprof(tmp_path: Path, wheel: Array, rail: Array) -> None:
     moved = miniprof(rail - (5.0, -2.0), "XOffset=5.0\nYOffset=-2.0\nMyKey=4\nXYPoints=367")
     assert check(write(tmp_path / "r.ban", moved), rail, "rail") == (
         "keys of the header that are not used: mykey",
+        GAUGE_FACE,
     )
     swapped = miniprof(wheel[:, ::-1], "ColumnDef=Y,X,A,C,N").replace(".", ",")
     assert check(write(tmp_path / "s.whl", swapped.replace("2,5,1", "2.5.1")), wheel) == ("decimal commas",)
@@ -340,3 +344,74 @@ def test_files_that_are_no_profiles(tmp_path: Path, content: bytes, message: str
     with pytest.raises((ConfigError, DataError), match=r"p\.csv") as caught:
         read_profile_file(write(tmp_path / "p.csv", content), "wheel")
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(("raised", "at"), [(0.05, 350), (-0.05, 350), (0.05, 210), (1.0, 400)])
+@pytest.mark.parametrize("digits", [5, 3])
+def test_one_point_off_the_tread_is_refused_by_line(
+    tmp_path: Path, wheel: Array, raised: float, at: int, digits: int
+) -> None:
+    path = tmp_path / "w.csv"
+    points = wheel.copy()
+    points[at, 1] += raised
+    write(path, table(points, digits=digits))
+    message = (
+        rf"w\.csv: line {at + 1}: the point at y = {points[at, 0]:g} mm "
+        rf"stands (0\.049|{abs(raised):.2g}1?) mm off"
+    )
+    with pytest.raises(DataError, match=message):
+        read_profile_file(path, "wheel")
+    assert len(read_profile_file(path, "wheel", smoothing=3e-3).y) == len(points)
+    check(write(path, table(np.delete(points, at, axis=0), digits=digits)), wheel)
+
+
+def test_one_point_off_the_head_of_a_rail_is_refused(tmp_path: Path, rail: Array) -> None:
+    rail = rail.copy()
+    rail[180, 1] += 1.0
+    with pytest.raises(DataError, match=r"r\.csv: line 181: the point at y = -0\.6 mm stands 1 mm off"):
+        read_profile_file(write(tmp_path / "r.csv", table(rail)), "rail")
+
+
+@pytest.mark.parametrize("name", ["s1002", "s1002cn", "lma", "lmb10", "en15302_a", "en15302_b", "en15302_i"])
+@pytest.mark.parametrize("step", [0.2, 2.1])
+def test_rounded_rough_and_coarse_wheels_have_no_point_that_stands_off(
+    tmp_path: Path, name: str, step: float
+) -> None:
+    curve = wheel_profile(load_wheel(name))
+    y = np.arange(curve.y[0] * 1e3, curve.y[-1] * 1e3, step)
+    exact = np.interp(y, curve.y * 1e3, curve.z * 1e3)
+    rough = exact + 0.01 * np.random.default_rng(1).standard_normal(len(y))
+    for z, digits in ((exact, 5), (exact, 2), (exact, 1), (rough, 4)):
+        notes = read_profile_file(
+            write(tmp_path / "w.csv", table(np.column_stack([y, z]), digits=digits)), "wheel"
+        ).notes
+        assert any(note.startswith("points up to 2.1 mm apart on the tread") for note in notes) == (
+            step > 1.0
+        )
+
+
+def test_origins_that_are_off_are_told_or_refused(tmp_path: Path, wheel: Array) -> None:
+    told = "the wheel's back stands at y = -65.0 mm, usual are -70: y = 0 must be the tape circle"
+    for path in (
+        write(tmp_path / "w.csv", table(wheel + AWAY, header="y_mm,z_mm\n")),
+        write(tmp_path / "w.whl", miniprof(wheel, "ColumnDef=X,Y,*\nXOffset=5")),
+        write(tmp_path / "m.csv", table((wheel + AWAY) * (-1.0, 1.0), header="y_mm,z_mm\n")),
+    ):
+        assert any(note.startswith(told) for note in read_profile_file(path, "wheel").notes)
+    for points in (wheel, wheel + 0.18 * AWAY, wheel[15:] + AWAY):
+        path = write(tmp_path / "w.csv", table(points, header="y_mm,z_mm\n"))
+        assert read_profile_file(path, "wheel").notes == ()
+    for points, found in (
+        (wheel + 14.0 * AWAY, "y runs from 0 to 130 mm in the file; .*: subtract 70 mm"),
+        ((wheel + 14.0 * AWAY) * (-1.0, 1.0), "y runs from -130 to 0 mm in the file; .*: add 70 mm"),
+        ((wheel - 12.0 * AWAY) * (-1.0, 1.0), "y runs from 0 to 130 mm in the file; .*: subtract 60 mm"),
+    ):
+        path = write(tmp_path / "w.csv", table(points, header="y_mm,z_mm\n"))
+        with pytest.raises(DataError, match=found):
+            read_profile_file(path, "wheel")
+
+
+def test_side_of_the_gauge_face_is_told_unless_it_was_set(tmp_path: Path, rail: Array) -> None:
+    path = write(tmp_path / "r.csv", table(rail, header="y_mm,z_mm\n"))
+    assert read_profile_file(path, "rail").notes == (GAUGE_FACE,)
+    assert read_profile_file(path, "rail", mirror=True).notes == ()

@@ -118,6 +118,10 @@ def test_motion_about_an_offset_has_the_conicity_of_that_about_the_centre() -> N
     ("override", "message"),
     [
         ("wheel={left: s1002, right: lma}", "right.back_to_back: found 1.353; expected that of the left one"),
+        (
+            "wheel={left: s1002, right: lma}",
+            "set wheel.back_to_back or wheel.right.back_to_back to the common",
+        ),
         ("wheel={left: s1002, rigth: s1002}", "wheel: found rigth beside left; expected left and right"),
         ("wheel={left: s1002, right: cn60}", "is a rail profile; as wheel are available"),
         ("wheel.right={left: s1002, right: s1002}", "right"),
