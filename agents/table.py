@@ -69,7 +69,9 @@ class Table:
 def _read(path: Path, numbers: Collection[str], texts: Collection[str]) -> Iterator[dict[str, Any]]:
     reader = csv.reader(io.StringIO(read_text(path, "table"), newline=""), strict=True)
     try:
-        header = next(reader, ["nothing"])
+        header = next(reader, None)
+        if header is None:
+            raise DataError(f"{path}: is empty; move it away to go on without its rows")
         if header and not (len(set(header)) == len(header) and {*numbers, *texts} <= set(header)):
             expected = ", ".join((*texts, *numbers)) or "different columns"
             raise ValueError(f"found columns {', '.join(header[:10])}; expected {expected}")

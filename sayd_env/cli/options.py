@@ -175,7 +175,7 @@ class OutputOptions(Group):
 
 def gauge_text(text: str) -> str:
     """A gauge that is typed: mm, or a track's name or path, which is read later."""
-    if re.fullmatch(r"[-+.\d].*", text) and "/" not in text:
+    if re.fullmatch(r"[-+.\d].*|nan|inf(inity)?", text.strip(), re.IGNORECASE) and "/" not in text:
         GAUGE(text)
     return text
 
@@ -257,13 +257,20 @@ class ScenarioOptions(Group):
 
     def _gauge(self) -> float | None:
         """Gauge (m) that is typed, or that of the track that is named."""
-        from sayd_env.config.track import read_track  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.config.errors import ConfigError  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.config.loader import YAML, is_path  # noqa: PLC0415
+        from sayd_env.config.track import read_track  # noqa: PLC0415
 
         if self.gauge is None:
             return None
         try:
             return float(self.gauge) * 1e-3
         except ValueError:
+            if is_path(self.gauge) and not self.gauge.lower().endswith(YAML):
+                raise ConfigError(
+                    f"--gauge {self.gauge}: expected mm, or a track's name or YAML file; a measured file "
+                    "belongs to --track"
+                ) from None
             return read_track(self.gauge).gauge
 
     def sweep(self, runs: int, most: int = 10_000) -> tuple[list[Variant], list[Scenario]]:

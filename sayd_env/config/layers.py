@@ -154,7 +154,10 @@ def _measured(kind: Kind, name: str) -> tuple[dict[str, Any], str] | None:
         return None
     if kind.measured is None:
         if name.lower().endswith(DATA):
-            raise ConfigError(f"{name}: is a table; expected YAML of a {kind.folder}, which may name it")
+            option = f" (curve: {{file: {name}}}), or --damper {name}" if kind.folder == "damper" else ""
+            raise ConfigError(
+                f"{name}: is a table; expected YAML of a {kind.folder}, which may name it{option}"
+            )
         return None
     path = Path(name)
     content = section(*read_config("measured", kind.measured))

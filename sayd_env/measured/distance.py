@@ -48,13 +48,20 @@ _OTHER_NAMES = {
     "crosslevel": "cross_level",
     "track_gauge": "gauge",
     "superelevation": "cant",
+    "richtung": "alignment",
+    **dict.fromkeys(("längshöhe", "laengshoehe"), "vertical"),
+    "spurweite": "gauge",
+    **dict.fromkeys(("überhöhung", "ueberhoehung"), "cant"),
 }
 _CHORD = re.compile(
     r"(?:(?P<length>\d+(?:_\d+)?)_?(?P<unit>m|ft)_)?(?:mid_?)?(?:chord|versine|mco)s?"
     r"(?:_(?P<behind>\d+(?:_\d+)?)_?(?P<behind_unit>m|ft))?"
 )
+# In a name that says no more, or says it in another order.
+_SOME_CHORD = re.compile(r"versine|chord|(?<![a-z])mco|mid_?ordinate|pfeilh")
+_SOME_SPACE_CURVE = re.compile(r"space_?curve")
+_STRAIGHT = re.compile(r"[-+]?(?:inf(?:inity)?|∞)", re.IGNORECASE)
 _DOMAIN = re.compile(r"d(?P<domain>[0-3])")
-_FOOT = 0.3048
 _SPACE_CURVE = ("space_curve", "spacecurve", "absolute", "position")
 _RAILS = ("left", "right", "left_rail", "right_rail", "l", "r")
 
@@ -179,6 +186,7 @@ def read_table(path: str | Path, needed: Collection[str], rows: int, ignore: Col
     if len(text) < rows:
         raise DataError(f"{text.source}: found {len(text)} rows of numbers; at least {rows} are needed")
     factors = {k: _factor(text, k, name, where) for k, (name, _) in found.items()}
+    _check_radius(text, {name: k for k, (name, _) in found.items()})
     numbers = physical_numbers(text, places)
     columns = {
         found[k][0]: Column(text.names[k], factors[k][1] * numbers[:, j], *factors[k])
@@ -213,11 +221,39 @@ def _identified(text: TextTable, column: int, where: str) -> tuple[str, Variant 
             variant = _variant(channel, label.removeprefix(f"{known}_"), f"{where}: {text.titled(column)}")
             if variant is not None:
                 return label, variant
+    _refuse_part(label, f"{where}: {text.titled(column)}")
     allowed = _examples(_KINDS)
     raise DataError(
         f"{where}: unknown {text.titled(column)}{nearest(text.names[column], allowed.split(', '))}; "
         f"allowed: {allowed}; or name it under ignore"
     )
+
+
+def _refuse_part(label: str, where: str) -> None:
+    """Refuse what holds a part of the track under a name that does not say of which channel."""
+    if _SOME_CHORD.search(label):
+        raise DataError(
+            f"{where} holds offsets from a chord; name it 'alignment_10m_chord' or 'vertical_10m_chord', "
+            "with the length of the whole chord, or name it under ignore"
+        )
+    if _SOME_SPACE_CURVE.search(label):
+        raise DataError(
+            f"{where} holds a space curve; name it 'alignment_space_curve' or 'vertical_space_curve', or "
+            "name it under ignore"
+        )
+
+
+def _check_radius(text: TextTable, places: Mapping[str, int]) -> None:
+    """Say what a straight has in place of an infinite radius."""
+    if "radius" not in places:
+        return
+    column = places["radius"]
+    for row, cell in enumerate(text.cells([column])[:, 0]):
+        if _STRAIGHT.fullmatch(cell):
+            raise DataError(
+                f"{text.where(row, column)}: found '{cell}'; where it is straight the radius is 0, or give "
+                "curvature_1_km"
+            )
 
 
 def _variant(channel: str, way: str, where: str) -> Variant | None:
@@ -228,7 +264,9 @@ def _variant(channel: str, way: str, where: str) -> Variant | None:
                 f"{where} holds offsets from a chord of unknown length; name it '{channel}_10m_chord', with "
                 "the length of the whole chord, in whose middle they are measured"
             )
-        return Variant(channel, "chord", float(length.replace("_", ".")) * (_FOOT if unit == "ft" else 1.0))
+        known = unit_of(unit)
+        assert known is not None
+        return Variant(channel, "chord", known.factor * float(length.replace("_", ".")))
     if found := _DOMAIN.fullmatch(way):
         return Variant(channel, "domain", domain=f"D{found['domain']}")
     if way in _SPACE_CURVE:

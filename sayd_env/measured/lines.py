@@ -12,11 +12,13 @@ import numpy as np
 
 from sayd_env.config.conditions import Knots, Line, Section, TrackPiece, checked, joined
 from sayd_env.config.errors import DataError
-from sayd_env.config.files import MIB, read_bytes
+from sayd_env.config.files import read_bytes
 from sayd_env.config.line import LineConfig, read_line, resolve, resolve_rails
 from sayd_env.config.track import FileConfig
 from sayd_env.config.units import Array
 from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, Table, read_table
+from sayd_env.measured.table import LARGEST
+from sayd_env.measured.tracks import stated_gauge
 
 # A shorter line is one of kilometres in a column of metres.
 _SHORTEST = 100.0  # m
@@ -69,7 +71,7 @@ def line_content(line: str) -> dict[str, Any]:
     content = config.model_dump(mode="json")
     if config.file is None:
         return content
-    measured = read_bytes(Path(config.file), "measured line", 256 * MIB)
+    measured = read_bytes(Path(config.file), "measured line", LARGEST)
     return content | {"sha256": hashlib.sha256(measured).hexdigest()}
 
 
@@ -79,7 +81,8 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
     Between rows everything is linear, the speed's square too; s = 0 is the first row. Columns, beside ``x_m``
     or ``x_km``: ``speed_kmh``; ``radius_m`` (positive in left curves, 0 where it is straight) or
     ``curvature_1_km``; ``cant_mm`` (positive where the right rail is higher); ``nominal_gauge_mm`` (the
-    slowly changing gauge, about 1435); ``friction``; ``rail`` (share of the second of the line's rails, 0 to
+    slowly changing gauge, about 1435, elsewhere what the gauge of `read_measured` is stated to depart from);
+    ``friction``; ``rail`` (share of the second of the line's rails, 0 to
     1), all in other units as well; and the irregularities of `read_measured`, which needs even spacing where
     a line does not.
 
@@ -129,7 +132,7 @@ def _line(table: Table, config: LineConfig) -> Line:
         cant=cant,
         sections=tuple(_sections(length, config.section_length, curvature, cant)),
         speed_squared=_knots(s, None if speeds is None else speeds**2),
-        gauge=_knots(s, table.values("nominal_gauge")),
+        gauge=_knots(s, stated_gauge(table, config)),
         friction=_knots(s, table.values("friction")),
         rail_blend=_knots(s, table.values("rail")),
         rails=resolve_rails(config),

@@ -10,7 +10,7 @@ from sayd_env.config.track import FileConfig, TrackConfig
 from sayd_env.config.vehicle import Damper, MeasuredCurve, VehicleConfig
 from sayd_env.measured.dampers import curve_note
 from sayd_env.measured.lines import read_measured_line
-from sayd_env.measured.tracks import read_measured
+from sayd_env.measured.tracks import check_gauge, read_measured
 from sayd_env.measured.valves import map_note
 
 
@@ -26,7 +26,7 @@ def measured_notes(parts: Mapping[str, object]) -> tuple[str, ...]:
     Raises
     ------
     ConfigError, DataError
-        A file cannot be used.
+        A file cannot be used, or its gauge departs from another one than the track has.
     """
     return tuple(dict.fromkeys(note for part in parts.values() for note in _of(part)))
 
@@ -41,7 +41,7 @@ def _of(part: object) -> Iterator[str]:
     elif isinstance(part, SaydDamperConfig) and isinstance(part.throttle, TableThrottle):
         yield map_note(part.throttle)
     elif isinstance(part, TrackConfig) and isinstance(part.irregularity, FileConfig):
-        yield from _of_track(part.irregularity)
+        yield from _of_track(part.irregularity, part.gauge)
     elif isinstance(part, Mapping) and part.get("file"):
         line = LineConfig.model_validate({key: part[key] for key in LineConfig.model_fields if key in part})
         yield from _of_line(line)
@@ -53,7 +53,11 @@ def _of_line(line: LineConfig) -> Iterator[str]:
     yield from (note for piece in irregularities for note in _of_track(piece.irregularity))
 
 
-def _of_track(config: object) -> Iterator[str]:
+def _of_track(config: object, gauge: float | None = None) -> Iterator[str]:
+    """Notes on a file of a line, or of a track with a gauge of its own (m)."""
     assert isinstance(config, FileConfig)
-    for note in read_measured(config).notes:
+    measured = read_measured(config)
+    if gauge is not None:
+        check_gauge(measured, gauge)
+    for note in measured.notes:
         yield f"{config.path}: {note}"

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from sayd_env.config.conditions import smooth_step
 from sayd_env.config.errors import DataError
-from sayd_env.config.track import CHANNELS, DOMAINS, FileConfig
+from sayd_env.config.track import CHANNELS, DOMAINS, FileConfig, GeometryConfig
 from sayd_env.config.units import Array
 from sayd_env.measured.distance import IRREGULARITIES, Column, Table, Variant, read_table
 
@@ -26,8 +26,11 @@ _FURTHEST = 10.0  # m
 _MOST, _LEAST = 0.2, 2e-5  # m
 # Departures have no such mean over so long a way; the line's own layout has (a cant, a curve).
 _MOST_MEAN, _MEAN_LENGTH = 0.05, 100.0  # m
-# Nominal gauges are nearly whole numbers of millimetres about which a track scatters by few of them.
-_SAME_GAUGE = 0.06  # m
+# Laying and wear leave half of a track's rows within few millimetres of its nominal gauge. What departs
+# further is another nominal, the gauge at another depth, or widened curves, which a column follows.
+_SAME_GAUGE = 0.006  # m
+# A hundredth of what tracks are measured to.
+_EQUAL_GAUGE = 1e-5  # m
 # What a chord shows of a wave at least for the wave to be restored: errors of measurement grow 17 times.
 _LEAST_SHOWN = 0.06
 # Beyond a band its waves die away up to lengths this many times as long, or as short.
@@ -51,12 +54,15 @@ class MeasuredTrack:
         Alignment, vertical (m), cross-level (rad), gauge (m); zero for channels that the file lacks.
     notes : tuple of str
         What was done to the numbers of the file beside a change of units.
+    nominal_gauge : ndarray, shape (n,), or None
+        What the file's gauge departs from (m), where it has a gauge and this is stated.
     """
 
     source: str
     x: Array
     values: Array
     notes: tuple[str, ...] = ()
+    nominal_gauge: Array | None = None
 
     def at(self, x: Array) -> Array:
         """Values at positions by a cubic spline, shape (m, 4); outside the file those at its ends.
@@ -100,7 +106,42 @@ def read_measured(config: FileConfig) -> MeasuredTrack:
         if columns[channel]:
             values[:, j] = _channel(table, columns[channel], config, notes)
     values[:, CHANNELS.index("cross_level")] /= config.cross_level_base
-    return MeasuredTrack(table.source, table.x, values, tuple(notes))
+    return MeasuredTrack(table.source, table.x, values, tuple(notes), stated_gauge(table, config))
+
+
+def check_gauge(measured: MeasuredTrack, gauge: float) -> None:
+    """Check that a track's own gauge (m) is what the gauge of its file departs from.
+
+    Raises
+    ------
+    DataError
+        It is another: both together would not be the gauge that was measured.
+    """
+    nominal = measured.nominal_gauge
+    if nominal is None or float(np.max(np.abs(nominal - gauge))) <= _EQUAL_GAUGE:
+        return
+    if np.ptp(nominal) > _EQUAL_GAUGE:
+        raise DataError(
+            f"{measured.source}: column nominal_gauge: found {1e3 * np.min(nominal):.6g} to "
+            f"{1e3 * np.max(nominal):.6g} mm; a track has one gauge, give the file as a line (--line)"
+        )
+    stated = f"{1e3 * nominal[0]:.6g}"
+    raise DataError(
+        f"{measured.source}: states a nominal gauge of {stated} mm, the track's is {1e3 * gauge:.6g} mm: "
+        f"--gauge {stated}, or the track's key gauge"
+    )
+
+
+def stated_gauge(table: Table, config: GeometryConfig) -> Array | None:
+    """Nominal gauge (m), shape (n,), of a file that has a gauge, or a nominal one over distance.
+
+    Raises
+    ------
+    DataError
+        The file and the configuration state several.
+    """
+    has_gauge = any(variant.channel == "gauge" for variant in table.variants.values())
+    return _nominal(table, config) if has_gauge or "nominal_gauge" in table.columns else None
 
 
 def _channel(
@@ -169,17 +210,17 @@ def _departures(table: Table, column: Column, config: FileConfig, notes: list[st
             "say what it departs from: nominal_gauge (m, for example 1.435), or a line "
             "'# nominal gauge 1435 mm' above the header, or a column nominal_gauge_mm"
         )
-    if abs(typical - float(np.median(nominal))) > _SAME_GAUGE:
+    if abs(float(np.median(column.values - nominal))) > _SAME_GAUGE:
         raise DataError(
             f"{table.head}: column '{column.header}': about {1e3 * typical:.0f} mm, but the nominal gauge is "
-            f"stated as {1e3 * float(np.median(nominal)):g} mm"
+            f"stated as {1e3 * float(np.median(nominal)):g} mm; at most {1e3 * _SAME_GAUGE:g} mm lie between"
         )
     text = f"{1e3 * nominal[0]:g} mm" if np.ptp(nominal) == 0.0 else "that of the column nominal_gauge"
     notes.append(f"{column.header}: the nominal gauge, {text}, is taken off")
     return np.asarray(column.values - nominal)
 
 
-def _nominal(table: Table, config: FileConfig) -> Array | None:
+def _nominal(table: Table, config: GeometryConfig) -> Array | None:
     """Nominal gauge (m), shape (n,)."""
     own = table.values("nominal_gauge")
     stated = [
@@ -304,15 +345,16 @@ def _check_size(table: Table, column: Column, values: Array) -> None:
     large = np.flatnonzero(np.abs(values) > _MOST)
     if large.size:
         i = int(large[0])
+        off = "" if values is column.values else f", {1e3 * values[i]:.4g} mm off its nominal"
         raise DataError(
-            f"{table.where(i)}: column '{column.header}': found {column.shown(i)}; at most "
-            f"{1e3 * _MOST:g} mm is allowed (is the unit {column.unit}?)"
+            f"{table.where(i)}: column '{column.header}': found {column.shown(i)}{off}; at most "
+            f"{_MOST / column.factor:g} {column.unit} is allowed (is the unit {column.unit} right?)"
         )
     largest = float(np.max(np.abs(values)))
     if 0.0 < largest < _LEAST:
         raise DataError(
             f"{table.head}: column '{column.header}': no number is above {1e3 * largest:.2g} mm; no track "
-            f"is as even (is the unit {column.unit}?)"
+            f"is as even (is the unit {column.unit} right?)"
         )
     rows = math.ceil(_MEAN_LENGTH / float(np.median(np.diff(table.x))))
     total = np.concatenate(([0.0], np.cumsum(values)))

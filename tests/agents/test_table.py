@@ -13,7 +13,7 @@ from sayd_env.config import DataError
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "line 0: is damaged (found columns nothing; expected steps, J)"),
+        (b"", "is empty"),
         (b"\0\0\0", r"line 1: is damaged (found columns \x00\x00\x00; expected steps, J)"),
         (b"steps\n1\n", "line 1: is damaged (found columns steps; expected steps, J)"),
         (b"steps,steps,J\n1,1,1\n", "line 1: is damaged (found columns steps, steps, J; expected steps, J)"),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sayd_env.cli.options import VehicleOptions
+from sayd_env.cli.options import VehicleOptions, gauge_text
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import load_sayd
 from sayd_env.config.profile import load_wheel
@@ -30,6 +30,19 @@ def test_rail_and_gauge_equal_assignments():
     found = VehicleOptions(profile="s1002", rail="60e1", gauge="1437.5").load()
     assert found == load_scenario(None, ["wheel=s1002", "wear=0", 'rail="60e1"', "track.gauge=1.4375"])
     assert VehicleOptions(gauge="german_low").load().track.gauge == read_track("german_low").gauge
+
+
+def test_a_gauge_is_no_data_file(tmp_path: Path):
+    path = tmp_path / "track.csv"
+    path.write_text("garbage", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"--gauge .*track\.csv: expected mm, .* belongs to --track"):
+        VehicleOptions(gauge=str(path)).load()
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-Infinity", "1e9"])
+def test_a_typed_gauge_is_a_finite_number(text: str):
+    with pytest.raises(ValueError, match="expected a number from 900 to 1700 mm"):
+        gauge_text(text)
 
 
 def test_a_profile_file_is_a_part_and_what_was_done_to_it_is_said(

@@ -211,7 +211,9 @@ def test_the_option_takes_files_of_all_kinds(tmp_path: Path, capsys: pytest.Capt
 
     with pytest.raises(DataError, match="found 'x_m', 'gauge_mm'; expected columns of a curve"):
         chosen(write(tmp_path, "x_m,gauge_mm\n0,1\n1,1\n2,1\n"))
-    with pytest.raises(ConfigError, match=r"rig\.csv: is a table; expected YAML of a damper"):
+    with pytest.raises(
+        ConfigError, match=r"rig\.csv: is a table; .* of a damper, .*curve: .file: .*or --damper .*rig\.csv"
+    ):
         load_scenario("estimates", [f"damper={tmp_path / 'rig.csv'}"])
 
 

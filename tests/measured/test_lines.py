@@ -84,7 +84,7 @@ def test_a_line_in_other_units_is_the_same(tmp_path: Path) -> None:
     )
     other = write(
         tmp_path,
-        "# surveyed\nChainage;Curvature;Superelevation;Speed\nkm;1/m;cm;m/s\n12,0;0;0;50\n"
+        "# surveyed\nChainage;Curvature;Überhöhung;Speed\nkm;1/m;cm;m/s\n12,0;0;0;50\n"
         "12,2;-0,5e-3;-10;50\n"
         "12,9;-0,5e-3;-10;50\n",
         "other.csv",
@@ -113,6 +113,31 @@ def test_keys_of_its_irregularities_are_the_lines(tmp_path: Path) -> None:
     assert read_measured(piece.irregularity).notes == (note,)
     told = measured_notes({"line": line_content(str(tmp_path / "mine.yaml"))})
     assert told == (f"{tmp_path / 'twist.csv'}: {note}",)
+
+
+@pytest.mark.parametrize("way", ["key", "comment", "column"])
+@pytest.mark.parametrize("nominal", [1435.0, 1432.0])
+def test_a_lines_gauge_is_the_one_that_was_measured(tmp_path: Path, nominal: float, way: str) -> None:
+    """Whatever it departs from: the line's gauge and the departure together are what was measured."""
+    x = np.arange(0.0, 900.25, 0.25)
+    gauge = 1433.5 + np.sin(x / 5)
+    names, last = (
+        ("x_m,gauge_mm,nominal_gauge_mm", f",{nominal}") if way == "column" else ("x_m,gauge_mm", "")
+    )
+    rows = "\n".join(f"{a},{b:.9f}{last}" for a, b in zip(x, gauge, strict=True))
+    above = f"# nominal gauge {nominal:g} mm\n" if way == "comment" else ""
+    write(tmp_path, f"{above}{names}\n{rows}")
+    key = f"nominal_gauge: {nominal / 1e3!r}\n" if way == "key" else ""
+    line = load_line(write(tmp_path, f"file: line.csv\n{key}", "mine.yaml"))
+    assert line.gauge is not None
+    (piece,) = line.tracks
+    assert isinstance(piece.irregularity, FileConfig)
+    whole = 1e3 * (line.gauge.at(x) + read_measured(piece.irregularity).values[:, 3])
+    np.testing.assert_allclose(whole, gauge, atol=1e-7)
+    realised = realise_line(line, read_track("smooth"), 800.0, 0, origin=350.0)
+    value, _ = realised.evaluate(350.0 + np.array([200.0, 300.0]))
+    expected = np.interp([200.0, 300.0], x, gauge) - 1435.0
+    np.testing.assert_allclose(1e3 * value[:, 3], expected, atol=1e-3)
 
 
 def test_sections_are_parts_of_equal_length(tmp_path: Path) -> None:
@@ -157,7 +182,7 @@ def test_irregularities_of_a_line_are_those_of_its_file(tmp_path: Path) -> None:
         ("x_m,friction\n0,0.3\n0,0.3\n", "line 3: x_m 0 appears twice"),
         ("x_km,friction\n1.5,0.3\n1.2,0.3\n", "line 3: x_km 1.2 comes after x_km 1.5; positions must ascend"),
         ("x_m,friction\n0,0.3\n100,\n", "line 3: column 'friction': found ''; expected a number"),
-        ("x_m,radius_m\n0,inf\n100,800\n", "line 2: column 'radius_m': found 'inf'"),
+        ("x_m,radius_m\n0,inf\n100,800\n", "line 2: column 'radius_m': found 'inf'; .* radius is 0, or"),
         ("x_m,friction\n0,0.3\n100,1.3\n", r"at 100 m: friction: found 1\.3; allowed are 0.05 to 1"),
         ("x_m,nominal_gauge_mm\n0,2\n100,3\n", "at 0 m: gauge: found 0.002; allowed are 0.9 to 1.7 m"),
         ("x_m,speed_kmh\n0,300\n100,600\n", "at 100 m: speed: found 600; allowed are 30 to 500 km/h"),

@@ -9,7 +9,8 @@ import pytest
 
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.track import FileConfig, read_track
-from sayd_env.measured.tracks import MeasuredTrack
+from sayd_env.measured.notes import measured_notes
+from sayd_env.measured.tracks import MeasuredTrack, check_gauge
 from sayd_env.physics.track import read_measured, realise
 
 HEADER = "x_m,alignment_mm"
@@ -146,6 +147,64 @@ def test_the_nominal_gauge_is_taken_off(
     assert track.notes == ("gauge_mm: the nominal gauge, 1435 mm, is taken off",)
 
 
+@pytest.mark.parametrize("way", ["key", "comment", "column"])
+@pytest.mark.parametrize("nominal", [1435.0, 1432.0])
+def test_a_tracks_gauge_is_the_one_that_was_measured(tmp_path: Path, nominal: float, way: str) -> None:
+    """A file's gauge departs from its nominal gauge: the track that it lies on needs to have this."""
+    gauge = 1433.5 + wave(20)
+    values, header = (X, gauge), "x_m,gauge_mm"
+    if way == "column":
+        values, header = (X, gauge, np.full(len(X), nominal)), "x_m,gauge_mm,nominal_gauge_mm"
+    above = f"# nominal gauge {nominal:g} mm" if way == "comment" else ""
+    path = columns(tmp_path, header, *values, above=above)
+    keys = [f"irregularity.nominal_gauge={nominal / 1e3!r}"] if way == "key" else []
+    track = read_track(str(path), [*keys, f"gauge={nominal / 1e3!r}"])
+    assert measured_notes({"track": track}) == (
+        f"{path}: gauge_mm: the nominal gauge, {nominal:g} mm, is taken off",
+    )
+    assert isinstance(track.irregularity, FileConfig)
+    whole = 1e3 * (track.gauge + read_measured(track.irregularity).values[:, 3])
+    np.testing.assert_allclose(whole, gauge, atol=1e-8)
+    other = read_track(str(path), [*keys, "gauge=1.437"])
+    message = f"states a nominal gauge of {nominal:g} mm, the track's is 1437 mm: --gauge {nominal:g}"
+    with pytest.raises(DataError, match=message):
+        measured_notes({"track": other})
+
+
+def test_a_track_has_one_nominal_gauge(tmp_path: Path) -> None:
+    nominal = np.where(X < 500.0, 1435.0, 1445.0)
+    path = columns(tmp_path, "x_m,gauge_mm,nominal_gauge_mm", X, nominal + wave(20), nominal)
+    with pytest.raises(DataError, match="found 1435 to 1445 mm; a track has one gauge, give the file as a"):
+        check_gauge(read(path), 1.435)
+
+
+def test_a_stated_gauge_counts_for_departures_but_not_without_a_gauge(tmp_path: Path) -> None:
+    above = "# nominal gauge 1432 mm"
+    path = columns(tmp_path, "x_m,gauge_mm", X, wave(20), above=above)
+    with pytest.raises(DataError, match="states a nominal gauge of 1432 mm, the track's is 1435 mm"):
+        check_gauge(read(path), 1.435)
+    check_gauge(read(columns(tmp_path, "x_m,alignment_mm", X, wave(20), above=above)), 1.435)
+
+
+def test_german_names_are_the_same_channels(tmp_path: Path) -> None:
+    waves = (wave(20), wave(12), wave(30))
+    expected = read(columns(tmp_path, "x_m,alignment_mm,vertical_mm,gauge_mm", X, *waves)).values
+    for vertical in ("Längshöhe", "Laengshoehe"):
+        path = columns(tmp_path, f"x_m,Richtung [mm],{vertical} [mm],Spurweite [mm]", X, *waves)
+        np.testing.assert_allclose(read(path).values, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name", ["versine_mm", "10m_chord_mm", "mco [mm]", "mid_chord_mm", "Versine 10 m [mm]"]
+)
+def test_chords_of_an_unknown_channel_are_no_channel(tmp_path: Path, name: str) -> None:
+    with pytest.raises(
+        DataError, match=r"line 1: column .* offsets from a chord; name it 'alignment_10m"
+    ) as caught:
+        read(columns(tmp_path, f"x_m,{name}", X, wave(20)))
+    assert "did you mean" not in str(caught.value)
+
+
 @pytest.mark.parametrize("length", [3.5, 12.0, 40.0])
 def test_waves_are_restored_from_a_chord(tmp_path: Path, length: float) -> None:
     """By its geometry a chord of 10 m shows z(x) - (z(x - 5) + z(x + 5)) / 2 at its middle."""
@@ -202,6 +261,19 @@ def test_columns_may_be_left_out_by_name(tmp_path: Path) -> None:
         ("x_m,alignment_mm", (12.0 + X / 1e3, wave(20)), {}, r"rows are 0.00025 m apart, .*is the unit km"),
         ("x_km,alignment_mm", (X, wave(20)), {}, r"rows are 250 m apart, at most 10 m .*is the unit m\?"),
         ("x_m,alignment_mm", (X, 1e3 * wave(20)), {}, r"line 4: .*at most 200 mm is allowed .is the unit mm"),
+        (
+            "x_m,gauge_m",
+            (X, 0.1177 * wave(20)),
+            {},
+            r"found 0.\d+ m; at most 0.2 m is allowed .is the unit m right\?",
+        ),
+        (
+            "x_m,gauge_m",
+            (X, 1.435 + 0.12 * wave(20)),
+            {"nominal_gauge": 1.435},
+            r"found 1.\d+ m, \d+.?\d* mm off its nominal; at most 0.2 m",
+        ),
+        ("x_m,space_curve_mm", (X, wave(20)), {}, "a space curve; name it 'alignment_space_curve' or"),
         ("x_m,alignment_mm", (X, 1e-3 * wave(20)), {}, r"no number is above 0.002 mm; no track is as even"),
         ("x_m,alignment", (X, wave(20)), {}, r"its unit is missing; expected 'alignment \[mm\]'"),
         ("x_m,alignment [s]", (X, wave(20)), {}, r"unknown unit 's'; expected 'alignment \[mm\]'"),
@@ -215,6 +287,7 @@ def test_columns_may_be_left_out_by_name(tmp_path: Path) -> None:
         ),
         ("x_m,gauge_mm", (X, 1435 + wave(20)), {}, "holds the gauge itself, about 1435 mm; say what"),
         ("x_m,gauge_mm", (X, 1435 + wave(20)), {"nominal_gauge": 1.52}, "nominal gauge is stated as 1520 mm"),
+        ("x_m,gauge_mm", (X, 1450 + wave(20)), {"nominal_gauge": 1.435}, "at most 6 mm lie between"),
         ("x_m,gauge_mm", (X, wave(20)), {"nominal_gauge": 1.435}, "holds departures already"),
         ("x_m,cross_level_mm", (X, 120 + wave(20)), {}, "mean over 100 m is 120 mm, .*own layout out"),
         (
