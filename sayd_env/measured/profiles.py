@@ -50,8 +50,8 @@ what rounding makes, or by so many times as much as half of the points do: scans
 CHECKED: dict[Kind, float] = {"wheel": 0.030, "rail": 0.025}
 """How far (m) from the tape circle and from the middle of the head single points are checked."""
 
-TAPE_TO_BACK, BACK_OFF = 0.070, 1e-3
-"""Usual distance of a wheel's tape circle from its back (m; EN 13715); by how much more a file's is told."""
+BACK_OFF = 1e-3
+"""By how much (m) the back in a wheel's file may stand elsewhere than its numbers say: rounded, or worn."""
 
 BACK = (0.5e-3, 3e-3)
 """A back stands where points within the first width (m) span at least the second height."""
@@ -88,6 +88,7 @@ def read_profile_file(
     mirror: bool | None = None,
     invert: bool | None = None,
     smoothing: float = 0.0,
+    tape_to_back: float | None = None,
 ) -> MeasuredProfile:
     """Read a measured profile.
 
@@ -103,6 +104,8 @@ def read_profile_file(
         Whether y and z are turned round; by default so that z is upwards and a wheel's flange at negative y.
     smoothing : float
         Length (m) over which the curve will be smoothed; with one, a point may stand off its neighbours.
+    tape_to_back : float, optional
+        Distance (m) of a wheel's tape circle from its back, against which the file's back is checked.
 
     Returns
     -------
@@ -128,8 +131,10 @@ def read_profile_file(
         found = f"{len(raw.points)} points" if len(raw.points) else "no points"
         raise DataError(f"{path}: found {found}, at least {FEWEST_POINTS} are needed")
     y, z, notes = _in_metres(path, raw, kind, unit)
-    y, z, turned = _upright(path, y, z, kind, mirror, invert)
-    placed = _back(y, z) if kind == "wheel" else _gauge_face(mirror)
+    y, z, turned = _upright(path, y, z, kind, mirror, invert, tape_to_back)
+    if tape_to_back is not None:
+        _check_back(path, y, z, tape_to_back)
+    placed = _gauge_face(mirror) if kind == "rail" else []
     y, z, cleaned = _single_valued(path, y, z, raw.lines, kind, smoothing)
     coded = () if encoding == "UTF-8" else (f"encoding: {encoding}",)
     return MeasuredProfile(y, z, (*coded, *raw.notes, *notes, *turned, *placed, *cleaned))
@@ -187,7 +192,13 @@ def _fits(kind: Kind, width: float, height: float) -> bool:
 
 
 def _upright(
-    path: Path, y: Array, z: Array, kind: Kind, mirror: bool | None, invert: bool | None
+    path: Path,
+    y: Array,
+    z: Array,
+    kind: Kind,
+    mirror: bool | None,
+    invert: bool | None,
+    tape_to_back: float | None,
 ) -> tuple[Array, Array, list[str]]:
     """Curve with z upwards and a wheel's flange at negative y, if not told otherwise.
 
@@ -205,7 +216,7 @@ def _upright(
             notes.append(f"z turned round, so that it is upwards: the {_TELLTALE[kind]} in the file")
     z = -z if invert else z
     if kind == "wheel":
-        _check_origin(path, y, z)
+        _check_origin(path, y, z, tape_to_back)
     if mirror is None:
         mirror = kind == "wheel" and bool(y[np.argmax(z)] > 0.0)
         if mirror:
@@ -213,18 +224,21 @@ def _upright(
     return (-y if mirror else y), z, notes
 
 
-def _check_origin(path: Path, y: Array, z: Array) -> None:
+def _check_origin(path: Path, y: Array, z: Array, tape_to_back: float | None) -> None:
     """Refuse a wheel whose points lie all on one side of what should be its tape circle."""
     low, high = np.min(y), np.max(y)
     if low < -_ORIGIN and high > _ORIGIN:
         return
-    flange_low = y[np.argmax(z)] < 0.5 * (low + high)
-    tape = low + TAPE_TO_BACK if flange_low else high - TAPE_TO_BACK
-    remedy = "subtract" if tape > 0.0 else "add"
+    found = (
+        f"{path}: y runs from {low * 1e3 + 0.0:g} to {high * 1e3 + 0.0:g} mm in the file; y = 0 must be the "
+        "tape circle"
+    )
+    if tape_to_back is None:
+        raise DataError(found)
+    tape = low + tape_to_back if y[np.argmax(z)] < 0.5 * (low + high) else high - tape_to_back
+    remedy = f"{'subtract' if tape > 0.0 else 'add'} {abs(tape) * 1e3:g} mm"
     raise DataError(
-        f"{path}: y runs from {low * 1e3 + 0.0:g} to {high * 1e3 + 0.0:g} mm in the file; y = 0 must be "
-        f"the tape circle, {TAPE_TO_BACK * 1e3:g} mm from the wheel's back: {remedy} {abs(tape) * 1e3:g} mm, "
-        "if the points begin at the back"
+        f"{found}, {tape_to_back * 1e3:g} mm from the wheel's back: {remedy}, if the points begin at the back"
     )
 
 
@@ -232,16 +246,19 @@ _ORIGIN = 0.010
 """How far a wheel reaches at least (m) to both sides of its tape circle, whatever is missing or shifted."""
 
 
-def _back(y: Array, z: Array) -> list[str]:
-    """Where the back of a wheel stands, if the points reach it and it is not where it usually is."""
-    end = np.min(y)
-    width, height = BACK
-    if np.ptp(z[y <= end + width]) < height or abs(end + TAPE_TO_BACK) <= BACK_OFF:
-        return []
-    return [
-        f"the wheel's back stands at y = {end * 1e3:.1f} mm, usual are {-TAPE_TO_BACK * 1e3:g}: y = 0 must "
-        "be the tape circle, and wheel.tape_to_back its distance from the back"
-    ]
+def _check_back(path: Path, y: Array, z: Array, tape_to_back: float) -> None:
+    """Refuse a wheel whose points reach its back at another place than its numbers say."""
+    end, (width, height) = np.min(y), BACK
+    inside, outside = (np.max(z[side]) - z[np.argmin(np.abs(y))] for side in (y < 0.0, y > 0.0))
+    if inside < height or outside > height:
+        return  # no flange, or one on either side: a rail, which is refused as such
+    if np.ptp(z[y <= end + width]) < height or abs(end + tape_to_back) <= BACK_OFF:
+        return
+    raise DataError(
+        f"{path}: the wheel's back stands at y = {end * 1e3:.1f} mm, wheel.tape_to_back says "
+        f"{-tape_to_back * 1e3:g}: y = 0 must be the tape circle; shift the file, or set "
+        f"wheel.tape_to_back={-end:.4g} if it is"
+    )
 
 
 def _gauge_face(mirror: bool | None) -> list[str]:
@@ -326,7 +343,7 @@ def _check_single(path: Path, y: Array, z: Array, lines: list[int], kind: Kind) 
         raise DataError(
             f"{path}: line {lines[at]}: the point at y = {y[at] * 1e3:g} mm stands {found:.2g} mm off "
             f"the curve through its neighbours; the rounding and the roughness of the file explain at most "
-            f"{most:.2g} mm: remove the point"
+            f"{most:.2g} mm: remove the point, or smooth by {kind}.shape.smoothing=0.003 (m)"
         )
 
 

@@ -96,7 +96,7 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
         raise ConfigError(
             f"wheel profile '{config.name}' has no wear section, so wear must be 0 (found {wear:g})"
         )
-    y, z, notes = _sampled(config.shape, config.name, "wheel")
+    y, z, notes = _sampled(config.shape, config.name, "wheel", config.tape_to_back)
     if config.wear is not None and wear > 0.0:
         y, z, further = _worn(config, y, z, wear)
         notes = (*notes, *further)
@@ -247,11 +247,19 @@ def mirrored(profile: Profile) -> Profile:
     return replace(profile, y=-profile.y[::-1], z=profile.z[::-1])
 
 
-def _sampled(shape: Shape, name: str, kind: Kind) -> tuple[Array, Array, tuple[str, ...]]:
+def _sampled(
+    shape: Shape, name: str, kind: Kind, tape_to_back: float | None = None
+) -> tuple[Array, Array, tuple[str, ...]]:
     """Samples of the curve (m) in the order of y, as given (before shift, cant and datum), and notes."""
     if shape.file is not None:
         measured = read_profile_file(
-            Path(shape.file), kind, unit=shape.unit, mirror=shape.mirror, invert=shape.invert
+            Path(shape.file),
+            kind,
+            unit=shape.unit,
+            mirror=shape.mirror,
+            invert=shape.invert,
+            smoothing=shape.smoothing,
+            tape_to_back=tape_to_back,
         )
         y, z = _interpolated(measured.y, measured.z, shape.smoothing)
         return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes)
@@ -313,7 +321,7 @@ def _worn(
         depth = config.wear.depth * np.cos(0.5 * np.pi * np.clip(phase, -1.0, 1.0)) ** 2
         return y, z - wear * depth, ()
     assert config.wear is not None  # the caller has checked
-    worn_y, worn_z, notes = _sampled(config.wear.shape, f"{config.name} (worn)", "wheel")
+    worn_y, worn_z, notes = _sampled(config.wear.shape, f"{config.name} (worn)", "wheel", config.tape_to_back)
     both = (y >= worn_y[0]) & (y <= worn_y[-1])
     _check_reach(f"{config.name} (worn)", y[both], TREAD_REACH, "the tape circle")
     y, z = y[both], z[both]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -390,17 +391,21 @@ def test_rounded_rough_and_coarse_wheels_have_no_point_that_stands_off(
         )
 
 
-def test_origins_that_are_off_are_told_or_refused(tmp_path: Path, wheel: Array) -> None:
-    told = "the wheel's back stands at y = -65.0 mm, usual are -70: y = 0 must be the tape circle"
+def test_origins_that_are_off_are_refused(tmp_path: Path, wheel: Array) -> None:
+    said = (
+        "the wheel's back stands at y = -65.0 mm, wheel.tape_to_back says -70: y = 0 must be the tape circle"
+    )
     for path in (
         write(tmp_path / "w.csv", table(wheel + AWAY, header="y_mm,z_mm\n")),
         write(tmp_path / "w.whl", miniprof(wheel, "ColumnDef=X,Y,*\nXOffset=5")),
         write(tmp_path / "m.csv", table((wheel + AWAY) * (-1.0, 1.0), header="y_mm,z_mm\n")),
     ):
-        assert any(note.startswith(told) for note in read_profile_file(path, "wheel").notes)
+        with pytest.raises(DataError, match=re.escape(said)):
+            read_profile_file(path, "wheel", tape_to_back=0.070)
+        assert len(read_profile_file(path, "wheel", tape_to_back=0.065).y) == len(wheel)
     for points in (wheel, wheel + 0.18 * AWAY, wheel[15:] + AWAY):
         path = write(tmp_path / "w.csv", table(points, header="y_mm,z_mm\n"))
-        assert read_profile_file(path, "wheel").notes == ()
+        assert read_profile_file(path, "wheel", tape_to_back=0.070).notes == ()
     for points, found in (
         (wheel + 14.0 * AWAY, "y runs from 0 to 130 mm in the file; .*: subtract 70 mm"),
         ((wheel + 14.0 * AWAY) * (-1.0, 1.0), "y runs from -130 to 0 mm in the file; .*: add 70 mm"),
@@ -408,7 +413,24 @@ def test_origins_that_are_off_are_told_or_refused(tmp_path: Path, wheel: Array) 
     ):
         path = write(tmp_path / "w.csv", table(points, header="y_mm,z_mm\n"))
         with pytest.raises(DataError, match=found):
-            read_profile_file(path, "wheel")
+            read_profile_file(path, "wheel", tape_to_back=0.070)
+
+
+def test_a_wheel_s_own_numbers_reach_the_reader_of_its_file(tmp_path: Path, wheel: Array) -> None:
+    points = wheel.copy()
+    points[350, 1] += 0.05
+    path = write(tmp_path / "w.csv", table(points, header="y_mm,z_mm\n"))
+    with pytest.raises(
+        DataError, match=r"line 352: the point at .* smooth by wheel\.shape\.smoothing=0\.003"
+    ):
+        wheel_profile(load_wheel(str(path)))
+    config = load_wheel(str(path))
+    shape = config.shape.model_copy(update={"smoothing": 0.003})
+    wheel_profile(config.model_copy(update={"shape": shape}))
+    path = write(tmp_path / "away.csv", table(wheel + AWAY, header="y_mm,z_mm\n"))
+    with pytest.raises(DataError, match=r"set wheel\.tape_to_back=0\.065"):
+        wheel_profile(load_wheel(str(path)))
+    wheel_profile(load_wheel(str(path)).model_copy(update={"tape_to_back": 0.065}))
 
 
 def test_side_of_the_gauge_face_is_told_unless_it_was_set(tmp_path: Path, rail: Array) -> None:
