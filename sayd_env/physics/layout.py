@@ -128,10 +128,6 @@ class Layout:
     yaw_dampers: tuple[tuple[str, Array, Array], ...]
     measuring_height: float
 
-    def with_role(self, role: str) -> list[Instance]:
-        """Bodies of a role."""
-        return [i for i in self.instances.values() if i.body.role == role]
-
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:

@@ -32,7 +32,7 @@ from scipy.optimize import brentq, linear_sum_assignment
 from sayd_env.config import StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.physics import plant as at
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
@@ -222,7 +222,7 @@ def linearise(
         scale[scale == 0.0] = 1.0
         x[unknown] -= lstsq(step / scale, residual, cond=1e-12)[0] / scale
     raise StudyError(
-        f"no steady running found at {speed * 3.6:g} km/h: accelerations of {np.max(np.abs(residual)):.2g} "
+        f"no steady running found at {speed * KMH:g} km/h: accelerations of {np.max(np.abs(residual)):.2g} "
         f"remain after {_ITERATIONS} iterations"
     )
 
@@ -266,7 +266,7 @@ def equivalent(model: VehicleModel, point: OperatingPoint) -> Linearisation:
         factor += part * (new - factor)
         frequency += 0.0 if near else part * (wanted - frequency)
     raise StudyError(
-        f"no equivalent linear creep forces found at {point.speed * 3.6:g} km/h and a shift of "
+        f"no equivalent linear creep forces found at {point.speed * KMH:g} km/h and a shift of "
         f"{point.shift * 1e3:g} mm (RMS): a factor of {factor:.3f} does not settle"
     )
 
