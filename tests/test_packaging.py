@@ -35,7 +35,7 @@ assert gymnasium.make("SAYD/Nominal-v1").unwrapped.interface == env.unwrapped.in
 assert baselines.make("mppt1", env).name == "mppt1"
 found = {module: pathlib.Path(module.__file__).parent for module in (sayd_env, agents, baselines, configs)}
 assert all(module.__name__ == "sayd_env" or module.__name__.startswith("sayd_env.") for module in found)
-assert not {"agents", "baselines", "configs", "torch"} & set(sys.modules)
+assert not {"agents", "baselines", "configs", "pandas", "torch"} & set(sys.modules)
 for folder in sorted(found.values()):
     print(folder)
 """

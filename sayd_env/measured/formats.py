@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from sayd_env.config.errors import ConfigError, DataError, SaydError
 from sayd_env.config.files import MIB, read_bytes
@@ -208,6 +207,8 @@ def _no_time(table: TextTable, row: int, column: int, cell: str) -> DataError:
 
 
 def _since_first(cells: list[str]) -> Array:
+    import pandas as pd  # noqa: PLC0415 - every start of the simulator comes by here
+
     if "-" in cells[0]:
         stamps = pd.to_datetime(pd.Series(cells), format="ISO8601", utc=True)
         return np.asarray((stamps - stamps.iloc[0]) / pd.Timedelta(seconds=1), dtype=np.float64)
@@ -290,7 +291,7 @@ def _parquet(path: Path) -> Iterator[Contents]:
             if not clocks[place]:
                 return _numeric(path, name, got.to_pandas().to_numpy())
             ticks = got.to_pandas()
-            return np.asarray((ticks - ticks.iloc[0]) / pd.Timedelta(seconds=1), dtype=np.float64)
+            return np.asarray((ticks - ticks.iloc[0]) / np.timedelta64(1, "s"), dtype=np.float64)
 
         about = [{k.lower(): v for k, v in (each.metadata or {}).items()} for each in fields]
         units = [(each.get(b"unit") or each.get(b"units") or b"").decode() for each in about]

@@ -7,10 +7,9 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from sayd_env.config.errors import DataError
@@ -28,6 +27,9 @@ from sayd_env.measured.dialect import (
     split,
 )
 from sayd_env.measured.units import name_and_unit
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 LARGEST = 256 * MIB
 """Most that is read of a text table."""
@@ -147,6 +149,8 @@ class TextTable:
 
     def _converted(self, columns: Sequence[int], gaps: bool) -> Array:
         """Numbers cell by cell, so that a bad one has a place."""
+        import pandas as pd  # noqa: PLC0415 - every start of the simulator comes by here
+
         cells = self.cells(columns)
 
         def place(cell: str) -> str:
@@ -173,7 +177,9 @@ class TextTable:
             expected += "; thousands separators are not read"
         raise DataError(f"{self.where(row, column)}: found '{cell[:40]}'; expected {expected}")
 
-    def _read(self, columns: Sequence[int], **how: Any) -> pd.DataFrame:
+    def _read(self, columns: Sequence[int], **how: Any) -> DataFrame:
+        import pandas as pd  # noqa: PLC0415 - every start of the simulator comes by here
+
         return pd.read_csv(
             io.StringIO(self._body),
             sep=r"\s+" if self.head.separator == BLANKS else self.head.separator,
