@@ -111,7 +111,7 @@ class CalibrationConfig(Model):
     first_seed: int = quantity("-", "First track seed; apart from those of the reproduction", ge=0)
     passive: Stage = Field(description="Vehicle, wheels, track and passive damper, from rows P1 to P10")
     semi_active: Stage = Field(
-        description="Damper, valve and controllers, from rows M1 to M9 and S1 to S6; keys begin with "
+        description="Damper, valve and controllers, from rows M1 to M9 and S1 to S5; keys begin with "
         "damper (the semi-active one) or control.NAME"
     )
     sensitivity: Sensitivity

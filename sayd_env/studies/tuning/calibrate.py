@@ -48,6 +48,7 @@ from sayd_env.studies.tuning.targets import (
     MPPT1_400,
     MPPT2_300,
     NEW,
+    ROWS_OF_CONTROLLERS,
     WORN,
     WORN_FORCE,
     Measures,
@@ -294,21 +295,35 @@ def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Tel
     count = len(stage.parameters)
     place = np.full(count, 0.5) if seed == 0 else np.random.default_rng(seed).random(count)
     for search in stage.searches:
-        best = _search(search, place, tried, seed)
+        best = _search(search, place, lambda row: _columns(stage, row), tried, seed)
         place = np.array(best.place)
         if LOST in best.residuals.values():
             raise StudyError(f"calibration, {name}: no numbers within the ranges gave a finite run")
     return trials
 
 
+def _columns(stage: Stage, row: str) -> tuple[int, ...]:
+    """Parameters on which a row depends: all but those of controllers that do not run in it."""
+    others = [f"{CONTROL}{name}." for name, rows in ROWS_OF_CONTROLLERS.items() if row not in rows]
+    return tuple(
+        i
+        for i, parameter in enumerate(stage.parameters)
+        if not next(iter(parameter.keys)).startswith(tuple(others))
+    )
+
+
 def _search(
-    search: Search, start: Array, tried: Callable[[str, Iterable[Array], Search], list[Trial]], seed: int
+    search: Search,
+    start: Array,
+    columns: Callable[[str], tuple[int, ...]],
+    tried: Callable[[str, Iterable[Array], Search], list[Trial]],
+    seed: int,
 ) -> Trial:
     """Search a box around a place by response surfaces; returns the best trial in it.
 
-    Radial basis functions smooth all residuals over the places tried so far. Where their sum of squares is
-    least, the next places are tried: each by surfaces through other trials, drawn from all, so that the
-    places spread where the surfaces are uncertain.
+    Radial basis functions smooth each residual over the places tried so far, in the parameters on which it
+    depends. Where their sum of squares is least, the next places are tried: each by surfaces through other
+    trials, drawn from all, so that the places spread where the surfaces are uncertain.
     """
     random = np.random.default_rng(seed)
     count = len(start)
@@ -316,29 +331,38 @@ def _search(
     cube = qmc.LatinHypercube(count, rng=seed).random(search.samples - 1)
     made = tried(search.name, [start, *qmc.scale(cube, low, high)], search)
     while len(made) < search.evaluations:
-        places = [_least(made, low, high, random, drawn=i > 0) for i in range(ABREAST)]
+        places = [_least(made, columns, low, high, random, drawn=i > 0) for i in range(ABREAST)]
         made += tried(search.name, places, search)
     return best_of(made)
 
 
 def _least(
-    made: Sequence[Trial], low: Array, high: Array, random: np.random.Generator, *, drawn: bool
+    made: Sequence[Trial],
+    columns: Callable[[str], tuple[int, ...]],
+    low: Array,
+    high: Array,
+    random: np.random.Generator,
+    *,
+    drawn: bool,
 ) -> Array:
     """Where response surfaces through all trials, or through some drawn from them, have the least cost."""
     kept = max(len(low) + 2, round(KEPT * len(made))) if drawn else len(made)
     chosen = random.permutation(len(made))[:kept]
     trials = {made[i].place: damped(made[i]) for i in chosen}
-    surface = RBFInterpolator(
-        np.array(list(trials)),
-        np.array(list(trials.values())),
-        kernel="linear",
-        smoothing=SMOOTHING,
-        degree=1,
-    )
+    places, residuals = np.array(list(trials)), np.array(list(trials.values()))
+    rows: dict[tuple[int, ...], list[int]] = {}
+    for i, row in enumerate(made[0].residuals):
+        rows.setdefault(columns(row), []).append(i)
+    surfaces = {
+        own: RBFInterpolator(
+            places[:, own], residuals[:, found], kernel="linear", smoothing=SMOOTHING, degree=1
+        )
+        for own, found in rows.items()
+    }
 
-    def cost(places: Array) -> Array:
-        distance = np.sum(np.square(places.T - 0.5), axis=1)
-        return np.asarray(np.sum(np.square(surface(places.T)), axis=1) + PRIOR * distance)
+    def cost(at: Array) -> Array:
+        squares = [np.sum(np.square(surface(at.T[:, own])), axis=1) for own, surface in surfaces.items()]
+        return np.asarray(np.sum(squares, axis=0) + PRIOR * np.sum(np.square(at.T - 0.5), axis=1))
 
     found = differential_evolution(
         cost,
