@@ -110,19 +110,19 @@ def controlled_residuals(m: ControlledMeasures) -> tuple[Residuals, Measures]:
     swings = m.each(swings_per_second, CONTINUOUS, 400)
     residuals = {
         "M1": above(m.acceleration(MPPT1), 0.44, 0.03),
-        "M2": below(np.median(width), 3.0, 1.0) + below(within, 0.85, 0.05) + above(edge, 0.0, 0.02),
+        "M2": below(np.median(width), 3.0, 1.0) + below(within, 0.85, 0.15) + above(edge, 0.0, 0.02),
         "M3": above(abs(settled1 - 0.08), 0.025, 0.015),
         "M4": _open_start(m, MPPT1, 400, 10.0, settled1, 0.15),
         "M5": above(m.acceleration(MPPT2), 0.44, 0.03),
         "M6": above(abs(at_5 - 0.25), 0.025, 0.015)
         + above(abs(settled2 - 0.35), 0.025, 0.015)
-        + above(restless, 0.09, 0.01),
+        + above(restless, 0.085, 0.015),
         "M7": _open_start(m, MPPT2, 300, 15.0, settled2, 0.33),
         "M8": above(quieter, 0.92, 0.05) + above(smoother, 0.9, 0.1),
         "M9": above(force, 0.97, 0.03),
         "S1": above(calm, 0.44, 0.03),
         "S3": below(peak, 1.03, 0.03),
-        "S4": above(largest, 0.54, 0.03) + below(excess, 0.03, 0.05) + above(excess, 0.33, 0.03),
+        "S4": above(largest, 0.54, 0.03) + below(excess, 0.03, 0.05) + above(excess, 0.33, 0.04),
         "S5": below(low_end, 0.15, 0.05) + below(high_end, 0.15, 0.05) + below(swings, 6.0, 1.0),
     }
     measures = {
