@@ -166,7 +166,7 @@ class ControlledMeasures:
         frequency, settings = self.sweeps[MPPT1].frequency, self.assessment
         low, high = SCATTER
         margin = 0.5 * settings.frequency_step
-        inner = _between(frequency, low, high)
+        inner = between(frequency, low, high)
         edge = (frequency < settings.frequency_min + margin) | (frequency > settings.frequency_max - margin)
         return np.ptp(frequency, axis=(0, 2)), inner.mean(axis=(0, 2)), edge.mean(axis=(0, 2))
 
@@ -258,7 +258,7 @@ def _mppt1_rows(m: ControlledMeasures) -> list[Claim]:
         by_seed(
             "M3",
             "MPPT1, 400 km/h, V(0) = 0 %: settles at 3 to 13 %",
-            _between(settled, 3.0, 13.0),
+            between(settled, 3.0, 13.0),
             spread(settled, "%", 1),
         ),
         _open_start_row(m, "M4", MPPT1, 400, "< 20 %", lambda v: v < 20.0, after=10.0, as_in="M3"),
@@ -278,12 +278,12 @@ def _mppt2_rows(m: ControlledMeasures) -> list[Claim]:
             "M6",
             "MPPT2, 300 km/h, V(0) = 0 %: 20 to 30 % after 5 s, settles at 30 to 40 %, "
             "deviates by less than 10 points from 15 s on",
-            _between(at_5, 20.0, 30.0) & _between(settled, 30.0, 40.0) & (restless < 10.0),
+            between(at_5, 20.0, 30.0) & between(settled, 30.0, 40.0) & (restless < 10.0),
             f"5 s: {spread(at_5, '%', 1)}; settled: {spread(settled, '%', 1)}; "
             f"standard deviation {spread(restless, 'points', 1)}",
         ),
         _open_start_row(
-            m, "M7", MPPT2, 300, "<= 35 %", lambda v: _between(v, 0.0, 35.0), after=15.0, as_in="M6"
+            m, "M7", MPPT2, 300, "<= 35 %", lambda v: between(v, 0.0, 35.0), after=15.0, as_in="M6"
         ),
         by_seed(
             "M8",
@@ -343,7 +343,7 @@ def _open_start_row(
         id_,
         f"{policy.upper()}, {kmh:g} km/h, V(0) = 100 %: {low} after 5 s, "
         f"from {after:g} s on within 5 points of {as_in}",
-        is_low(at_5) & _between(level, 0.0, 5.0),
+        is_low(at_5) & between(level, 0.0, 5.0),
         f"5 s: {spread(at_5, '%', 1)}; level {spread(level, 'points', 1)} off "
         f"(commands at any moment {spread(apart, 'points', 1)})",
     )
@@ -437,6 +437,6 @@ CONTROLLER_ROWS: dict[str, Callable[[ControlledMeasures], list[Claim]]] = {
 """What judges the rows that are about a controller."""
 
 
-def _between(values: Array, low: float, high: float) -> Flags:
+def between(values: Array, low: float, high: float) -> Flags:
     """Which values lie between two bounds, both included, up to the rounding of single precision."""
     return np.asarray((values >= low - 1e-5) & (values <= high + 1e-5))

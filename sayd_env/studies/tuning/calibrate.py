@@ -76,7 +76,9 @@ ABREAST = 4
 """Places that are tried side by side."""
 CONTROL = "control."
 HELD = (0.05, 0.3)
-"""Fixed commands with which a vehicle shows whether semi-active dampers can hold it at 400 km/h."""
+"""Fixed commands with which a vehicle shows whether semi-active dampers can hold it at 400 km/h.
+
+The first is about where MPPT1 rests there (figure 12)."""
 WORST = 50.0
 """m/s2, acceleration with which a derailed run counts."""
 
@@ -403,12 +405,17 @@ class _Passive:
             for _, speeds in scenarios
         ]
         limits = model_limits(VehicleModel(scenarios[0][0]))
-        held = self._held(values, tracks, length) / limits.acceleration
-        rows = zip(sweeps[::2], sweeps[1::2], held, strict=True)
-        return [passive_residuals(new, worn, limits, each) for new, worn, each in rows]
+        held, frequency = self._held(values, tracks, length)
+        rows = zip(sweeps[::2], sweeps[1::2], held / limits.acceleration, frequency, strict=True)
+        return [passive_residuals(new, worn, limits, *each) for new, worn, *each in rows]
 
-    def _held(self, values: Sequence[Mapping[str, float]], tracks: Sequence[int], length: float) -> Array:
-        """Smallest a_max (m/s2) of `HELD` at 400 km/h on worn wheels, shape (values, tracks)."""
+    def _held(
+        self, values: Sequence[Mapping[str, float]], tracks: Sequence[int], length: float
+    ) -> tuple[Array, Array]:
+        """Smallest a_max (m/s2) of `HELD` at 400 km/h on worn wheels, shape (values, tracks).
+
+        And dominant frequencies (Hz) with the first of them, shape (values, tracks, points).
+        """
         runs = []
         for each in values:
             more = ["wear=1.0", f"damper={self.config.semi_active_damper}"]
@@ -420,8 +427,10 @@ class _Passive:
                 for track in tracks
             ]
         records = self.context.records(assessed_or_derailed, runs, ControlledRun)
+        shape = (len(values), len(HELD), len(tracks))
         largest = np.array([min(record.acceleration.max(), WORST) for record in records])
-        return np.asarray(largest.reshape(len(values), len(HELD), len(tracks)).min(axis=1))
+        frequency = np.array([record.frequency for record in records]).reshape(*shape, -1)
+        return largest.reshape(shape).min(axis=1), frequency[:, 0]
 
 
 @dataclass
@@ -498,7 +507,7 @@ class _SemiActive:
         return PolicySpec(name, load_controller(name, own).model_dump())
 
 
-P_ROWS = (*(f"P{i}" for i in range(1, 11)), "M1, M5, S1")
+P_ROWS = (*(f"P{i}" for i in range(1, 11)), "M1, M5, S1", "M2")
 CONTROLLED_ROWS = (*(f"M{i}" for i in range(1, 10)), "S1", "S3", "S4", "S5")
 
 

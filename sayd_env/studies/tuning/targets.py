@@ -20,7 +20,9 @@ from sayd_env.studies.paper.controlled_claims import (
     MPPT2,
     ON_OFF,
     OPEN,
+    SCATTER,
     ControlledMeasures,
+    between,
     command_after_5_s,
     commands_from,
     end_shares,
@@ -43,13 +45,17 @@ ROWS_OF_CONTROLLERS = {
 MPPT1_400, MPPT2_300 = "mppt1_400_settled_percent", "mppt2_300_settled_percent"
 
 
-def passive_residuals(new: Sweep, worn: Sweep, limits: Limits, held: Array) -> tuple[Residuals, Measures]:
+def passive_residuals(
+    new: Sweep, worn: Sweep, limits: Limits, held: Array, frequency: Array
+) -> tuple[Residuals, Measures]:
     """Residual of each row P1 to P10, and the numbers behind them.
 
     `held`, shape (seeds,), is the largest acceleration over its limit at 400 km/h where semi-active dampers
-    with the better of some fixed commands replace the passive ones: what M1, M5 and S1 can hold.
+    with the better of some fixed commands replace the passive ones: what M1, M5 and S1 can hold. `frequency`,
+    shape (seeds, points), are the dominant frequencies there with the valves nearly closed: neither valve nor
+    controller moves them much, so row M2 rests with the vehicle.
     """
-    m = PassiveMeasures(new, worn, limits)
+    m, within = PassiveMeasures(new, worn, limits), between(frequency, *SCATTER).mean(axis=1)
     spread = np.max(m.frequency_spread(m.all)[m.high])
     scatter = m.frequency_spread(m.all)[m.low]
     critical = [each.extrapolated_kmh() for each in (m.new_acceleration, m.worn_acceleration, m.worn_force)]
@@ -67,6 +73,7 @@ def passive_residuals(new: Sweep, worn: Sweep, limits: Limits, held: Array) -> t
         "P9": below(m.trailing_ratio(), 1.2, 0.05),
         "P10": above(spread, 0.2, 0.1) + below(rise, 0.05, 0.05) + below(scatter - spread, 0.2, 0.1),
         "M1, M5, S1": above(held, 0.4, 0.03),
+        "M2": below(within, 0.9, 0.1),
     }
     measures = {
         NEW: critical[0],
@@ -82,6 +89,7 @@ def passive_residuals(new: Sweep, worn: Sweep, limits: Limits, held: Array) -> t
         "spread_320_hz": float(scatter),
         "frequency_rise_hz": rise,
         "held_ratio": float(np.median(held)),
+        "held_within_scatter": float(np.mean(within)),
     }
     return residuals, measures
 
