@@ -121,7 +121,7 @@ def controlled_residuals(m: ControlledMeasures) -> tuple[Residuals, Measures]:
         "M2": below(np.median(width), 3.0, 1.0) + below(within, 0.85, 0.15) + above(edge, 0.0, 0.02),
         "M3": above(abs(settled1 - 0.08), 0.025, 0.015),
         "M4": _open_start(m, MPPT1, 400, 10.0, settled1, 0.15),
-        "M5": above(m.acceleration(MPPT2), 0.44, 0.03),
+        "M5": above(m.acceleration(MPPT2), 0.42, 0.02),
         "M6": above(abs(at_5 - 0.25), 0.025, 0.015)
         + above(abs(settled2 - 0.35), 0.025, 0.015)
         + above(restless, 0.085, 0.015),
