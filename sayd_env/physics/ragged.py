@@ -43,7 +43,6 @@ _make_array: Any = arrayobj.make_array  # without annotations
 _populate_array: Any = arrayobj.populate_array
 
 _COLUMNS = 4  # address and up to three lengths
-_NUMBER = 8  # bytes
 
 
 def _field(hint: Any) -> tuple[np.dtype[Any], int]:
