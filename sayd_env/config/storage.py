@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import platform
 import re
@@ -12,8 +11,15 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from sayd_env.config.errors import ConfigError, StudyError
+
+fcntl: Any
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
 
 
 def write_file(path: Path, content: bytes) -> None:
@@ -67,8 +73,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         with reported(path):
             yield temporary
-            with temporary.open("rb") as stream:
-                os.fsync(stream.fileno())
+            _sync(temporary)
             os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -94,8 +99,7 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
             temporary.mkdir()
             fill(temporary)
             for file in temporary.iterdir():
-                with file.open("rb") as stream:
-                    os.fsync(stream.fileno())
+                _sync(file)
             os.replace(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -119,7 +123,8 @@ def remove_leftovers(folder: Path) -> None:
 def reserved(folder: Path, work: str) -> Iterator[None]:
     """Keep a folder, which is made if need be, for one process and work, which ends with the process at most.
 
-    The lock is one of the operating system on the folder, and leaves nothing behind.
+    The lock is one of the operating system on the folder, and leaves nothing behind. Windows has none of this
+    kind: there nobody is kept out.
 
     Raises
     ------
@@ -128,9 +133,12 @@ def reserved(folder: Path, work: str) -> Iterator[None]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY)
+        descriptor = None if fcntl is None else os.open(folder, os.O_RDONLY)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{folder}: cannot be made ({getattr(error, 'strerror', None) or error})") from None
+    if descriptor is None:
+        yield
+        return
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -174,6 +182,8 @@ _remove_leftovers_once = cache(remove_leftovers)
 def _is_alive(start: str, process: str) -> bool:
     if process == str(os.getpid()):
         return start == _START
+    if fcntl is None:  # Windows would end the process that is asked
+        return True
     try:
         os.kill(int(process), 0)
     except (ValueError, OverflowError, ProcessLookupError):
@@ -181,6 +191,11 @@ def _is_alive(start: str, process: str) -> bool:
     except PermissionError:  # somebody else's
         return True
     return True
+
+
+def _sync(path: Path) -> None:
+    with path.open("r+b") as stream:  # Windows syncs only what may be written
+        os.fsync(stream.fileno())
 
 
 def _write_synced(path: Path, content: bytes) -> None:

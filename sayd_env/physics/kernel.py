@@ -167,7 +167,8 @@ def _after_fork() -> None:
     _lost_threads = threading_layer._is_initialized
 
 
-os.register_at_fork(after_in_child=_after_fork)
+if hasattr(os, "register_at_fork"):  # Windows does not fork
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 @contextmanager
