@@ -1,8 +1,8 @@
 """What the compiled kernels compute is what Python computes from the same source.
 
 Compiled code has its own rules for integers, divisions and memory, and some operations are written in LLVM's
-instructions: a second way to the numbers. Whether Numba compiles is settled when it is imported, so this file is
-a program as well, which writes its numbers; `make coverage` sees which lines of the kernels it reaches.
+instructions: a second way to the numbers. Whether Numba compiles is settled when it is imported, so this file
+is a program as well, which writes its numbers; `make coverage` sees which lines of the kernels it reaches.
 """
 
 from __future__ import annotations

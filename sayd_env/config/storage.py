@@ -7,6 +7,7 @@ import platform
 import re
 import secrets
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -39,6 +40,7 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     Parameters
     ----------
     folder : Path
+        Made if need be.
     contents : mapping
         Content by file name; the files get their names in this order.
 
@@ -50,6 +52,7 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     temporaries = {name: _temporary(folder / name) for name in contents}
     try:
         with reported(folder):
+            folder.mkdir(parents=True, exist_ok=True)
             for name, temporary in temporaries.items():
                 _write_synced(temporary, contents[name])
             for name, temporary in temporaries.items():
@@ -64,6 +67,8 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a name beside a file, under which it grows until it is complete and replaces it.
 
+    The file's folder is made if need be.
+
     Raises
     ------
     StudyError
@@ -72,6 +77,7 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = _temporary(path)
     try:
         with reported(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             _sync(temporary)
             os.replace(temporary, path)
@@ -103,6 +109,27 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
             os.replace(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def try_to_write(folder: Path) -> None:
+    """Find out whether files can be written into a folder, or where it would be made; nothing is left behind.
+
+    Raises
+    ------
+    OSError, ValueError
+        As the system says it.
+    """
+    while not _is_there(folder):
+        folder = folder.parent
+    tempfile.TemporaryFile(dir=folder).close()
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        return path == path.parent
+    return True
 
 
 def remove_leftovers(folder: Path) -> None:
