@@ -32,9 +32,9 @@ episode_s: 0.05
 LINE = {
     "rails": [None, "60e1"],
     "sections": [
-        {"length": 20.0, "speed_kmh": 250.0, "gauge": 1.435, "friction": 0.4},
+        {"length": 30.0, "speed_kmh": 250.0, "gauge": 1.435, "friction": 0.4},
         {
-            "length": 500.0,
+            "length": 700.0,
             "speed_kmh": 265.0,
             "radius": 6000.0,
             "turn": "left",
