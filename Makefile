@@ -19,7 +19,14 @@ BENCH_OPTIONS =
 # The oldest Gymnasium that pyproject.toml allows.
 OLDEST = $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/\1/p' pyproject.toml)
 
-.PHONY: run test test-gymnasium-oldest bench-check lint clean
+# What `make coverage` measures with compiled kernels.
+COVERAGE_TESTS = tests
+
+# Tests that reach kernels within minutes while Python runs them, beside the program tests/test_uncompiled.py.
+UNCOMPILED = tests/baselines tests/stability tests/agents/test_products.py tests/physics/test_rows.py \
+             tests/physics/test_throttle.py tests/physics/contact/test_polach.py
+
+.PHONY: run test test-gymnasium-oldest coverage bench-check lint dist clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -35,6 +42,18 @@ test-gymnasium-oldest: $(VENV)/.installed $(VENV)/.learning
 	PYTHONPATH=build/gymnasium-oldest $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile \
 	  tests/envs tests/agents/test_sb3_vec.py tests/agents/test_sb3_check.py $(PYTEST_OPTIONS)
 
+# Branches that the tests reach: the kernels where Python runs them, all else where they are compiled.
+coverage: $(VENV)/.learning $(VENV)/.coverage
+	rm -rf build/coverage
+	mkdir -p build/coverage
+	$(BIN)/python tests/warm_up.py
+	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run tests/test_uncompiled.py build/coverage/numbers.npz
+	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -n auto --maxprocesses 4 -m "not slow" $(UNCOMPILED)
+	$(BIN)/coverage run -m pytest -n auto --maxprocesses 4 --dist loadfile $(COVERAGE_TESTS) $(PYTEST_OPTIONS)
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage html --quiet --fail-under 0
+	$(BIN)/coverage report
+
 # Speed beside an earlier commit, in turn on this machine: some ten minutes with nothing else running.
 bench-check: $(VENV)/.installed $(VENV)/.learning
 	$(BIN)/python tests/bench/check.py --base $(BASE) $(BENCH_OPTIONS)
@@ -46,6 +65,16 @@ lint: $(VENV)/.installed
 	rm -rf build/typed/sayd_env && mkdir -p build/typed/sayd_env
 	ln -s "$(CURDIR)"/sayd_env/* "$(CURDIR)"/agents "$(CURDIR)"/baselines build/typed/sayd_env
 	cd build/typed && "$(CURDIR)"/$(BIN)/mypy --config-file ../../pyproject.toml
+	if command -v actionlint; then actionlint; else echo "no actionlint here: the workflows are not checked"; fi
+
+# What a release would upload: a source distribution, and the wheel that is built from it. The wheel works by itself.
+dist: $(VENV)/.release
+	rm -rf dist build/released
+	$(BIN)/python -m build --no-isolation --outdir dist
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/python -m venv build/released
+	build/released/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
+	cd build/released && bin/sayd --version && bin/sayd policies
 
 clean:
 	rm -rf $(VENV) build dist sayd_env.egg-info .pytest_cache .mypy_cache .ruff_cache
@@ -71,4 +100,8 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 $(VENV)/.learning: $(VENV)/.installed
 	@echo "Adding what the tests need besides (torch, Ray, Dask), a few minutes"
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[train,onnx,ray,dask]'
+	touch $@
+
+$(VENV)/.coverage $(VENV)/.release: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[$(subst .,,$(@F))]'
 	touch $@

@@ -25,6 +25,7 @@ from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.envs.registration import VERSION
 from sayd_env.envs.single import SaydEnv
+from sayd_env.physics.kernel import COMPILES
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.controlled import ControlledRun, ControlledRuns
 from sayd_env.runs.passive import Sweep
@@ -35,6 +36,14 @@ from sayd_env.studies.paper.controlled_claims import required_runs
 # program need it to listen.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave out what looks at compiled code where there is none."""
+    for item in items:
+        if not COMPILES and item.get_closest_marker("compiled"):
+            item.add_marker(pytest.mark.skip(reason="NUMBA_DISABLE_JIT=1: nothing is compiled"))
+
 
 SHORT = ("assessment.run_in=200", "assessment.length=600")
 """An assessed distance that holds one segment of the spectrum, for runs of a tenth of a second."""

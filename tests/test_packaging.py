@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import tomllib
 import zipfile
 from importlib import metadata
@@ -18,10 +19,21 @@ from pathlib import Path
 
 import pytest
 
+import sayd_env
+
 ROOT = Path(__file__).resolve().parents[1]
 OUTSIDE = ("agents", "baselines", "configs")
 """Packages of the distribution that are at the top level of the repository."""
-SOURCES = ("pyproject.toml", "README.md", "LICENSE", "sayd_env", *OUTSIDE)
+TEXTS = (
+    "pyproject.toml",
+    "README.md",
+    "LICENSE",
+    "CHANGELOG.md",
+    "CITATION.cff",
+    "MANIFEST.in",
+    "constraints.txt",
+)
+SOURCES = (*TEXTS, "sayd_env", *OUTSIDE)
 RIDE = "time_s,speed_kmh,frame_m_s2\n" + "".join(f"{i / 250},300,{i % 50 / 50}\n" for i in range(4000))
 OF_THE_USER = "raise RuntimeError('a package of the user')\n"
 USE = """
@@ -101,6 +113,50 @@ def test_the_list_of_packages_is_complete() -> None:
             assert (path.parent / "__init__.py").is_file(), path
     assert settings["packages"] == sorted(found)
     assert settings["package-dir"] == {f"sayd_env.{name}": name for name in OUTSIDE}
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The source distribution, of a folder in which somebody has worked."""
+    source = copied(tmp_path_factory.mktemp("archive"))
+    for name in ("tests/test_mine.py", "scratch.py", "results/evaluate/result.json", "build/left_over.py"):
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        (source / name).write_text("")
+    build = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
+    run(sys.executable, "-c", build, source.parent, cwd=source)
+    (path,) = source.parent.glob("sayd_env-*.tar.gz")
+    return path
+
+
+@pytest.mark.slow
+def test_the_source_distribution_holds_what_the_wheel_needs_and_no_more(archive: Path, wheel: Path) -> None:
+    with tarfile.open(archive) as file:
+        members = [member.name.partition("/")[2] for member in file.getmembers() if member.isfile()]
+    names = {name for name in members if not name.startswith("sayd_env.egg-info/")}
+    made = {"PKG-INFO", "setup.cfg"}
+    inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    outside = tuple(f"sayd_env/{name}/" for name in OUTSIDE)
+    assert names - made - set(TEXTS) == {
+        name.removeprefix("sayd_env/") if name.startswith(outside) else name for name in inside
+    }
+    assert set(TEXTS) <= names
+
+
+@pytest.mark.slow
+def test_the_source_distribution_builds_the_wheel(archive: Path, wheel: Path, tmp_path: Path) -> None:
+    pip("wheel", "--no-deps", "--wheel-dir", tmp_path, archive, cwd=tmp_path)
+    (built,) = tmp_path.glob("*.whl")
+    assert sorted(zipfile.ZipFile(built).namelist()) == sorted(zipfile.ZipFile(wheel).namelist())
+
+
+@pytest.mark.slow
+def test_the_wheel_has_licence_and_version(wheel: Path) -> None:
+    (metadata_file,) = (n for n in zipfile.ZipFile(wheel).namelist() if n.endswith(".dist-info/METADATA"))
+    about = zipfile.ZipFile(wheel).read(metadata_file).decode()
+    assert f"\nVersion: {sayd_env.__version__}\n" in about
+    assert "\nLicense-Expression: MIT\n" in about
+    licence = metadata_file.replace("METADATA", "licenses/LICENSE")
+    assert zipfile.ZipFile(wheel).read(licence) == (ROOT / "LICENSE").read_bytes()
 
 
 @pytest.mark.slow

@@ -167,9 +167,7 @@ def calibrate(
     def store(result: CalibrationResult, output: Output) -> None:
         if output.directory is not None:
             for name, text in result.files().items():
-                path = output.directory.path / "configs" / name
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_file(path, text.encode())
+                write_file(output.directory.path / "configs" / name, text.encode())
 
     return Plan(
         lambda run: study(settings, seed=seed, context=run),

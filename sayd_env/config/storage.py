@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import platform
 import re
 import secrets
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from sayd_env.config.errors import ConfigError, StudyError
+
+fcntl: Any
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
 
 
 def write_file(path: Path, content: bytes) -> None:
@@ -33,6 +40,7 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     Parameters
     ----------
     folder : Path
+        Made if need be.
     contents : mapping
         Content by file name; the files get their names in this order.
 
@@ -44,6 +52,7 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     temporaries = {name: _temporary(folder / name) for name in contents}
     try:
         with reported(folder):
+            folder.mkdir(parents=True, exist_ok=True)
             for name, temporary in temporaries.items():
                 _write_synced(temporary, contents[name])
             for name, temporary in temporaries.items():
@@ -58,6 +67,8 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a name beside a file, under which it grows until it is complete and replaces it.
 
+    The file's folder is made if need be.
+
     Raises
     ------
     StudyError
@@ -66,9 +77,9 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = _temporary(path)
     try:
         with reported(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
-            with temporary.open("rb") as stream:
-                os.fsync(stream.fileno())
+            _sync(temporary)
             os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -94,11 +105,31 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
             temporary.mkdir()
             fill(temporary)
             for file in temporary.iterdir():
-                with file.open("rb") as stream:
-                    os.fsync(stream.fileno())
+                _sync(file)
             os.replace(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def try_to_write(folder: Path) -> None:
+    """Find out whether files can be written into a folder, or where it would be made; nothing is left behind.
+
+    Raises
+    ------
+    OSError, ValueError
+        As the system says it.
+    """
+    while not _is_there(folder):
+        folder = folder.parent
+    tempfile.TemporaryFile(dir=folder).close()
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        return path == path.parent
+    return True
 
 
 def remove_leftovers(folder: Path) -> None:
@@ -119,7 +150,8 @@ def remove_leftovers(folder: Path) -> None:
 def reserved(folder: Path, work: str) -> Iterator[None]:
     """Keep a folder, which is made if need be, for one process and work, which ends with the process at most.
 
-    The lock is one of the operating system on the folder, and leaves nothing behind.
+    The lock is one of the operating system on the folder, and leaves nothing behind. Windows has none of this
+    kind: there nobody is kept out.
 
     Raises
     ------
@@ -128,9 +160,12 @@ def reserved(folder: Path, work: str) -> Iterator[None]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY)
+        descriptor = None if fcntl is None else os.open(folder, os.O_RDONLY)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{folder}: cannot be made ({getattr(error, 'strerror', None) or error})") from None
+    if descriptor is None:
+        yield
+        return
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -174,6 +209,8 @@ _remove_leftovers_once = cache(remove_leftovers)
 def _is_alive(start: str, process: str) -> bool:
     if process == str(os.getpid()):
         return start == _START
+    if fcntl is None:  # Windows would end the process that is asked
+        return True
     try:
         os.kill(int(process), 0)
     except (ValueError, OverflowError, ProcessLookupError):
@@ -181,6 +218,11 @@ def _is_alive(start: str, process: str) -> bool:
     except PermissionError:  # somebody else's
         return True
     return True
+
+
+def _sync(path: Path) -> None:
+    with path.open("r+b") as stream:  # Windows syncs only what may be written
+        os.fsync(stream.fileno())
 
 
 def _write_synced(path: Path, content: bytes) -> None:

@@ -44,6 +44,8 @@ def _places() -> Iterator[Path]:
 
 def _own_temporary() -> Path | None:
     """Directory among the temporary files into which nobody else can put compiled code."""
+    if not hasattr(os, "getuid"):  # Windows, where each user has temporary files of his own
+        return Path(tempfile.gettempdir()) / "sayd"
     user = os.getuid()
     try:
         folder = Path(tempfile.gettempdir()) / f"sayd-{user}"

@@ -16,10 +16,11 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import numba
 from numba.core import event
 from numba.core.compiler import Compiler
+from numba.extending import intrinsic
 from numba.np.ufunc import parallel as threading_layer
 
 from sayd_env.config import ConfigError
-from sayd_env.physics.kernel_cache import kernel_cache, kernel_folder
+from sayd_env.physics.kernel_cache import kernel_cache, kernel_folder, numba_config
 
 njit: Any = numba.njit  # its annotations leave out the option that switches reference counts off
 _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
@@ -27,7 +28,9 @@ _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
 P = ParamSpec("P")
 R = TypeVar("R")
 
-CACHE_DIRECTORY = kernel_folder()
+COMPILES = not numba_config.DISABLE_JIT
+"""False where ``NUMBA_DISABLE_JIT=1`` lets Python run the kernels: for debuggers, for measuring coverage."""
+CACHE_DIRECTORY = kernel_folder() if COMPILES else None
 """None where nothing can be kept."""
 
 
@@ -86,6 +89,8 @@ def kernel(
     """
 
     def compile_(f: Callable[..., Any]) -> Any:
+        if not COMPILES:
+            return f
         dispatcher = njit(
             error_model="numpy",
             nogil=True,
@@ -102,8 +107,25 @@ def kernel(
     return compile_ if function is None else compile_(function)
 
 
+def instructions(plain: Callable[P, R]) -> Callable[[Callable[..., Any]], Callable[P, R]]:
+    """Decorate an operation of kernels that is written in LLVM's own instructions, a Numba intrinsic.
+
+    Parameters
+    ----------
+    plain : callable
+        The same operation, the same bits, in Python: serves where nothing is compiled.
+    """
+
+    def made(typed: Callable[..., Any]) -> Any:
+        return intrinsic(typed) if COMPILES else plain
+
+    return made
+
+
 def specialised(function: Callable[P, R], arguments: tuple[Any, ...]) -> Callable[P, R]:
     """A kernel's machine code for arguments of these types: calling it does not look at the types again."""
+    if not COMPILES:
+        return function
     dispatcher: Any = function
     return dispatcher.compile(tuple(map(numba.typeof, arguments)))  # type: ignore[no-any-return]
 
@@ -145,7 +167,8 @@ def _after_fork() -> None:
     _lost_threads = threading_layer._is_initialized
 
 
-os.register_at_fork(after_in_child=_after_fork)
+if hasattr(os, "register_at_fork"):  # Windows does not fork
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 @contextmanager

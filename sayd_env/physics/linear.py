@@ -51,7 +51,6 @@ from sayd_env.physics.step import contact_at, rates
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 
 Complex = npt.NDArray[np.complex128]
-Index = npt.NDArray[np.int64]
 Tables: TypeAlias = tuple[ContactTable, ContactTable | None]
 """Contact tables of the left wheels and of the right ones; None: the same."""
 
@@ -445,61 +444,6 @@ def critical_speed(
             # No mode at all in the band is no sign that brentq could use.
             return float(brentq(lambda v: max(growth(v), -1e3), low, high, xtol=_SPEED_TOLERANCE))
     return None
-
-
-def second_order(mass: npt.ArrayLike, damping: Array, stiffness: Array) -> Array:
-    """State matrix, shape (2 n, 2 n), of M q'' + C q' + K q = 0 with a diagonal M of shape (n,)."""
-    n, per_mass = len(stiffness), 1.0 / np.asarray(mass, dtype=float)[:, None]
-    return np.block([[np.zeros((n, n)), np.eye(n)], [-per_mass * stiffness, -per_mass * damping]])
-
-
-def conical_contact(
-    wheelset_dofs: Index,
-    n: int,
-    speed: float,
-    conicity: float,
-    creep: tuple[float, float],
-    half_distance: float,
-    radius: float,
-) -> tuple[Array, Array]:
-    """Linear creep forces of wheelsets with conical wheels on rigid rails, as matrices.
-
-    Parameters
-    ----------
-    wheelset_dofs : ndarray, shape (w, 6)
-        Columns of x, y, z, roll, pitch, yaw, as in `sayd_env.physics.multibody.Multibody`; y and yaw count.
-    n : int
-        Number of unknowns.
-    speed : float
-        V, m/s.
-    conicity : float
-        lambda, slope of the tread (-).
-    creep : tuple of float
-        Creep coefficients of one wheel in longitudinal and lateral direction, N.
-    half_distance : float
-        a, half the distance of the contact points, m.
-    radius : float
-        r_0, rolling radius, m.
-
-    Returns
-    -------
-    stiffness, damping : ndarray, shape (n, n)
-        To be added to those of the suspension.
-
-    Notes
-    -----
-    Creepages xi_y = y' / V - psi and xi_x = a psi' / V + lambda y / r_0 (of opposite sign left and right);
-    lateral force -2 f_22 xi_y, yaw moment -2 a f_11 xi_x (Wickens, Fundamentals of Rail Vehicle Dynamics,
-    2003, chapter 2; spin and gravity stiffness left out).
-    """
-    stiffness, damping = np.zeros((n, n)), np.zeros((n, n))
-    longitudinal, lateral = 2.0 * creep[0], 2.0 * creep[1]
-    y, yaw = wheelset_dofs[:, 1], wheelset_dofs[:, 5]
-    damping[y, y] = lateral / speed
-    stiffness[y, yaw] = -lateral
-    damping[yaw, yaw] = longitudinal * half_distance**2 / speed
-    stiffness[yaw, y] = longitudinal * half_distance * conicity / radius
-    return stiffness, damping
 
 
 def _pure_rolling(plant: Plant) -> float:

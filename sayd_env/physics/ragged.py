@@ -7,6 +7,8 @@ differ in length from vehicle to vehicle, several vehicles may share one, and no
 
 from __future__ import annotations
 
+import ctypes
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from typing import (
@@ -16,7 +18,6 @@ from typing import (
     NamedTuple,
     SupportsIndex,
     TypeVar,
-    cast,
     get_args,
     get_origin,
     get_type_hints,
@@ -26,11 +27,11 @@ import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
 from numba.core import types
-from numba.extending import intrinsic
 from numba.np import arrayobj, numpy_support
 
 from sayd_env.config import ConfigError
 from sayd_env.config.units import Array
+from sayd_env.physics.kernel import instructions
 
 Index = npt.NDArray[np.int64]
 Matrix = Annotated[Array, 2]
@@ -43,7 +44,6 @@ _make_array: Any = arrayobj.make_array  # without annotations
 _populate_array: Any = arrayobj.populate_array
 
 _COLUMNS = 4  # address and up to three lengths
-_NUMBER = 8  # bytes
 
 
 def _field(hint: Any) -> tuple[np.dtype[Any], int]:
@@ -147,7 +147,12 @@ def vehicle_from(kind: type[Fields]) -> Callable[[Index, SupportsIndex], Fields]
     A Numba intrinsic, so that a field that somebody adds needs no second list of fields here.
     """
 
-    def typed(_context: Any, table: Any, vehicle: Any) -> Any:
+    def plain(table: Index, vehicle: SupportsIndex) -> Fields:
+        entries = zip(table[vehicle], _fields(kind), strict=True)
+        return kind(*(_in_memory(entry, *field) for entry, field in entries))
+
+    @instructions(plain)
+    def view(_context: Any, table: Any, vehicle: Any) -> Any:
         parts: list[Any] = [
             types.float64
             if dimensions == 0
@@ -184,7 +189,16 @@ def vehicle_from(kind: type[Fields]) -> Callable[[Index, SupportsIndex], Fields]
 
         return result(table, vehicle), generate
 
-    return cast("Callable[[Index, SupportsIndex], Fields]", intrinsic(typed))
+    return view
+
+
+def _in_memory(entry: Index, dtype: np.dtype[Any], dimensions: int) -> Any:
+    """What lies at an address of a batch's table, which somebody else keeps alive."""
+    address, *lengths = entry.tolist()
+    shape = lengths[:dimensions]
+    memory = (ctypes.c_char * max(1, math.prod(shape) * dtype.itemsize)).from_address(address)
+    array = np.ndarray(shape, dtype, buffer=memory)
+    return array if dimensions else array.item()
 
 
 def _item(part: Any) -> Any:

@@ -9,16 +9,15 @@ the same order whatever W is, so its result is the same bits.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
 from numba.core import cgutils, errors, types
-from numba.extending import intrinsic
 
 from sayd_env.config.units import Array
-from sayd_env.physics.kernel import kernel
+from sayd_env.physics.kernel import instructions, kernel
 
 Column = npt.NDArray[np.uint32]
 Lanes = tuple[int, ...]
@@ -66,7 +65,27 @@ def _row_product(each: bool, accumulate: bool) -> RowProduct:
     Called as ``f(lanes, column, value, first, last, x, out, row)``.
     """
 
-    def typed(
+    def plain(
+        lanes: Lanes,
+        column: Column,
+        value: Array,
+        first: np.int64,
+        last: np.int64,
+        x: Array,
+        out: Array,
+        row: int,
+    ) -> None:
+        def part(array: Array, i: int) -> Array:
+            return array[i * len(lanes) : (i + 1) * len(lanes)]
+
+        total = part(out, row) if accumulate else np.zeros(len(lanes))
+        for entry in range(first, last):
+            factor = part(value, entry) if each else value[entry]
+            total = total + factor * part(x, int(column[entry]))
+        part(out, row)[:] = total
+
+    @instructions(plain)
+    def product(
         _context: Any,
         lanes: Any,
         column: Any,
@@ -121,7 +140,7 @@ def _row_product(each: bool, accumulate: bool) -> RowProduct:
 
         return types.void(lanes, column, value, first, last, x, out, row), codegen
 
-    return cast("RowProduct", intrinsic(typed))
+    return product
 
 
 _row_of_all = _row_product(each=False, accumulate=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +15,7 @@ from pydantic import BaseModel
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.plain import jsonable
 from sayd_env.config.software import provenance
-from sayd_env.config.storage import write_files
+from sayd_env.config.storage import try_to_write, write_files
 from sayd_env.report.columns import Table
 from sayd_env.report.figures import Plot, png_bytes
 
@@ -67,20 +66,19 @@ class ResultDirectory:
     Parameters
     ----------
     path : Path
-        The directory; it is created here, before the study spends any time.
+        The directory; it is made when there is something to write.
 
     Raises
     ------
     ConfigError
-        When it cannot be created or written to, or holds a folder of the name of a file of ours.
+        When it cannot be created or written to, which is found out here, before the study spends any time, or
+        holds a folder of the name of a file of ours.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            path.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=path):
-                pass
+            try_to_write(path)
         except (FileExistsError, NotADirectoryError):
             raise ConfigError(f"--out {path}: a file is in the way, expected a directory") from None
         except (OSError, ValueError) as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import tempfile
 from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy.typing as npt
 from PIL import Image  # comes with Matplotlib, which writes its own pictures with it
 
 from sayd_env.config import ConfigError, StudyError
-from sayd_env.config.storage import replacing
+from sayd_env.config.storage import replacing, try_to_write
 
 Picture = npt.NDArray[np.uint8]
 
@@ -111,9 +110,7 @@ def checked_video(path: Path, fps: float, count: int) -> None:
     if path.is_dir():
         raise ConfigError(f"-o {path}: a folder is in the way, expected a file")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
+        try_to_write(path.parent)
     except OSError as error:
         raise ConfigError(f"-o {path}: cannot be written ({error.strerror or error})") from None
     if suffix == ".gif":

@@ -21,7 +21,7 @@ import numpy as np
 
 from sayd_env.config.plain import jsonable
 from sayd_env.config.software import source_fingerprint
-from sayd_env.config.storage import remove_leftovers, reported, write_file
+from sayd_env.config.storage import remove_leftovers, write_file
 
 Record = TypeVar("Record")
 _KEY = "_key"
@@ -79,9 +79,6 @@ class RunCache:
         self._memory[key] = record
         if self._folder is None:
             return
-        if not self._folder.is_dir():
-            with reported(self._folder):
-                self._folder.mkdir(parents=True, exist_ok=True)
         stream = io.BytesIO()
         content: dict[str, Any] = {name: v for name, v in vars(record).items() if v is not None}
         np.savez_compressed(stream, **content | {_KEY: key})

@@ -9,12 +9,11 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from sayd_env.physics.formation import WIDTH
 from sayd_env.runs.cache import RunCache, fingerprint
 from sayd_env.runs.executors import ExecutorChoice, KeptExecutor, computed
 
 Record = TypeVar("Record")
-ABREAST = 8
-"""Runs of one piece of work: as many vehicles as the simulator advances side by side."""
 
 
 class Progress(Protocol):
@@ -117,11 +116,14 @@ def _keys(work: Callable[..., Any], specs: Sequence[RunSpec]) -> list[str]:
 
 
 def pieces(specs: Sequence[RunSpec], which: Sequence[int], workers: int) -> list[list[int]]:
-    """Numbers of the specs of each piece of work: equal pieces, and one for each worker where that can be."""
+    """Numbers of the specs of each piece of work: equal pieces, and one for each worker where that can be.
+
+    None is of more runs than the simulator advances side by side.
+    """
     groups: dict[Hashable, list[int]] = {}
     for i in which:
         groups.setdefault(specs[i].companions(), []).append(i)
-    widest = min(ABREAST, max(1, math.ceil(len(which) / workers)))
+    widest = min(WIDTH, max(1, math.ceil(len(which) / workers)))
     return [
         part.tolist()
         for group in groups.values()

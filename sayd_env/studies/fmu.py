@@ -106,6 +106,4 @@ def export_controller(policy: str, scenario: Scenario, target: Path) -> UnitResu
 
 
 def _written(unit: Unit, target: Path) -> UnitResult:
-    files = fmu_files(unit)
-    target.mkdir(parents=True, exist_ok=True)
-    return UnitResult(unit, write_files(target, files))
+    return UnitResult(unit, write_files(target, fmu_files(unit)))

@@ -168,14 +168,14 @@ def test_bad_pictures_are_refused(arguments: list[str], message: str, refused: R
 )
 def test_bad_maps_are_refused_before_any_work(arguments: list[str], message: str, refused: Refused):
     assert message in refused("map", *SHORT, "--quick", *arguments, "--out", "here")
-    assert not Path("here").exists() or list(Path("here").iterdir()) == []
+    assert not Path("here").exists()
 
 
 @pytest.mark.parametrize("periods", ["0.003", "0.01,0.003", "0.01,0.01"])
 def test_bad_control_periods_are_refused_before_any_work(periods: str, refused: Refused):
     found = refused("reproduce", *SHORT, "--quick", "--control-periods", periods, "--out", "here")
     assert "control periods" in found
-    assert list(Path("here").iterdir()) == []
+    assert not Path("here").exists()
 
 
 @pytest.mark.parametrize(
@@ -282,7 +282,7 @@ def test_a_run_that_diverges_is_a_failed_study(command: str, message: str, refus
     stiff = ["--set", "vehicle.elements.arm_joint.stiffness=[1e12, 1e12, 1e12]"]
     run = [command, *SHORT, "--speeds", "300", "--seeds", "2", *stiff, "--out", "here"]
     assert message in refused(*run, status=1)
-    assert list(Path("here").iterdir()) == []
+    assert not Path("here").exists()
 
 
 def test_too_little_memory_is_one_message(refused: Refused, monkeypatch: pytest.MonkeyPatch):

@@ -13,7 +13,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.comparison import HELD_OUT, ComparisonConfig, load_comparison
 from sayd_env.config.distribution import UniformDistribution
 from sayd_env.config.environment import load_environment
-from sayd_env.config.fingerprint import fingerprint
+from sayd_env.config.frozen import frozen
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.tuning import load_tuning
 
@@ -108,18 +108,14 @@ def test_paths_are_relative_to_the_file(tmp_path: Path):
 
 def test_each_digest_is_that_of_its_part():
     scenario, environment = load_scenario(), load_environment("randomized")
-    before = fingerprint(scenario, environment)
+    before = frozen(scenario, environment)
     heavier = scenario.cost.model_copy(update={"force_weight": 0.6})
-    assert _changed(before, fingerprint(scenario.model_copy(update={"cost": heavier}), environment)) == {
-        "weights"
-    }
-    assert _changed(before, fingerprint(scenario.model_copy(update={"friction": 0.3}), environment)) == {
-        "plant"
-    }
+    assert _changed(before, frozen(scenario.model_copy(update={"cost": heavier}), environment)) == {"weights"}
+    assert _changed(before, frozen(scenario.model_copy(update={"friction": 0.3}), environment)) == {"plant"}
     longer = environment.model_copy(update={"episode_s": 30.0})
-    assert _changed(before, fingerprint(scenario, longer)) == {"environment"}
+    assert _changed(before, frozen(scenario, longer)) == {"environment"}
     assert {"mppt1", "mppt2", "online"} <= before["controllers"].keys()
-    assert fingerprint(load_scenario(), load_environment("randomized")) == before
+    assert frozen(load_scenario(), load_environment("randomized")) == before
 
 
 def _changed(before: dict[str, object], after: dict[str, object]) -> set[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sayd_env.config import ConfigError
+from sayd_env.config import ConfigError, storage
 from sayd_env.config.storage import reserved, write_file
 
 WRITER = """
@@ -36,6 +36,11 @@ with reserved(Path("run"), "trains"):
 """
 
 
+needs_signals = pytest.mark.skipif(
+    storage.fcntl is None, reason="Windows has neither these signals nor locks"
+)
+
+
 def begun(code: str, folder: Path) -> subprocess.Popen[str]:
     """A process that has come to the middle of its work."""
     process = subprocess.Popen(
@@ -55,6 +60,7 @@ def files(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
+@needs_signals
 def test_the_next_writer_removes_what_a_killed_one_left_and_nobody_elses(tmp_path: Path) -> None:
     alive, dead = begun(WRITER, tmp_path), begun(WRITER, tmp_path)
     kill(dead)
@@ -68,6 +74,7 @@ def test_the_next_writer_removes_what_a_killed_one_left_and_nobody_elses(tmp_pat
     kill(alive)
 
 
+@needs_signals
 def test_a_folder_is_kept_for_one_process_until_it_ends(tmp_path: Path) -> None:
     worker = begun(WORKER, tmp_path)
     refused = rf"^{tmp_path / 'run'}: another process trains here; wait for its end, or take another folder$"
@@ -79,3 +86,16 @@ def test_a_folder_is_kept_for_one_process_until_it_ends(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="file: cannot be made"), reserved(tmp_path / "file", "trains"):
         pass
+
+
+def test_without_locks_and_signals_nobody_is_kept_out_and_nobody_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Windows, where `os.kill` ends the process even if it is only asked."""
+    monkeypatch.setattr(storage, "fcntl", None)
+    monkeypatch.setattr(os, "kill", None)
+    left = tmp_path / f".result.json.{storage._MACHINE}.0123abcd.1.tmp"
+    left.touch()
+    with reserved(tmp_path, "trains"), reserved(tmp_path, "trains"):
+        write_file(tmp_path / "result.json", b"whole")
+    assert files(tmp_path) == [left.name, "result.json"]

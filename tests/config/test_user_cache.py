@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pwd
 import tempfile
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 
 from sayd_env.config.user_cache import cache_folder, report_once
 
+pwd = pytest.importorskip("pwd", reason="of POSIX")
 USER = os.getuid()
 
 
@@ -114,3 +114,11 @@ def test_no_place_at_all_is_reported_once(
     assert cache_folder() is None
     (line,) = caplog.messages
     assert line.startswith("no cache directory can be written")
+
+
+def test_where_users_have_no_numbers_temporary_files_are_the_users_own(
+    blocked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(blocked))
+    monkeypatch.delattr(os, "getuid")
+    assert cache_folder("kernels") == tmp_path / "temporary" / "sayd" / "kernels"

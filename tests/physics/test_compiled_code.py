@@ -25,9 +25,12 @@ from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
 ARRAY = types.Array(types.float64, 1, "C")
 COLUMN = types.Array(types.uint32, 1, "C")
 
-pytestmark = pytest.mark.skipif(
-    not binding.get_host_cpu_features().get("avx2", False), reason="the instructions looked for need AVX2"
-)
+pytestmark = [
+    pytest.mark.compiled,
+    pytest.mark.skipif(
+        not binding.get_host_cpu_features().get("avx2", False), reason="the instructions looked for need AVX2"
+    ),
+]
 
 
 @kernel(distinct=True, allocates=False)

@@ -115,6 +115,7 @@ def test_a_matrix_without_entries() -> None:
     np.testing.assert_array_equal(added, np.arange(3.0))
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("run", [product, sum_with_product], ids=["multiply", "add_product"])
 @pytest.mark.parametrize("spoilt", ["column", "value", "x", "out"])
 @pytest.mark.parametrize("how", ["strided", "of another type", "of two dimensions"])

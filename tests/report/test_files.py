@@ -169,6 +169,16 @@ def test_a_folder_in_the_way_of_a_file_leaves_no_other_file(name: str, tmp_path:
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
+def test_a_directory_is_made_when_there_is_something_to_write(tmp_path: Path):
+    (tmp_path / "lost").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(ConfigError, match=r"--out .*lost: cannot be written"):
+        ResultDirectory(tmp_path / "lost")
+    directory = ResultDirectory(tmp_path / "deep" / "er")
+    assert [path.name for path in tmp_path.iterdir()] == ["lost"]
+    directory.write({"result.json": b"{}"})
+    assert (tmp_path / "deep" / "er" / "result.json").read_bytes() == b"{}"
+
+
 def test_a_directory_that_cannot_be_written_is_found_before_the_study_starts():
     # Not even root may create a file there.
     with pytest.raises(ConfigError, match="--out /proc/sayd: cannot be written"):

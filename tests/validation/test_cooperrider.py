@@ -16,7 +16,7 @@ import pytest
 from sayd_env.config import validate
 from sayd_env.config.loader import parse_yaml
 from sayd_env.config.vehicle import VehicleConfig
-from sayd_env.physics.linear import conical_contact, critical_speed, second_order
+from sayd_env.physics.linear import critical_speed
 from sayd_env.physics.multibody import Multibody, assemble
 
 Array = npt.NDArray[np.float64]
@@ -75,11 +75,29 @@ def bogie() -> Multibody:
     return assemble(validate(VehicleConfig, parse_yaml(BOGIE, "cooperrider"), "cooperrider"), None)
 
 
+def conical_contact(bogie: Multibody, speed: float) -> tuple[Array, Array]:
+    """Stiffness and damping of linear creep forces of conical wheels on rigid rails.
+
+    Creepages xi_y = y' / V - psi and xi_x = a psi' / V + lambda y / r_0 (of opposite sign left and right);
+    lateral force -2 f_22 xi_y, yaw moment -2 a f_11 xi_x (Wickens, Fundamentals of Rail Vehicle Dynamics,
+    2003, chapter 2; spin and gravity stiffness left out).
+    """
+    half_distance, conicity, radius = 0.7163, 0.05, 0.4572
+    longitudinal, lateral = 2.0 * CREEP[0], 2.0 * CREEP[1]
+    stiffness, damping = np.zeros((2, bogie.n, bogie.n))
+    y, yaw = bogie.wheelset_dofs[:, 1], bogie.wheelset_dofs[:, 5]
+    damping[y, y] = lateral / speed
+    stiffness[y, yaw] = -lateral
+    damping[yaw, yaw] = longitudinal * half_distance**2 / speed
+    stiffness[yaw, y] = longitudinal * half_distance * conicity / radius
+    return stiffness, damping
+
+
 def state_matrix(bogie: Multibody, speed: float) -> Array:
-    stiffness, damping = conical_contact(
-        bogie.wheelset_dofs, bogie.n, speed, conicity=0.05, creep=CREEP, half_distance=0.7163, radius=0.4572
-    )
-    return second_order(bogie.mass, bogie.damping + damping, bogie.stiffness + stiffness)
+    stiffness, damping = conical_contact(bogie, speed)
+    n, per_mass = bogie.n, 1.0 / bogie.mass[:, None]
+    position = -per_mass * (bogie.stiffness + stiffness)
+    return np.block([[np.zeros((n, n)), np.eye(n)], [position, -per_mass * (bogie.damping + damping)]])
 
 
 def printed_equations(speed: float) -> Array:

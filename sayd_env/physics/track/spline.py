@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba.core import types
-from numba.extending import intrinsic
 from scipy.ndimage import spline_filter1d
 
 from sayd_env.config.units import Array
-from sayd_env.physics.kernel import kernel
+from sayd_env.physics.kernel import instructions, kernel
 
 CHANNELS = 4
 """Alignment, vertical, cross-level, gauge."""
@@ -85,7 +83,23 @@ def spline_weights(
     )
 
 
-def _weighted_rows(
+def _plain_weighted_rows(
+    coefficients: Array,
+    first: int,
+    weights: tuple[float, float, float, float],
+    out: Array,
+    place: int,
+    stride: int,
+) -> None:
+    rows = coefficients[first : first + len(weights) * CHANNELS].reshape(len(weights), CHANNELS)
+    w0, w1, w2, w3 = weights
+    out[place : place + CHANNELS * stride : stride] = (
+        w0 * rows[0] + w1 * rows[1] + w2 * rows[2] + w3 * rows[3]
+    )
+
+
+@instructions(_plain_weighted_rows)
+def weighted_rows(
     _context: Any,
     coefficients: Any,
     first: Any,
@@ -127,10 +141,6 @@ def _weighted_rows(
         return context.get_dummy_value()
 
     return types.void(coefficients, first, weights, out, place, stride), codegen
-
-
-_Weights = tuple[float, float, float, float]
-weighted_rows = cast("Callable[[Array, int, _Weights, Array, int, int], None]", intrinsic(_weighted_rows))
 
 
 @kernel

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sayd_env.config.comparison import ComparisonConfig
-from sayd_env.config.fingerprint import fingerprint
+from sayd_env.config.frozen import frozen
 from sayd_env.config.units import Array
 from sayd_env.runs.policies import PAPER
 from sayd_env.studies.comparison.entrants import Entrant
@@ -114,7 +114,7 @@ class Comparison:
                 for each in self.entrants
             },
             "learned": self.learned,
-            "frozen": fingerprint(self.grid.scenario, self.grid.environment),
+            "frozen": frozen(self.grid.scenario, self.grid.environment),
             "quick": self.quick,
         }
 

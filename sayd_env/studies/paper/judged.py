@@ -95,13 +95,13 @@ class Vehicle:
 
 
 def runs_of_a_seed(study: ReproductionConfig, fixed: Sequence[str] = ()) -> int:
-    """How many runs `judge` makes of each seed."""
+    """How many runs `judge_rows` makes of each seed."""
     grid = study.speeds("sayd")
     passive = len(study.speeds("new")) + len(study.speeds("worn"))
     return passive + len(required_runs(grid)) + len(runs_over_speed(fixed, grid))
 
 
-def judge(
+def judge_rows(
     vehicle: Vehicle,
     study: ReproductionConfig,
     seeds: Sequence[int],

@@ -34,7 +34,7 @@ from sayd_env.studies.paper import control_periods as periods
 from sayd_env.studies.paper.claims import claim_columns, claim_rows, claims_document
 from sayd_env.studies.paper.controlled_claims import skyhook_runs
 from sayd_env.studies.paper.figures import controlled_plots
-from sayd_env.studies.paper.judged import Judged, Vehicle, judge, runs_of_a_seed
+from sayd_env.studies.paper.judged import Judged, Vehicle, judge_rows, runs_of_a_seed
 from sayd_env.studies.paper.page import reproduce_page
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ def reproduce(
             *(min(a.seeds, len(seeds)) * runs_of_a_seed(study) for a in judged_again),
         ],
     )
-    judged = judge(vehicle, study, seeds, own, study.fixed)
+    judged = judge_rows(vehicle, study, seeds, own, study.fixed)
     by_period: periods.PeriodClaims = {}
     if control_periods:
         by_period = periods.period_claims(vehicle, study, seeds, control_periods, others)
@@ -226,7 +226,7 @@ def reproduce(
     }
     shown = histories(vehicle.worn(0.0), judged.new, judged.limits, own)
     by_assumption = {
-        a.name: judge(replace(vehicle, scenario=a.applied(scenario)), study, seeds[: a.seeds], part)
+        a.name: judge_rows(replace(vehicle, scenario=a.applied(scenario)), study, seeds[: a.seeds], part)
         for a, part in zip(judged_again, again, strict=True)
     }
     return ReproduceResult(

@@ -72,8 +72,8 @@ SMOOTHING = 0.1
 """Of the response surfaces: what differs less than places do is taken for chance."""
 KEPT = 0.75
 """Share of the trials that surfaces drawn from them pass."""
-ABREAST = 4
-"""Places that are tried side by side."""
+PLACES = 4
+"""So many are tried at a time."""
 CONTROL = "control."
 HELD = (0.05, 0.3)
 """Fixed commands with which a vehicle shows whether semi-active dampers can hold it at 400 km/h.
@@ -333,7 +333,7 @@ def _search(
     cube = qmc.LatinHypercube(count, rng=seed).random(search.samples - 1)
     made = tried(search.name, [start, *qmc.scale(cube, low, high)], search)
     while len(made) < search.evaluations:
-        places = [_least(made, columns, low, high, random, drawn=i > 0) for i in range(ABREAST)]
+        places = [_least(made, columns, low, high, random, drawn=i > 0) for i in range(PLACES)]
         made += tried(search.name, places, search)
     return best_of(made)
 

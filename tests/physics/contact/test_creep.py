@@ -305,6 +305,7 @@ def test_table_without_a_place_to_write(monkeypatch: pytest.MonkeyPatch):
     creep.creep_table.cache_clear()
 
 
+@pytest.mark.compiled
 def test_compiled_law_has_no_gathers():
     """Weights in packed arithmetic, rows of the table in contiguous reads: a loss would show here.
 

@@ -122,6 +122,7 @@ def test_reduction_factors() -> None:
     assert law(1e4, 0.0, 0.0, k_a=0.8, k_s=0.4)[0] == pytest.approx(-MU * N, rel=1e-6)
 
 
+@pytest.mark.compiled
 def test_loop_over_wheels_is_vectorised() -> None:
     """Packed divisions and roots in the machine code of the loop over wheels."""
     if not binding.get_host_cpu_features().get("avx2", False):

@@ -15,7 +15,7 @@ from sayd_env.config.scenario import Scenario
 _SAID = ("description", "provenance")
 
 
-def fingerprint(scenario: Scenario, environment: EnvironmentConfig) -> dict[str, Any]:
+def frozen(scenario: Scenario, environment: EnvironmentConfig) -> dict[str, Any]:
     """SHA-256 of everything that two results must share to be comparable.
 
     Parameters
