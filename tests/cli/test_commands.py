@@ -33,12 +33,13 @@ OFFERED = {
     "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"},
     "hindsight": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick"},
     "compare": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick", "seed"},
-    "render": {*VEHICLE, *SHOWN, *FOREIGN, "policy", "speed", "environment", "seconds", "fps", "file"}
+    "render": {*VEHICLE, *SHOWN, *FOREIGN, "policies", "speed", "environment", "seconds", "fps", "file"}
     | {"exaggeration", "seed", "line"},
     "policies": SHOWN,
     "tune": {*CONFIG, *RUNS, *SHOWN, "quick", "seed", "file"},
     "simulate": {*VEHICLE, *SHOWN, *FOREIGN, "damper", "policy", "speed", "line", "environment", "seconds"}
     | {"initial-current", "signals", "run-in", "format", "seed", "file"},
+    "play": {*VEHICLE, "speed", "environment", "seed", "json", "help"},
     "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed"} - {"wide"},
     "export": {*FOREIGN, *VEHICLE, *SHOWN, "onnx", "fmu", "damper", "speed", "seed"} - {"wide"},
     "conicity": {*WHEELS, *SHOWN},

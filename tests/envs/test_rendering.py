@@ -26,7 +26,7 @@ from sayd_env.envs.single import SaydEnv
 
 pytest.importorskip("pygame")
 
-from sayd_env.envs import rendering
+from sayd_env.envs import rendering, vehicle_picture
 from sayd_env.envs.charts import ACCELERATION, FORCE, VALVE, Charts
 from sayd_env.envs.plan_view import View, displaced, rectangle
 from sayd_env.envs.rendering import FRONT, HEIGHT, REAR, SCALE, WIDTH, Renderer, force_colour
@@ -343,11 +343,11 @@ def test_what_moves_in_a_chart_leaves_no_trace(quick: str) -> None:
 
 
 def test_force_colours() -> None:
-    assert force_colour(0.0) == rendering.NONE
-    assert force_colour(1e6) == rendering.PULL
-    assert force_colour(-1e6) == rendering.PUSH
+    assert force_colour(0.0) == vehicle_picture.NONE
+    assert force_colour(1e6) == vehicle_picture.PULL
+    assert force_colour(-1e6) == vehicle_picture.PUSH
     assert force_colour(15e3 / 4) == tuple(
-        round((a + b) / 2) for a, b in zip(rendering.NONE, rendering.PULL, strict=True)
+        round((a + b) / 2) for a, b in zip(vehicle_picture.NONE, vehicle_picture.PULL, strict=True)
     )
 
 
