@@ -1,7 +1,7 @@
 """PPO in one file in the manner of CleanRL, on the batch of `gymnasium.make_vec`.
 
-pip install sayd-env torch
-python examples/ppo_cleanrl.py --steps 40000
+    pip install torch
+    python examples/ppo_cleanrl.py --steps 40000
 """
 
 from __future__ import annotations

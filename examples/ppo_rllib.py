@@ -1,7 +1,7 @@
 """PPO of RLlib, as it comes, on `gymnasium.make`.
 
-pip install sayd-env 'ray[rllib]' torch
-python examples/ppo_rllib.py --steps 40000
+    pip install 'ray[rllib]' torch
+    python examples/ppo_rllib.py --steps 40000
 """
 
 from __future__ import annotations

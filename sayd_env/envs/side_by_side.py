@@ -33,6 +33,8 @@ HEIGHT = HEAD + TITLE + ROAD + 2 * CHART + FOOT
 SCALE = 70.0
 """Pixels in a metre of the vehicle."""
 FRONT_BOGIE = 0
+BARS = (48.0, 64.0, 66.0)
+"""As those of `VehiclePicture`, for a narrower view."""
 SHOWN = (ACCELERATION, FORCE)
 
 
@@ -102,7 +104,7 @@ class SideBySide:
         # Of the other bogie nothing is drawn.
         views = tuple(View(bogie.x, centre, SCALE, 0.5 * COLUMN / SCALE) for bogie in plan.bogies)
         placement = Placement(plan, views, self.exaggeration)
-        return VehiclePicture(self.canvas, placement, road, (FRONT_BOGIE,))
+        return VehiclePicture(self.canvas, placement, road, (FRONT_BOGIE,), BARS)
 
     def _ground(self) -> None:
         """Draw what never changes."""

@@ -40,8 +40,8 @@ BOGIE_FILLS: tuple[Colour, Colour] = ((176, 204, 244), (250, 208, 166))
 
 Box = tuple[float, float, float, float]
 """Left, top, width, height."""
-GAUGE_X, GAUGE_LENGTH = 58.0, 92.0
-"""Opening bars: distance from a bogie's centre, and length, pixels."""
+BARS = (58.0, 92.0, 74.0)
+"""Opening bars: distance from a bogie's centre, length, and from there to the end of the forces, pixels."""
 
 
 class VehiclePicture:
@@ -56,12 +56,20 @@ class VehiclePicture:
         Left, top, width and height of what is seen of the track.
     bogies : sequence of int
         Those that are drawn.
+    bars : tuple of float
+        As `BARS`.
     """
 
     def __init__(
-        self, canvas: Canvas, placement: Placement, road: Box, bogies: Sequence[int] = range(BOGIES)
+        self,
+        canvas: Canvas,
+        placement: Placement,
+        road: Box,
+        bogies: Sequence[int] = range(BOGIES),
+        bars: tuple[float, float, float] = BARS,
     ) -> None:
-        self.canvas, self.placement, self.road, self.bogies = canvas, placement, road, bogies
+        self.canvas, self.placement, self.road = canvas, placement, road
+        self.bogies, self.bars = bogies, bars
 
     def draw(self, frame: Frame) -> None:
         """Draw it as it is in a frame."""
@@ -125,12 +133,13 @@ class VehiclePicture:
             canvas.disc((float(end[0]), float(end[1])), 3.5, INK)
         middle_x, middle_y = view.centre
         y = middle_y - view.scale * float(self.placement.plan.dampers[k, 0, 1])
-        box = (middle_x + GAUGE_X, y, GAUGE_LENGTH, 1.15 * PAIR_OFFSET * view.scale)
+        before, length, after = self.bars
+        box = (middle_x + before, y, length, 1.15 * PAIR_OFFSET * view.scale)
         self._bar(frame, k, box, colour)
         words = f"{round(force * 1e-3, 1) + 0.0:+.1f} kN".replace("-", "\u2212")
-        canvas.text(words, (middle_x + GAUGE_X + GAUGE_LENGTH + 74, y), 13, INK, align="right")
+        canvas.text(words, (middle_x + before + length + after, y), 13, INK, align="right")
         if fault is not None:
-            canvas.text(fault, (middle_x - GAUGE_X - 46, y), 12, BAD, align="right", bold=True)
+            canvas.text(fault, (middle_x - before - 46, y), 12, BAD, align="right", bold=True)
             for turn in ((1.0, 1.0), (1.0, -1.0)):
                 arm = 9.0 * np.array(turn)
                 middle = 0.5 * (bogie_end + car_end)

@@ -156,8 +156,8 @@ class Session:
             "t": self._change_track,
             "space": self._pause,
             "r": lambda: None,
-            "q": self.close,
-            "escape": self.close,
+            "q": self._quit,
+            "escape": self._quit,
         }
         try:
             from sayd_env.envs.rendering import Renderer  # noqa: PLC0415 - loads Matplotlib
@@ -167,7 +167,11 @@ class Session:
             raise ConfigError(str(error)) from None
         assert self.renderer.window is not None  # that is what "human" means
         self.window = self.renderer.window
-        self._begin(self.options)
+        try:
+            self._begin(self.options)
+        except ConfigError:
+            self.window.close()
+            raise
 
     @property
     def frame(self) -> Frame:
@@ -191,6 +195,8 @@ class Session:
         former = dict(self.options)
         for key in pressed:
             self._keys[key]()
+        if not self.window.open:
+            return
         if "r" in pressed or self.options != former:
             self._begin_anew(former)
         elif self.ride.seconds >= LONGEST:
@@ -224,6 +230,9 @@ class Session:
         following = self._tracks[(place + 1) % len(self._tracks)]
         if following is not None:
             self.options["track"] = following
+
+    def _quit(self) -> None:
+        self.window.close()
 
     def _pause(self) -> None:
         self.paused = not self.paused
