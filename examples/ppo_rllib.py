@@ -2,6 +2,8 @@
 
     pip install 'ray[rllib]' torch
     python examples/ppo_rllib.py --steps 40000
+
+`judge.py` says what the task is and what the policy is worth.
 """
 
 from __future__ import annotations

@@ -116,9 +116,10 @@ class SideBySide:
             canvas.box((left + 14, HEAD + 12, 6, 20), rgb(policy_style(name).colour), radius=2)
             canvas.text(name, (left + 28, HEAD + 22), 18, INK, bold=True)
         y = HEIGHT - 0.5 * FOOT
-        note = f"Front bogie from above, displacements and track \u00d7 {self.exaggeration:g}; travel →"
+        view = f"Front bogie from above, displacements \u00d7 {self.exaggeration:g}, travel to the right"
+        note = f"{view}; J of the last second"
         canvas.text(note, (EDGE + 2, y), 12, SOFT)
-        right = self.width - EDGE - 2
+        right: float = self.width - EDGE - 2
         right -= canvas.text("rear bogie", (right, y), 12, REAR, align="right", bold=True) + 12
         canvas.text("front bogie", (right, y), 12, FRONT, align="right", bold=True)
         canvas.keep_as_base()

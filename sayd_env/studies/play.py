@@ -247,8 +247,9 @@ class Session:
             self._begin(self.options)
         except ConfigError as error:
             self.options, self._note = dict(former), str(error)
-        else:
-            self.result.runs += [driven] * (driven is not None)
+            return
+        if driven is not None:
+            self.result.runs.append(driven)
 
     def _begin(self, options: Mapping[str, Any]) -> None:
         start = {"initial_current": self.hand.command}
