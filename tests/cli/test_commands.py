@@ -37,9 +37,9 @@ OFFERED = {
     | {"exaggeration", "seed", "line"},
     "policies": SHOWN,
     "tune": {*CONFIG, *RUNS, *SHOWN, "quick", "seed", "file"},
+    "play": {*VEHICLE, "speed", "environment", "seed", "json", "help"},
     "simulate": {*VEHICLE, *SHOWN, *FOREIGN, "damper", "policy", "speed", "line", "environment", "seconds"}
     | {"initial-current", "signals", "run-in", "format", "seed", "file"},
-    "play": {*VEHICLE, "speed", "environment", "seed", "json", "help"},
     "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed"} - {"wide"},
     "export": {*FOREIGN, *VEHICLE, *SHOWN, "onnx", "fmu", "damper", "speed", "seed"} - {"wide"},
     "conicity": {*WHEELS, *SHOWN},
