@@ -81,7 +81,7 @@ def test_help_fits_80_columns_and_describes_everything(
     lines = capsys.readouterr().out.splitlines()
     assert max(len(line) for line in lines) <= 80
     command = PROGRAM.commands[name] if name else PROGRAM
-    words = "\n".join(lines).split()
+    words = "\n".join(lines).replace(",--", " --").split()  # several long names stand in one column
     for each in options_of(command):
         assert each.help
         assert set(each.opts) <= set(words)
