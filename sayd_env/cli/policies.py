@@ -238,7 +238,7 @@ def compare(
     )
 
 
-@command(GROUP, "--policies passive,mppt1 --speed 400 --seconds 5 -o ride.gif", without=("damper", "wide"))
+@command(GROUP, "--policies passive,mppt1 --speed 400 -o ride.gif", without=("damper", "wide"))
 def render(
     choice: options.VehicleOptions,
     foreign: options.ForeignOptions,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -98,6 +98,18 @@ def test_policies_stand_side_by_side(
         turned = np.asarray(found.convert("RGB"))
     column = slice(12, 12 + 484)
     np.testing.assert_array_equal(picture[60:-26, column], turned[60:-26, 508 : 508 + 484])
+
+
+def test_a_learned_policy_stands_beside_others(
+    tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig, trained_file: Callable[..., None]
+) -> None:
+    """It has signals and a clock of its own, and the same track."""
+    learned = tmp_path / "mine.npz"
+    trained_file(learned)
+    result = render(video(tmp_path / "both.png", f"passive,{learned}"), scenario, environment)
+    assert [run.policy for run in result.runs] == ["passive", "ppo-s0"]
+    assert [run.seconds for run in result.runs] == pytest.approx([0.2, 0.2])
+    assert [run.rows[-1][:3] for run in result.runs] == [result.runs[0].rows[-1][:3]] * 2
 
 
 def test_axes_stay_the_same_all_through_a_film(
