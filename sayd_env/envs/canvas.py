@@ -187,8 +187,10 @@ class Window:
         self.pygame = load_pygame()
         try:
             self.pygame.display.init()
+            self._refuse_nowhere()
             self._screen = self.pygame.display.set_mode(size)
         except self.pygame.error as error:
+            self.pygame.display.quit()
             raise DependencyNotInstalled(
                 f"a window needs a screen ({error}); render_mode 'rgb_array' and 'sayd render' do without"
             ) from None
@@ -198,6 +200,11 @@ class Window:
         self._pressed: list[str] = []
         self._begun: tuple[float, float] | None = None
         self._shown = -np.inf
+
+    def _refuse_nowhere(self) -> None:
+        """Refuse what SDL falls back to without a screen, unless it was asked for: nobody would see it."""
+        if self.pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+            raise self.pygame.error("no display was found")
 
     def due(self, now: float) -> bool:
         """Wait for a simulated time (s); return whether there is time to draw it.

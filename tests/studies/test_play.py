@@ -219,9 +219,17 @@ def test_the_command_ends_with_the_runs(quick: Path, capsys: pytest.CaptureFixtu
 def test_without_pygame_or_a_screen_the_message_says_so(
     scenario: Scenario, environment: EnvironmentConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    pygame.display.quit()
+    needed = r"a window needs a screen .*'sayd render' do without"
     with monkeypatch.context() as patch:
         patch.setenv("SDL_VIDEODRIVER", "none-such")
-        with pytest.raises(ConfigError, match=r"a window needs a screen .*'sayd render' do without"):
+        with pytest.raises(ConfigError, match=needed):
+            Session(scenario, environment)
+    with monkeypatch.context() as patch:  # SDL finds no screen, and would draw where nobody sees it
+        for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
+            patch.delenv(name, raising=False)
+        patch.setattr(pygame.display, "get_driver", lambda: "offscreen")
+        with pytest.raises(ConfigError, match=needed):
             Session(scenario, environment)
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(ConfigError, match=r"pip install 'sayd-env\[render\]'"):
