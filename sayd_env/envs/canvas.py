@@ -190,7 +190,6 @@ class Window:
             self._refuse_nowhere()
             self._screen = self.pygame.display.set_mode(size)
         except self.pygame.error as error:
-            self.pygame.display.quit()
             raise DependencyNotInstalled(
                 f"a window needs a screen ({error}); render_mode 'rgb_array' and 'sayd render' do without"
             ) from None
@@ -204,6 +203,7 @@ class Window:
     def _refuse_nowhere(self) -> None:
         """Refuse what SDL falls back to without a screen, unless it was asked for: nobody would see it."""
         if self.pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+            self.pygame.display.quit()
             raise self.pygame.error("no display was found")
 
     def due(self, now: float) -> bool:
