@@ -14,9 +14,17 @@ from sayd_env.envs.cost import squares, weighted
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
 from sayd_env.envs.loop import RUNNING
-from sayd_env.envs.recorder import WINDOW, Frame, Recorder
+from sayd_env.envs.recorder import WINDOW, Recorder
 from sayd_env.envs.rollout import first_state, listens
 from sayd_env.physics.simulator import VehicleModel
+
+COLUMNS = (
+    *("time_s", "speed_kmh", "distance_m", "J"),
+    *("acceleration_rms_front_m_s2", "acceleration_rms_rear_m_s2"),
+    *("force_rms_front_n", "force_rms_rear_n"),
+    *("valve_front", "valve_rear"),
+)
+"""Of `Ride.row`: RMS and J of the last second, means of a bogie's valves."""
 
 
 class Ride:
@@ -106,19 +114,8 @@ class Ride:
 
     def row(self) -> tuple[float | None, ...]:
         """Values of this moment, by `COLUMNS`."""
-        return _row(self.recorder.frame())
-
-
-COLUMNS = (
-    *("time_s", "speed_kmh", "distance_m", "J"),
-    *("acceleration_rms_front_m_s2", "acceleration_rms_rear_m_s2"),
-    *("force_rms_front_n", "force_rms_rear_n"),
-    *("valve_front", "valve_rear"),
-)
-
-
-def _row(frame: Frame) -> tuple[float | None, ...]:
-    valves = [None, None] if frame.valve is None else np.asarray(frame.valve[-1], dtype=float).tolist()
-    distance = frame.speed * frame.time if frame.place is None else frame.place.distance
-    signals = (frame.speed * KMH, distance, frame.cost[-1], *frame.acceleration[-1], *frame.force[-1])
-    return (frame.time, *(float(value) for value in signals), *valves)
+        frame = self.recorder.frame()
+        valves = [None, None] if frame.valve is None else np.asarray(frame.valve[-1], dtype=float).tolist()
+        distance = frame.speed * frame.time if frame.place is None else frame.place.distance
+        signals = (frame.speed * KMH, distance, frame.cost[-1], *frame.acceleration[-1], *frame.force[-1])
+        return (frame.time, *(float(value) for value in signals), *valves)
