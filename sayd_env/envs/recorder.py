@@ -136,6 +136,11 @@ class Frame:
     force_reference: float
     """F_max of eq. (27), N."""
 
+    @property
+    def above_limit(self) -> bool:
+        """Whether a bogie's running acceleration is above its limit."""
+        return bool(np.any(self.acceleration[-1:] > self.acceleration_limit))
+
 
 @dataclass
 class Recorder:

@@ -25,9 +25,10 @@ from sayd_env.envs.vehicle_picture import (
 
 MOST = 4
 """Vehicles in a picture."""
-COLUMN, GAP, EDGE = 484, 12, 12
+# Whole pictures are multiples of 16 pixels wide and high, as encoders of videos want them.
+COLUMN, GAP, EDGE = 484, 12, 14
 """Width of a vehicle's column, and the spaces between and around them, pixels."""
-HEAD, TITLE, ROAD, CHART, FOOT = 60, 42, 262, 158, 26
+HEAD, TITLE, ROAD, CHART, FOOT = 60, 42, 262, 158, 24
 """Heights from above to below, pixels; there are two charts."""
 HEIGHT = HEAD + TITLE + ROAD + 2 * CHART + FOOT
 SCALE = 70.0
@@ -143,12 +144,13 @@ class SideBySide:
     def _title(self, place: int, frame: Frame) -> None:
         """Tell J, and whether a limit is exceeded."""
         left, canvas = self.lefts[place], self.canvas
-        above = len(frame.times) > 0 and float(frame.acceleration[-1].max()) > frame.acceleration_limit
-        words = frame.ending.partition(":")[0] if frame.ending else "above the limit" if above else "running"
+        words = "above the limit" if frame.above_limit else "running"
+        if frame.ending:
+            words = frame.ending.partition(":")[0]
         y, right = HEAD + 22, left + COLUMN - 24
         width = canvas.text(words, (right, y), 12, PANEL, align="right", bold=True)
         box = (right - width - 12, y - 12, width + 24, 24)
-        canvas.box(box, BAD if above or frame.ending else GOOD, radius=12)
+        canvas.box(box, BAD if frame.above_limit or frame.ending else GOOD, radius=12)
         if len(frame.cost):
             cost = f"J {frame.cost[-1]:.3f}"
             canvas.text(cost, (right - width - 30, y), 15, INK, align="right", bold=True)

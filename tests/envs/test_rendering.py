@@ -280,6 +280,16 @@ def test_an_ending_is_shown(quick: str) -> None:
     assert tuple(picture(renderer, frame)[25, WIDTH - 50]) == rendering.GOOD
 
 
+def test_a_limit_is_exceeded_by_the_newest_value_of_a_bogie(quick: str) -> None:
+    frame = watched(quick, 3).frame()
+    values = np.full((3, 2), frame.acceleration_limit)
+    assert not replace(frame, acceleration=values).above_limit
+    values[-1, 1] *= 1.001
+    assert replace(frame, acceleration=values).above_limit
+    assert not replace(frame, acceleration=values[::-1]).above_limit
+    assert not replace(frame, acceleration=values[:0]).above_limit
+
+
 def test_a_diverged_run_can_be_drawn(quick: str) -> None:
     recorder = watched(quick, 2)
     recorder.batch.vehicles.state.view(0).v[:] = np.nan

@@ -83,7 +83,8 @@ def test_policies_stand_side_by_side(
     both = render(video(file, "passive,constant:0.5"), scenario, environment, seed=2)
     with Image.open(file) as found:
         picture = np.asarray(found.convert("RGB"))
-    assert picture.shape[1] == 2 * 484 + 3 * 12
+    assert picture.shape[:2] == (704, 2 * 484 + 12 + 2 * 14)
+    assert not np.any(np.mod(picture.shape[:2], 16))  # or a video would be scaled
     for run, name in zip(both.runs, ("passive", "constant:0.5"), strict=True):
         alone = render(video(tmp_path / "alone.png", name), scenario, environment, seed=2)
         assert run.policy == name
@@ -96,8 +97,8 @@ def test_policies_stand_side_by_side(
     render(video(file, "constant:0.5,passive"), scenario, environment, seed=2)
     with Image.open(file) as found:
         turned = np.asarray(found.convert("RGB"))
-    column = slice(12, 12 + 484)
-    np.testing.assert_array_equal(picture[60:-26, column], turned[60:-26, 508 : 508 + 484])
+    column = slice(14, 14 + 484)
+    np.testing.assert_array_equal(picture[60:-24, column], turned[60:-24, 510 : 510 + 484])
 
 
 def test_a_learned_policy_stands_beside_others(
@@ -124,7 +125,7 @@ def test_axes_stay_the_same_all_through_a_film(
         for n in (0, 4):
             found.seek(n)
             pictures.append(np.asarray(found.convert("RGB")))
-    for left in (12, 508):
+    for left in (14, 510):
         for top in (60 + 42 + 262, 60 + 42 + 262 + 158):  # ticks are left of the axes, and below
             ticks = np.s_[top + 26 : top + 158, left + 2 : left + 42]
             np.testing.assert_array_equal(pictures[0][ticks], pictures[1][ticks])
