@@ -4,8 +4,9 @@ Eight instances of the damper's FMU (machine code, loaded by FMPy) stand in plac
 dampers; the vehicle stands for anybody's. Shown is what the communication step costs: the error of a damper's
 force and of the bogie's acceleration, beside the same vehicle with its own dampers in one integration.
 
+    pip install FMPy
     sayd export --fmu damper --set damper=sayd-estimate --out units
-    python cosimulation.py units/sayd_damper_fmi2.fmu
+    python examples/cosimulation.py units/sayd_damper_fmi2.fmu
 """
 
 from __future__ import annotations

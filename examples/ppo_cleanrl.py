@@ -1,7 +1,9 @@
 """PPO in one file in the manner of CleanRL, on the batch of `gymnasium.make_vec`.
 
-pip install sayd-env torch
-python examples/ppo_cleanrl.py --steps 40000
+    pip install torch
+    python examples/ppo_cleanrl.py --steps 40000
+
+`judge.py` says what the task is and what the policy is worth.
 """
 
 from __future__ import annotations

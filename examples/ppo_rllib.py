@@ -1,7 +1,9 @@
 """PPO of RLlib, as it comes, on `gymnasium.make`.
 
-pip install sayd-env 'ray[rllib]' torch
-python examples/ppo_rllib.py --steps 40000
+    pip install 'ray[rllib]' torch
+    python examples/ppo_rllib.py --steps 40000
+
+`judge.py` says what the task is and what the policy is worth.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """PPO of Stable-Baselines3, as it comes, on the batch as its `VecEnv`.
 
-    pip install 'sayd-env[train]'
+    pip install stable-baselines3
     python examples/ppo_sb3.py --steps 40000
 
 A single environment, `gymnasium.make(ID, **KEYWORDS)`, goes into `PPO` as well.

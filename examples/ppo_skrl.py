@@ -1,7 +1,9 @@
 """PPO of skrl on the batch of `gymnasium.make_vec`.
 
-pip install sayd-env skrl torch
-python examples/ppo_skrl.py --steps 40000
+    pip install skrl torch
+    python examples/ppo_skrl.py --steps 40000
+
+`judge.py` says what the task is and what the policy is worth.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """PPO of TorchRL on the batch of `gymnasium.make_vec`.
 
-    pip install sayd-env torchrl
+    pip install torchrl
     python examples/ppo_torchrl.py --steps 40000
 
 A single environment is `GymEnv(ID, **KEYWORDS)`, processes of it are `ParallelEnv(n, lambda: GymEnv(...))`.

@@ -81,8 +81,14 @@ def test_lqg_knows_the_vehicle_and_asks_for_what_dampers_can_do(judge: ModuleTyp
     assert np.corrcoef(*late)[0, 1] > 0.8
 
 
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.[pi][yp]*")), ids=lambda path: path.name)
+def test_the_list_names_every_example_once(path: Path) -> None:
+    page = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    assert page.count(f"| [{path.name}]({path.name}) |") == 1
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("ppo_*.py")), ids=lambda path: path.stem)
-def test_every_example_is_listed(path: Path) -> None:
+def test_every_client_is_listed(path: Path) -> None:
     page = (EXAMPLES.parent / "docs" / "clients.md").read_text(encoding="utf-8")
     assert f"python examples/{path.name}" in page
     assert path.stem.removeprefix("ppo_") in NEEDS

@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # takes when the cores are busy. The studies have threads of their own.
     threadpool_limits(1, "blas")  # NumPy's, which is loaded already
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # SciPy's, which is not
-    # Nothing here opens a window, and Matplotlib cannot be imported with a backend that is not installed.
+    # Matplotlib opens no window here, and cannot be imported with a backend that is not installed.
     os.environ.pop("MPLBACKEND", None)
     # A program whose standard streams are closed writes nowhere.
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - as long as the process

@@ -10,12 +10,13 @@ from sayd_env.cli import options, parsers
 from sayd_env.cli.command import Plan, command, result_folder
 from sayd_env.cli.options import argument, one_of, option, output, policy, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
-from sayd_env.cli.parsers import SPEED, Names, positive
+from sayd_env.cli.parsers import SPEED, ListOf, Names, name, positive
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
     from sayd_env.cli.output import Output
+    from sayd_env.config.environment import EnvironmentConfig
     from sayd_env.config.scenario import Scenario
     from sayd_env.runs.context import RunContext
     from sayd_env.studies.evaluate import EvaluateResult
@@ -237,16 +238,16 @@ def compare(
     )
 
 
-@command(GROUP, "--policy mppt1 --speed 350 --seconds 5 -o ride.gif", without=("damper", "wide"))
+@command(GROUP, "--policies passive,mppt1 --speed 400 -o ride.gif", without=("damper", "wide"))
 def render(
     choice: options.VehicleOptions,
     foreign: options.ForeignOptions,
     *,
-    who: str = policy(
-        "--policy NAME|FILE",
-        f"Who commands the valves: a name ({options.WHICH}).",
+    who: Names | None = policy(
+        "--policies --policy A,B,...",
+        f"Who commands the valves, several side by side: names ({options.WHICH}). Default: mppt2.",
+        ListOf(name),
         autocompletion=options.policy_names,
-        default="mppt2",
     ),
     speed: float | None = scenario("--speed KMH", "Speed. Default: the environment draws it.", SPEED),
     line: Line = None,
@@ -265,29 +266,25 @@ def render(
     ),
     out: options.Out = None,
 ) -> Plan:
-    """Draw a policy at work: the vehicle from above, its dampers and valves, running values and limits.
+    """Draw policies at work: the vehicle from above, its dampers and valves, running values and limits.
 
     Shows episode 0 of the seed, as the environment with this seed runs it; the environment draws what the
-    options leave open. Needs pygame, an .mp4 also imageio-ffmpeg: pip install 'sayd-env[render]' or
-    'sayd-env[video]'.
+    options leave open. Several policies, four at most, run the same episode and stand side by side, on axes
+    that stay the same all through the film. Needs pygame, an .mp4 also imageio-ffmpeg: pip install
+    'sayd-env[render]' or 'sayd-env[video]'.
     """
-    from sayd_env.config.environment import fixed_by, load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
     from sayd_env.measured.lines import line_content  # noqa: PLC0415
-    from sayd_env.runs.policies import policy_spec  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies import render as study  # noqa: PLC0415
     from sayd_env.studies.line import line_speeds  # noqa: PLC0415
 
     setup = load_environment(environment)
     chosen = choice.load(setup.study)
-    # What options set is not drawn; `--profile new` and `worn` are the study's own profile.
-    flags = {"wear": choice.wear, "friction": choice.friction, "track": choice.track, "wheel": choice.profile}
-    flags["track.gauge"] = choice.gauge
-    keys = [key for key, value in flags.items() if value is not None] + (["wear"] if choice.profile else [])
-    keys += [item.partition("=")[0].strip() for item in choice.assignments or ()]
-    left = setup.model_copy(update={"randomisation": setup.randomisation.without(fixed_by(keys))})
+    left = drawn_conditions(choice, setup)
     target = file or (out or RESULTS / "render") / "render.gif"
-    spec = policy_spec(who, foreign.reader(setup))
-    video = study.Video(spec, target, seconds, fps, exaggeration)
+    specs = policy_specs(who or ("mppt2",), foreign.reader(setup))
+    video = study.Video(specs, target, seconds, fps, exaggeration)
     metric = None if speed is None else speed / KMH
     if line is not None and metric is not None:
         line_speeds(line, chosen, [metric], [metric])
@@ -300,6 +297,18 @@ def render(
         {**dict(chosen), "environment": setup, **content},
         seed,
     )
+
+
+def drawn_conditions(choice: options.VehicleOptions, setup: EnvironmentConfig) -> EnvironmentConfig:
+    """The environment, which draws nothing of what options set."""
+    from sayd_env.config.environment import fixed_by  # noqa: PLC0415 - keeps --help fast
+
+    # `--profile new` and `worn` are the study's own profile.
+    flags = {"wear": choice.wear, "friction": choice.friction, "track": choice.track, "wheel": choice.profile}
+    flags["track.gauge"] = choice.gauge
+    keys = [key for key, value in flags.items() if value is not None] + (["wear"] if choice.profile else [])
+    keys += [item.partition("=")[0].strip() for item in choice.assignments or ()]
+    return setup.model_copy(update={"randomisation": setup.randomisation.without(fixed_by(keys))})
 
 
 @command(GROUP, "--json")

@@ -187,15 +187,24 @@ class Window:
         self.pygame = load_pygame()
         try:
             self.pygame.display.init()
+            self._refuse_nowhere()
             self._screen = self.pygame.display.set_mode(size)
         except self.pygame.error as error:
             raise DependencyNotInstalled(
-                f"render_mode 'human' needs a screen ({error}); 'rgb_array' does without"
+                f"a window needs a screen ({error}); render_mode 'rgb_array' and 'sayd render' do without"
             ) from None
         self.pygame.display.set_caption(title)
+        self.pygame.key.set_repeat(400, 50)  # ms: a key that is held down goes on
         self.open = True
+        self._pressed: list[str] = []
         self._begun: tuple[float, float] | None = None
         self._shown = -np.inf
+
+    def _refuse_nowhere(self) -> None:
+        """Refuse what SDL falls back to without a screen, unless it was asked for: nobody would see it."""
+        if self.pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+            self.pygame.display.quit()
+            raise self.pygame.error("no display was found")
 
     def due(self, now: float) -> bool:
         """Wait for a simulated time (s); return whether there is time to draw it.
@@ -203,8 +212,7 @@ class Window:
         A picture is left out where the simulation is late and one has been shown just before. Time that runs
         backwards, as it does when an episode begins, starts the clock anew.
         """
-        if self.open and any(event.type == self.pygame.QUIT for event in self.pygame.event.get()):
-            self.close()
+        self._listen()
         if not self.open:
             return False
         clock = time.monotonic()
@@ -217,6 +225,23 @@ class Window:
         if ahead < -self.LONGEST_GAP:  # late: the time that was lost is not made up for
             self._begun = (clock - self.LONGEST_GAP, now)
         return clock - self._shown >= self.LONGEST_GAP
+
+    def pressed(self) -> list[str]:
+        """Keys that were pressed since this was asked before, by pygame's names: "up", "space", "q"."""
+        self._listen()
+        found, self._pressed = self._pressed, []
+        return found
+
+    def pause(self) -> None:
+        """Let a moment go by in which the simulated time stands still."""
+        time.sleep(0.5 * self.LONGEST_GAP)
+
+    def _listen(self) -> None:
+        for event in self.pygame.event.get() if self.open else ():
+            if event.type == self.pygame.QUIT:
+                self.close()
+            elif event.type == self.pygame.KEYDOWN:
+                self._pressed.append(self.pygame.key.name(event.key))
 
     def show(self, surface: Any) -> None:
         """Show a picture."""

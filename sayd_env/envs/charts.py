@@ -60,6 +60,16 @@ VALVE = Chart("Valve opening, mean of a bogie", lambda frame: frame.valve, least
 COST = Chart("Cost J of the last second", lambda frame: frame.cost[:, None], (BLACK,), least=0.1, digits=3)
 
 
+@dataclass(frozen=True)
+class Extent:
+    """Axes that stay as they are all through a film."""
+
+    seconds: float
+    """From the first picture to the last, s."""
+    largest: Sequence[float]
+    """What each chart has to show, SI."""
+
+
 class Charts:
     """Charts side by side in one image.
 
@@ -70,9 +80,13 @@ class Charts:
         Pixels of one chart.
     gap : int
         Pixels between two.
+    extent : Extent, optional
+        Of the axes; by default they show the last seconds, and values as they come.
     """
 
-    def __init__(self, charts: Sequence[Chart], width: int, height: int, gap: int) -> None:
+    def __init__(
+        self, charts: Sequence[Chart], width: int, height: int, gap: int, extent: Extent | None = None
+    ) -> None:
         with plain_matplotlib():
             from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
             from matplotlib.figure import Figure  # noqa: PLC0415
@@ -84,7 +98,8 @@ class Charts:
             for number, chart in enumerate(charts):
                 left, inner = number * (width + gap) + LEFT, width - LEFT - RIGHT
                 box = (left / whole, BOTTOM / height, inner / whole, (height - TOP - BOTTOM) / height)
-                self._panels.append(_Panel(figure.add_axes(box), chart))
+                film = None if extent is None else (extent.seconds, extent.largest[number])
+                self._panels.append(_Panel(figure.add_axes(box), chart, film))
             canvas.draw()
         self._canvas = canvas
         self._ground: Any = None
@@ -104,15 +119,17 @@ class Charts:
 class _Panel:
     """Axes of a chart, and what moves in them."""
 
-    def __init__(self, axes: Any, chart: Chart) -> None:
-        self.axes, self.chart = axes, chart
+    def __init__(self, axes: Any, chart: Chart, film: tuple[float, float] | None) -> None:
+        self.axes, self.chart, self.film = axes, chart, film
         axes.set_facecolor("none")
         axes.spines[:].set_visible(False)
         axes.grid(axis="y", color=FAINT)
         axes.tick_params(length=0.0, labelsize=7, labelcolor=SOFT)
-        axes.set_xlim(-WINDOW, 0.0)
-        ago = (WINDOW, 0.5 * WINDOW, 0.0)
-        axes.set_xticks([-s for s in ago], [f"\N{MINUS SIGN}{s:g} s" if s else "now" for s in ago])
+        first, last = (-WINDOW, 0.0) if film is None else (0.0, film[0])
+        axes.set_xlim(first, last)
+        ticks = (first, 0.5 * (first + last), last)
+        words = [f"{s:g} s".replace("-", "\N{MINUS SIGN}") if film or s else "now" for s in ticks]
+        axes.set_xticks(ticks, words)
         axes.get_xticklabels()[-1].set_ha("right")
         axes.set_title(chart.title, loc="left", x=-0.09, fontsize=9, fontweight="bold", color=INK, pad=8.0)
         self.lines = [axes.plot([], [], color=c, linewidth=1.5, animated=True)[0] for c in chart.colours]
@@ -123,7 +140,7 @@ class _Panel:
             for x, c in zip(places, chart.colours, strict=True)
         ]
         self.limit = axes.axhline(np.nan, color=LIMIT, linestyle="--", linewidth=1.0)
-        self.limit_name = axes.text(-WINDOW, 0.0, "", color=LIMIT, fontsize=7, va="bottom")
+        self.limit_name = axes.text(first, 0.0, "", color=LIMIT, fontsize=7, va="bottom")
         self.shown = (0.0, 0.0)
 
     def update(self, frame: Frame) -> bool:
@@ -132,11 +149,13 @@ class _Panel:
         values = chart.values(frame)
         assert values is not None  # the chart is one of this vehicle's
         values = chart.scale * values
+        now = frame.time if self.film is None else 0.0
         for line, number, column in zip(self.lines, self.numbers, values.T, strict=True):
-            line.set_data(frame.times - frame.time, column)
+            line.set_data(frame.times - now, column)
             number.set_text(f"{column[-1]:.{chart.digits}f}" if len(column) else "")
         limit = chart.scale * chart.limit(frame)
-        needed = max(float(values.max(initial=0.0)), 1.25 * limit, chart.least)
+        largest = float(values.max(initial=0.0)) if self.film is None else chart.scale * self.film[1]
+        needed = max(largest, 1.25 * limit, chart.least)
         return self._fit(needed, limit)
 
     def _fit(self, needed: float, limit: float) -> bool:

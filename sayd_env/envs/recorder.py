@@ -29,7 +29,7 @@ from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import VehicleModel
 
 WINDOW = 10.0
-"""Time that a frame looks back, s."""
+"""Time that a frame looks back unless more is asked for, s."""
 SECOND = 1.0
 """Time over which running values are taken, s: a step of the paper's MPPT."""
 STRAIGHT = 1e5
@@ -136,6 +136,11 @@ class Frame:
     force_reference: float
     """F_max of eq. (27), N."""
 
+    @property
+    def above_limit(self) -> bool:
+        """Whether a bogie's running acceleration is above its limit."""
+        return bool(np.any(self.acceleration[-1:] > self.acceleration_limit))
+
 
 @dataclass
 class Recorder:
@@ -146,16 +151,20 @@ class Recorder:
     batch : EpisodeBatch
     vehicle : int
         Its place in the batch.
+    window : float
+        Time that a frame looks back, s.
     """
 
     batch: EpisodeBatch
     vehicle: int = 0
+    window: float = WINDOW
     model: Multibody = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.model = VehicleModel(self.batch.scenario).multibody
         self._second = round(SECOND / self.batch.config.control_period)
-        self._rows = np.zeros((round(WINDOW / self.batch.config.control_period) + self._second, _COLUMNS))
+        kept = round(self.window / self.batch.config.control_period) + self._second
+        self._rows = np.zeros((kept, _COLUMNS))
         self.begin()
 
     def begin(self) -> None:

@@ -3,47 +3,41 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from sayd_env.config import palette
-from sayd_env.config.palette import rgb
 from sayd_env.config.units import Array
-from sayd_env.envs.canvas import Canvas, Colour, Picture, Window
+from sayd_env.envs.canvas import Canvas, Picture, Window
 from sayd_env.envs.charts import ACCELERATION, COST, FORCE, VALVE, Charts
-from sayd_env.envs.loop import BOGIES
-from sayd_env.envs.plan_view import CYLINDER, PAIR_OFFSET, RAIL_HEAD, ROD, Placement, View, make_plan
+from sayd_env.envs.plan_view import Placement, View, make_plan
 from sayd_env.envs.recorder import AHEAD, BEHIND, Frame, Place, Recorder
-from sayd_env.envs.trace import DAMPERS
+from sayd_env.envs.vehicle_picture import (
+    BAD,
+    BOGIE_COLOURS,
+    BOGIE_FILLS,
+    FAINT,
+    FRONT,
+    GOOD,
+    INK,
+    LARGEST_FORCE,
+    PANEL,
+    PAPER,
+    PULL,
+    PUSH,
+    REAR,
+    SOFT,
+    STEEL,
+    Box,
+    VehiclePicture,
+    force_colour,
+)
 
 WIDTH, HEIGHT = 1280, 720
 EXAGGERATION = 20.0
 """How many times as large displacements are drawn."""
-LARGEST_FORCE = 15e3
-"""Damper force of the strongest colour, N."""
 
-# Colours.
-PAPER: Colour = (238, 241, 245)
-PANEL: Colour = (255, 255, 255)
-INK: Colour = (24, 32, 44)
-SOFT: Colour = (104, 116, 132)
-FAINT: Colour = (222, 227, 233)
-FRONT: Colour = rgb(palette.FRONT)
-REAR: Colour = rgb(palette.REAR)
-BAD: Colour = (196, 36, 44)
-GOOD: Colour = rgb(palette.GREEN)
-CAR: Colour = (233, 238, 245)
-CAR_EDGE: Colour = (128, 144, 166)
-RAIL: Colour = (142, 148, 158)
-STEEL: Colour = (70, 80, 94)
-PUSH: Colour = (38, 84, 190)
-PULL: Colour = (200, 40, 48)
-NONE: Colour = (198, 204, 212)
-BOGIE_COLOURS = (FRONT, REAR)
-BOGIE_FILLS: tuple[Colour, Colour] = ((176, 204, 244), (250, 208, 166))
-
-# Layout: left, top, width, height.
-Box = tuple[float, float, float, float]
+# Layout.
 VEHICLE: Box = (16, 70, 1248, 388)
 STRIP: Box = (16, 466, 1248, 62)
 LINE: Box = (644, 466, 620, 62)
@@ -51,12 +45,12 @@ LINE: Box = (644, 466, 620, 62)
 CHARTS: tuple[Box, Box, Box] = ((16, 536, 408, 172), (436, 536, 408, 172), (856, 536, 408, 172))
 CHART_SIZE = (408, 172, 12)
 """Width, height and gap of the charts."""
+KEYS: Box = (16, 720, 1248, 40)
+"""Below the picture of a window with keys."""
 ROAD: Box = (17, 96, 1246, 361)
 SCALE = 95.0
 """Pixels in a metre of the vehicle."""
 VIEW_HALF_LENGTH = 3.15
-GAUGE_X, GAUGE_LENGTH = 58.0, 92.0
-"""Opening bars: distance from a bogie's centre, and length, pixels."""
 
 
 class Renderer:
@@ -71,6 +65,13 @@ class Renderer:
         Name of the policy, for the picture's head.
     exaggeration : float
         How many times as large displacements are drawn.
+    keys : bool
+        Leave room below for `keys`.
+
+    Attributes
+    ----------
+    keys : sequence of (str, str)
+        Keys of a keyboard and what each of them does, for the reader.
 
     Raises
     ------
@@ -85,6 +86,7 @@ class Renderer:
         *,
         caption: str = "",
         exaggeration: float = EXAGGERATION,
+        keys: bool = False,
     ) -> None:
         scenario = recorder.batch.scenario
         plan = make_plan(scenario.vehicle, recorder.model, scenario.track.gauge)
@@ -98,10 +100,13 @@ class Renderer:
         self.recorder = recorder
         self.caption = caption
         self.placement = Placement(plan, views, exaggeration)
-        self.canvas = Canvas(WIDTH, HEIGHT)
+        size = (WIDTH, HEIGHT + (int(KEYS[3]) if keys else 0))
+        self.canvas = Canvas(*size)
+        self.keys: Sequence[tuple[str, str]] = ()
+        self.vehicle = VehiclePicture(self.canvas, self.placement, ROAD)
         last = COST if scenario.damper.type == "passive" else VALVE
         self.charts = Charts((ACCELERATION, FORCE, last), *CHART_SIZE)
-        self.window = Window((WIDTH, HEIGHT), "Semi-active yaw dampers") if mode == "human" else None
+        self.window = Window(size, "Semi-active yaw dampers") if mode == "human" else None
         self._ground()
 
     def draw(self, recorder: Recorder | None = None) -> Picture | None:
@@ -117,9 +122,14 @@ class Renderer:
             self._paint(self.recorder.frame())
             return self.canvas.pixels()
         if self.window.due(self.recorder.time):
-            self._paint(self.recorder.frame())
-            self.window.show(self.canvas.surface())
+            self.show()
         return None
+
+    def show(self) -> None:
+        """Draw the vehicle into the window, whatever the time."""
+        self._paint(self.recorder.frame())
+        if self.window is not None and self.window.open:
+            self.window.show(self.canvas.surface())
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -171,9 +181,10 @@ class Renderer:
     def _paint(self, frame: Frame) -> None:
         self.canvas.begin()
         self._head(frame)
-        self._vehicle(frame)
+        self.vehicle.draw(frame)
         self._track(frame)
         self.canvas.image(self.charts.draw(frame), CHARTS[0][:2])
+        self._keys()
 
     def _head(self, frame: Frame) -> None:
         canvas = self.canvas
@@ -198,6 +209,16 @@ class Renderer:
                 x += space
         self._status(frame)
 
+    def _keys(self) -> None:
+        """Show which key does what."""
+        x, top, _, height = KEYS
+        y = top + 0.5 * height - 6.0
+        for key, meaning in self.keys:
+            width = self.canvas.text(key, (x + 8, y), 12, PANEL, bold=True)
+            self.canvas.box((x, y - 11, width + 16, 22), STEEL, radius=5)
+            x += 24 + width
+            x += 22 + self.canvas.text(meaning, (x, y), 12, INK)
+
     def _status(self, frame: Frame) -> None:
         """Show at the upper right whether the vehicle runs, has faults, or has ended."""
         colour, words = GOOD, "running"
@@ -207,87 +228,6 @@ class Renderer:
             colour, words = BAD, frame.ending.partition(":")[0]
         width = self.canvas.text(words, (WIDTH - 30, 36), 13, PANEL, align="right", bold=True)
         self.canvas.box((WIDTH - 44 - width, 22, width + 28, 28), colour, radius=14)
-
-    def _vehicle(self, frame: Frame) -> None:
-        canvas, placement = self.canvas, self.placement
-        canvas.clip(ROAD)
-        edges = []
-        for bogie in range(BOGIES):
-            outline, jagged = placement.carbody(frame, bogie)
-            canvas.polygon(outline, CAR)
-            edges.append((outline, jagged))
-        for bogie in range(BOGIES):
-            for rail in placement.rails(frame, bogie):
-                half = np.array([0.0, 0.5 * RAIL_HEAD * SCALE])
-                canvas.polygon(np.vstack([rail - half, (rail + half)[::-1]]), RAIL)
-            for axle, wheels in placement.wheelsets(frame, bogie):
-                canvas.polygon(axle, (150, 158, 170), STEEL)
-                for wheel in wheels:
-                    canvas.polygon(wheel, STEEL, INK)
-            parts = placement.frame(frame, bogie)
-            for part in parts:
-                canvas.polygon(part, BOGIE_FILLS[bogie], BOGIE_COLOURS[bogie], 1.5)
-            self._centre(frame, bogie)
-        for outline, jagged in edges:
-            canvas.line(np.vstack([outline, outline[:1]]), CAR_EDGE, 2.0)
-            canvas.line(jagged, PANEL, 3.5)
-            canvas.line(jagged, CAR_EDGE, 1.0)
-        for k in range(DAMPERS):
-            self._damper(frame, k)
-        canvas.clip(None)
-        if frame.faults:
-            words = ", ".join(frame.faults[:3]) + (", …" if len(frame.faults) > 3 else "")
-            middle = (ROAD[0] + 0.5 * ROAD[2], ROAD[1] + ROAD[3] - 12)
-            canvas.text(words, middle, 12, BAD, align="middle")
-
-    def _centre(self, frame: Frame, bogie: int) -> None:
-        """Mark the frame's centre, where it is at rest and where it is."""
-        rest, now = self.placement.centres(frame, bogie)
-        canvas = self.canvas
-        for arm in ((9.0, 0.0), (0.0, 9.0)):
-            canvas.line(np.array([rest - arm, rest + arm]), SOFT, 1.0)
-        canvas.disc((float(now[0]), float(now[1])), 4.0, BOGIE_COLOURS[bogie])
-
-    def _damper(self, frame: Frame, k: int) -> None:
-        """Draw a damper, its valve's bar and its force."""
-        canvas = self.canvas
-        bogie_end, car_end = self.placement.damper(frame, k)
-        force, fault = float(frame.damper_force[k]), frame.damper_faults.get(k)
-        colour = force_colour(force)
-        along = bogie_end - car_end
-        side = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9)
-        half_way = car_end + 0.62 * along
-        rod, body = ROD * SCALE * side, CYLINDER * SCALE * side
-        canvas.polygon(np.array([car_end + rod, bogie_end + rod, bogie_end - rod, car_end - rod]), STEEL)
-        canvas.polygon(
-            np.array([car_end + body, half_way + body, half_way - body, car_end - body]), colour, STEEL
-        )
-        for end in (bogie_end, car_end):
-            canvas.disc((float(end[0]), float(end[1])), 3.5, INK)
-        middle_x, middle_y = self.placement.views[k * BOGIES // DAMPERS].centre
-        y = middle_y - SCALE * float(self.placement.plan.dampers[k, 0, 1])
-        self._bar(frame, k, middle_x + GAUGE_X, y, colour)
-        words = f"{round(force * 1e-3, 1) + 0.0:+.1f} kN".replace("-", "\u2212")
-        canvas.text(words, (middle_x + GAUGE_X + GAUGE_LENGTH + 74, y), 13, INK, align="right")
-        if fault is not None:
-            canvas.text(fault, (middle_x - GAUGE_X - 46, y), 12, BAD, align="right", bold=True)
-            for turn in ((1.0, 1.0), (1.0, -1.0)):
-                arm = 9.0 * np.array(turn)
-                middle = 0.5 * (bogie_end + car_end)
-                canvas.line(np.array([middle - arm, middle + arm]), BAD, 3.0)
-
-    def _bar(self, frame: Frame, k: int, x: float, y: float, colour: Colour) -> None:
-        height = 1.15 * PAIR_OFFSET * SCALE
-        canvas = self.canvas
-        if frame.opening is None or frame.command is None:
-            canvas.text("passive", (x, y), 11, SOFT)
-            return
-        canvas.box((x, y - 0.5 * height, GAUGE_LENGTH, height), (208, 214, 222), radius=3)
-        share = min(max(float(frame.opening[k]), 0.0), 1.0)
-        if share > 0.02:
-            canvas.box((x, y - 0.5 * height, share * GAUGE_LENGTH, height), colour, radius=3)
-        asked = x + min(max(float(frame.command[k]), 0.0), 1.0) * GAUGE_LENGTH
-        canvas.box((asked - 1, y - 0.5 * height - 2, 2, height + 4), INK)
 
     def _track(self, frame: Frame) -> None:
         """Draw the track's alignment behind and ahead, and where the wheelsets are."""
@@ -359,16 +299,6 @@ class Renderer:
 
 def _largest(values: tuple[float, ...]) -> float:
     return max(map(abs, values))
-
-
-def force_colour(force: float) -> Colour:
-    """Colour of a damper force (N): blue pushes, red pulls, grey is nothing."""
-    share = min(abs(force) / LARGEST_FORCE, 1.0)
-    target = PULL if force > 0.0 else PUSH
-    # The root makes small forces visible.
-    weight = math.sqrt(share)
-    red, green, blue = (round(a + weight * (b - a)) for a, b in zip(NONE, target, strict=True))
-    return red, green, blue
 
 
 def colours() -> Picture:

@@ -1,53 +1,43 @@
-"""A policy at work, in pictures: one run of one vehicle, drawn as a video or as its last picture."""
+"""Policies at work, in pictures: a film, or its last picture; several policies side by side."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
-from sayd_env.envs.cost import squares, weighted
-from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
-from sayd_env.envs.loop import RUNNING
-from sayd_env.envs.recorder import Recorder
-from sayd_env.envs.rollout import first_state, listens
-from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Table
 from sayd_env.report.figures import Plot
 from sayd_env.report.video import Picture, checked_video, write_video
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.studies.ride import COLUMNS, Ride
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from sayd_env.envs.rendering import Renderer
+    from sayd_env.envs.charts import Extent
 
 HOLD = 1.0
 """How long the last picture of a run that ended early stays, s."""
-COLUMNS = (
-    *("time_s", "speed_kmh", "distance_m", "J"),
-    *("acceleration_rms_front_m_s2", "acceleration_rms_rear_m_s2"),
-    *("force_rms_front_n", "force_rms_rear_n"),
-    *("valve_front", "valve_rear"),
-)
+MOST = 4
+"""Policies side by side: a column of each is 484 pixels wide."""
 
 
 @dataclass(frozen=True, eq=False)
 class Video:
     """What is to be drawn, and where it goes."""
 
-    policy: PolicySpec
+    policies: Sequence[PolicySpec]
+    """One, or several side by side."""
     file: Path
     seconds: float = 10.0
     fps: float = 25.0
@@ -59,15 +49,34 @@ class Video:
         """Number of pictures; in a PNG there is one, of the end."""
         return 1 if self.file.suffix.lower() == ".png" else max(1, round(self.seconds * self.fps))
 
-    def step(self, picture: int, control_period: float) -> int:
-        """Control periods before a picture, the first of which has number 0."""
-        time = self.seconds if self.file.suffix.lower() == ".png" else (picture + 1) / self.fps
-        return round(time / control_period)
+    def time(self, picture: int) -> float:
+        """Time of a picture, the first of which has number 0, s."""
+        return self.seconds if self.file.suffix.lower() == ".png" else (picture + 1) / self.fps
+
+
+@dataclass(eq=False)
+class FilmedRun:
+    """The run of one policy."""
+
+    policy: str
+    rows: list[tuple[float | None, ...]] = field(default_factory=list)
+    """One for each picture, by `COLUMNS`."""
+    seconds: float = 0.0
+    """How long the vehicle ran, s."""
+    costs: Mapping[str, float] = field(default_factory=dict)
+    """Mean J over this time and its parts, as `Ride.costs`."""
+    faults: tuple[str, ...] = ()
+    ending: str | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Keys of ``--json``."""
+        own = {"policy": self.policy, "seconds": self.seconds}
+        return {**own, **self.costs, "faults": list(self.faults), "ending": self.ending}
 
 
 @dataclass(eq=False)
 class RenderResult:
-    """A video and the run that it shows."""
+    """A video and the runs that it shows."""
 
     video: Video
     speed: float
@@ -75,43 +84,33 @@ class RenderResult:
     seed: int
     wear: float
     friction: float
-    rows: list[tuple[float | None, ...]] = field(default_factory=list)
-    """One for each picture, by `COLUMNS`."""
-    seconds: float = 0.0
-    """How long the vehicle ran, s."""
-    cost: float = 0.0
-    """Mean J over this time, eq. (27), on-line filter."""
-    cost_acceleration: float = 0.0
-    cost_force: float = 0.0
-    faults: tuple[str, ...] = ()
-    ending: str | None = None
+    runs: list[FilmedRun] = field(default_factory=list)
+    """One for each policy."""
 
     @property
     def pictures(self) -> int:
         """Number of pictures."""
-        return len(self.rows)
+        return max((len(run.rows) for run in self.runs), default=0)
 
     def as_dict(self) -> dict[str, Any]:
-        """Keys of ``--json``."""
-        return {
+        """Keys of ``--json``; what belongs to a run is under `runs` where there are several."""
+        common = {
             "file": str(self.video.file),
-            "policy": self.video.policy.title,
             "speed_kmh": self.speed * KMH,
             "wear": self.wear,
             "friction": self.friction,
-            "seconds": self.seconds,
             "fps": self.video.fps,
             "pictures": self.pictures,
-            "J": self.cost,
-            "J_acceleration": self.cost_acceleration,
-            "J_force": self.cost_force,
-            "faults": list(self.faults),
-            "ending": self.ending,
         }
+        runs = [run.as_dict() for run in self.runs]
+        return {**common, **runs[0]} if len(runs) == 1 else {**common, "runs": runs}
 
     def tables(self) -> Mapping[str, Table]:
         """The charts' values at each picture."""
-        return {"pictures": (COLUMNS, self.rows)}
+        if len(self.runs) == 1:
+            return {"pictures": (COLUMNS, self.runs[0].rows)}
+        rows = [(run.policy, *row) for run in self.runs for row in run.rows]
+        return {"pictures": (("policy", *COLUMNS), rows)}
 
     def plots(self) -> Mapping[str, Plot]:
         """None: the video is the plot."""
@@ -119,16 +118,18 @@ class RenderResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print what has been drawn."""
-        console.print(
-            f"{self.video.policy.title} at {self.speed * KMH:g} km/h, wear {self.wear:g}, friction "
-            f"{self.friction:.3g}, seed {self.seed}: {self.seconds:g} s, J {self.cost:.4g} (acceleration "
-            f"{self.cost_acceleration:.4g}, force {self.cost_force:.4g})",
-            highlight=False,
-        )
-        for fault in self.faults:
-            console.print(f"fault: {fault}", highlight=False, markup=False)
-        if self.ending is not None:
-            console.print(f"ended early: {self.ending}", style="red", highlight=False, markup=False)
+        for run in self.runs:
+            costs = {name: f"{value:.4g}" for name, value in run.costs.items()}
+            console.print(
+                f"{run.policy} at {self.speed * KMH:g} km/h, wear {self.wear:g}, friction "
+                f"{self.friction:.3g}, seed {self.seed}: {run.seconds:g} s, J {costs['J']} (acceleration "
+                f"{costs['J_acceleration']}, force {costs['J_force']})",
+                highlight=False,
+            )
+            for fault in run.faults:
+                console.print(f"fault: {fault}", highlight=False, markup=False)
+            if run.ending is not None:
+                console.print(f"ended early: {run.ending}", style="red", highlight=False, markup=False)
         size = self.video.file.stat().st_size / 1e6 if self.video.file.exists() else 0.0
         noun = "picture" if self.pictures == 1 else "pictures"
         console.print(
@@ -149,13 +150,16 @@ def render(
     fixed: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> RenderResult:
-    """Run a policy and write its video.
+    """Run policies and write their video.
+
+    Several policies run the same episode and are drawn side by side. They run twice: the axes of the film,
+    the same for all, end where the largest values of the first time do.
 
     Parameters
     ----------
     video : Video
     scenario : Scenario
-        The vehicle; it gets the yaw dampers that the policy needs.
+        The vehicle; it gets the yaw dampers that a policy needs.
     environment : EnvironmentConfig
         Sensors, control period, and distributions by which the episode is drawn.
     seed : int
@@ -170,32 +174,20 @@ def render(
     Raises
     ------
     ConfigError
-        A file, policy, speed, length or rate that cannot be; pygame is missing.
+        A file, policy, speed, length or rate that cannot be, too many policies; pygame is missing.
     """
-    environment = video.policy.environment(environment)
-    period = environment.control_period
-    _check(video, period)
-    fitted = for_policy(scenario, video.policy)
-    config = environment.model_copy(
-        update={
-            "damper": fitted.damper.type,
-            "episode_s": max(environment.episode_s, period * math.ceil(video.seconds / period)),
-        }
-    )
+    environments = [policy.environment(environment) for policy in video.policies]
+    for each in environments:
+        _check(video, each.control_period)
     options = dict(fixed or {}) | ({} if speed is None else {"speed_kmh": speed * KMH})
-    episode = draw_episode(config, seed, 0, options)
-    VehicleModel(fitted).check_speed(episode.speed)
-    batch = EpisodeBatch(config, 1, scenario=fitted, num_threads=1)
-    policy = video.policy.make(batch)
-    recorder = Recorder(batch)
-    renderer = _renderer(recorder, video)
-    batch.reset([0], [episode], listen=listens(policy))
-    first = recorder.frame()
-    result = RenderResult(video, first.speed, seed, first.wear, first.friction)
-    from sayd_env.envs.rendering import colours  # noqa: PLC0415 - the renderer has loaded it
-
-    write_video(video.file, _pictures(result, policy, recorder, renderer, progress), video.fps, colours())
-    return result
+    rides = [
+        Ride(policy, for_policy(scenario, policy), _long_enough(config, video.seconds), video.seconds)
+        for policy, config in zip(video.policies, environments, strict=True)
+    ]
+    try:
+        return _filmed(video, rides, seed, options, progress)
+    except DependencyNotInstalled as error:
+        raise ConfigError(str(error)) from None
 
 
 def _check(video: Video, control_period: float) -> None:
@@ -211,56 +203,95 @@ def _check(video: Video, control_period: float) -> None:
         math.isfinite(video.exaggeration) and video.exaggeration > 0.0
     ):
         raise ConfigError(f"--exaggeration {video.exaggeration:g}: expected a number above 0")
+    if len(video.policies) > MOST:
+        raise ConfigError(f"--policies: found {len(video.policies)}; a film has room for {MOST}")
     checked_video(video.file, video.fps, video.pictures)
 
 
-def _renderer(recorder: Recorder, video: Video) -> Renderer:
-    try:
-        from sayd_env.envs.rendering import EXAGGERATION, Renderer  # noqa: PLC0415 - needs an extra
+def _long_enough(environment: EnvironmentConfig, seconds: float) -> EnvironmentConfig:
+    """The environment with episodes that last as long as the video."""
+    period = environment.control_period
+    needed = period * math.ceil(seconds / period)
+    return environment.model_copy(update={"episode_s": max(environment.episode_s, needed)})
 
-        exaggeration = EXAGGERATION if video.exaggeration is None else video.exaggeration
-        return Renderer(recorder, caption=video.policy.title, exaggeration=exaggeration)
-    except DependencyNotInstalled as error:
-        raise ConfigError(str(error)) from None
+
+def _filmed(
+    video: Video, rides: Sequence[Ride], seed: int, options: Mapping[str, Any], progress: Progress
+) -> RenderResult:
+    # These load Matplotlib and need an extra.
+    from sayd_env.envs.rendering import EXAGGERATION, Renderer, colours  # noqa: PLC0415
+    from sayd_env.envs.side_by_side import SideBySide  # noqa: PLC0415
+
+    factor = EXAGGERATION if video.exaggeration is None else video.exaggeration
+    names = [policy.title for policy in video.policies]
+    recorders = [ride.recorder for ride in rides]
+    before = 0
+    if len(rides) == 1:
+        renderer = Renderer(recorders[0], caption=names[0], exaggeration=factor)
+        draw: Callable[[], Picture | None] = renderer.draw
+    else:
+        extent = _extent(rides, video, seed, options, progress)
+        before = video.pictures
+        together = SideBySide(recorders, names, extent, factor)
+
+        def draw() -> Picture:
+            return together.draw([recorder.frame() for recorder in recorders])
+
+    for ride in rides:
+        ride.begin(seed, options=options)
+    first = recorders[0].frame()
+    result = RenderResult(video, first.speed, seed, first.wear, first.friction)
+
+    def told(done: float, total: float, what: str = "") -> None:
+        progress(before + done, before + total, what)
+
+    write_video(video.file, _pictures(result, rides, draw, told), video.fps, colours())
+    return result
+
+
+def _extent(
+    rides: Sequence[Ride], video: Video, seed: int, options: Mapping[str, Any], progress: Progress
+) -> Extent:
+    """Axes on which all of the policies' values can be seen, from a first run of each."""
+    from sayd_env.envs.charts import Extent  # noqa: PLC0415 - loads Matplotlib
+
+    for ride in rides:
+        ride.begin(seed, options=options)
+    for n in range(video.pictures):
+        for ride in rides:
+            ride.advance(video.time(n))
+        progress(n + 1, 2 * video.pictures, f"axes, {video.time(n):.1f} s")
+    frames = [ride.recorder.frame() for ride in rides]
+    largest = [
+        max(float(values.max(initial=0.0)) for values in each)
+        for each in ([frame.acceleration for frame in frames], [frame.force for frame in frames])
+    ]
+    return Extent(video.seconds, largest)
 
 
 def _pictures(
-    result: RenderResult, policy: Any, recorder: Recorder, renderer: Renderer, progress: Progress
+    result: RenderResult, rides: Sequence[Ride], draw: Callable[[], Picture | None], progress: Progress
 ) -> Iterator[Picture]:
-    """Run the vehicle from picture to picture, and fill in the result on the way."""
-    video, batch = result.video, recorder.batch
-    period = batch.config.control_period
-    observation, shape = batch.observations(), (1, batch.interface.actions)
-    state, start = first_state(policy, batch)
-    steps, sums, held = 0, np.zeros(2), 0
+    """Run the vehicles from picture to picture, and fill in the result on the way."""
+    video, held = result.video, 0
+    result.runs = [FilmedRun(policy.title) for policy in video.policies]
     for n in range(video.pictures):
-        until = video.step(n, period)
-        while steps < until and int(batch.vehicles.status[0]) == RUNNING:
-            action, state = policy.predict(observation, state, start, deterministic=True)
-            start = np.zeros(1, dtype=np.bool_)
-            observation, _, _, _ = batch.step(checked_actions(action, shape))
-            recorder.take()
-            steps += 1
-            sums += squares(np.nan_to_num(batch.vehicles.terms[0], posinf=0.0))
-        picture = renderer.draw()
-        assert picture is not None  # the renderer has no window
-        result.rows.append(_row(recorder))
-        progress(n + 1, video.pictures, f"{steps * period:.1f} s")
+        for run, ride in zip(result.runs, rides, strict=True):
+            ride.advance(video.time(n))
+            run.rows.append(ride.row())
+        picture = draw()
+        assert picture is not None  # there is no window
+        progress(n + 1, video.pictures, f"{video.time(n):.1f} s")
         yield picture
-        if int(batch.vehicles.status[0]) != RUNNING:
+        if not any(ride.running for ride in rides):
             held += 1
             if held >= HOLD * video.fps:
                 break
-    frame, result.seconds = recorder.frame(), steps * period
-    if steps:
-        result.cost_acceleration, result.cost_force = (sums / result.seconds).tolist()
-    result.cost = weighted(batch.scenario.cost, result.cost_acceleration, result.cost_force)
-    result.faults, result.ending = frame.faults, frame.ending
-
-
-def _row(recorder: Recorder) -> tuple[float | None, ...]:
-    frame = recorder.frame()
-    valves = [None, None] if frame.valve is None else np.asarray(frame.valve[-1], dtype=float).tolist()
-    distance = frame.speed * frame.time if frame.place is None else frame.place.distance
-    signals = (frame.speed * KMH, distance, frame.cost[-1], *frame.acceleration[-1], *frame.force[-1])
-    return (frame.time, *(float(value) for value in signals), *valves)
+    for run, ride in zip(result.runs, rides, strict=True):
+        frame = ride.recorder.frame()
+        run.seconds, run.costs, run.faults, run.ending = (
+            ride.seconds,
+            ride.costs(),
+            frame.faults,
+            frame.ending,
+        )

@@ -33,10 +33,11 @@ OFFERED = {
     "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"},
     "hindsight": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick"},
     "compare": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick", "seed"},
-    "render": {*VEHICLE, *SHOWN, *FOREIGN, "policy", "speed", "environment", "seconds", "fps", "file"}
+    "render": {*VEHICLE, *SHOWN, *FOREIGN, "policies", "speed", "environment", "seconds", "fps", "file"}
     | {"exaggeration", "seed", "line"},
     "policies": SHOWN,
     "tune": {*CONFIG, *RUNS, *SHOWN, "quick", "seed", "file"},
+    "play": {*VEHICLE, "speed", "environment", "seed", "json", "help"},
     "simulate": {*VEHICLE, *SHOWN, *FOREIGN, "damper", "policy", "speed", "line", "environment", "seconds"}
     | {"initial-current", "signals", "run-in", "format", "seed", "file"},
     "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed"} - {"wide"},
@@ -80,7 +81,7 @@ def test_help_fits_80_columns_and_describes_everything(
     lines = capsys.readouterr().out.splitlines()
     assert max(len(line) for line in lines) <= 80
     command = PROGRAM.commands[name] if name else PROGRAM
-    words = "\n".join(lines).split()
+    words = "\n".join(lines).replace(",--", " --").split()  # several long names stand in one column
     for each in options_of(command):
         assert each.help
         assert set(each.opts) <= set(words)

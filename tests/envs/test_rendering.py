@@ -26,7 +26,7 @@ from sayd_env.envs.single import SaydEnv
 
 pytest.importorskip("pygame")
 
-from sayd_env.envs import rendering
+from sayd_env.envs import rendering, vehicle_picture
 from sayd_env.envs.charts import ACCELERATION, FORCE, VALVE, Charts
 from sayd_env.envs.plan_view import View, displaced, rectangle
 from sayd_env.envs.rendering import FRONT, HEIGHT, REAR, SCALE, WIDTH, Renderer, force_colour
@@ -280,6 +280,16 @@ def test_an_ending_is_shown(quick: str) -> None:
     assert tuple(picture(renderer, frame)[25, WIDTH - 50]) == rendering.GOOD
 
 
+def test_a_limit_is_exceeded_by_the_newest_value_of_a_bogie(quick: str) -> None:
+    frame = watched(quick, 3).frame()
+    values = np.full((3, 2), frame.acceleration_limit)
+    assert not replace(frame, acceleration=values).above_limit
+    values[-1, 1] *= 1.001
+    assert replace(frame, acceleration=values).above_limit
+    assert not replace(frame, acceleration=values[::-1]).above_limit
+    assert not replace(frame, acceleration=values[:0]).above_limit
+
+
 def test_a_diverged_run_can_be_drawn(quick: str) -> None:
     recorder = watched(quick, 2)
     recorder.batch.vehicles.state.view(0).v[:] = np.nan
@@ -343,11 +353,11 @@ def test_what_moves_in_a_chart_leaves_no_trace(quick: str) -> None:
 
 
 def test_force_colours() -> None:
-    assert force_colour(0.0) == rendering.NONE
-    assert force_colour(1e6) == rendering.PULL
-    assert force_colour(-1e6) == rendering.PUSH
+    assert force_colour(0.0) == vehicle_picture.NONE
+    assert force_colour(1e6) == vehicle_picture.PULL
+    assert force_colour(-1e6) == vehicle_picture.PUSH
     assert force_colour(15e3 / 4) == tuple(
-        round((a + b) / 2) for a, b in zip(rendering.NONE, rendering.PULL, strict=True)
+        round((a + b) / 2) for a, b in zip(vehicle_picture.NONE, vehicle_picture.PULL, strict=True)
     )
 
 

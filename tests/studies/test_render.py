@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.report.video import checked_video, write_video
-from sayd_env.runs.policies import policy_spec
+from sayd_env.runs.policies import policy_specs
 from sayd_env.studies.render import RenderResult, Video, render
 
 pytest.importorskip("pygame")
@@ -46,8 +46,8 @@ def scenario() -> Scenario:
     return load_scenario("nominal")
 
 
-def video(file: Path, policy: str = "constant:0.5", seconds: float = 0.2, fps: float = 25.0) -> Video:
-    return Video(policy_spec(policy), file, seconds, fps)
+def video(file: Path, policies: str = "constant:0.5", seconds: float = 0.2, fps: float = 25.0) -> Video:
+    return Video(policy_specs(policies.split(",")), file, seconds, fps)
 
 
 def blinking(count: int) -> Iterator[Picture]:
@@ -71,14 +71,73 @@ def test_a_gif_has_its_pictures_at_its_rate(
             pictures.append(np.asarray(found.convert("RGB")))
     assert all(np.any(a != b) for a, b in pairwise(pictures))
     assert result.pictures == 5
-    assert [row[0] for row in result.rows] == pytest.approx([0.04, 0.08, 0.12, 0.16, 0.2])
+    assert [row[0] for row in result.runs[0].rows] == pytest.approx([0.04, 0.08, 0.12, 0.16, 0.2])
     assert [path.name for path in file.parent.iterdir()] == ["run.gif"]
+
+
+def test_policies_stand_side_by_side(
+    tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
+) -> None:
+    """Each runs as alone, in a column of 484 pixels with spaces of 12, the same pixels wherever it stands."""
+    file = tmp_path / "both.png"
+    both = render(video(file, "passive,constant:0.5"), scenario, environment, seed=2)
+    with Image.open(file) as found:
+        picture = np.asarray(found.convert("RGB"))
+    assert picture.shape[:2] == (704, 2 * 484 + 12 + 2 * 14)
+    assert not np.any(np.mod(picture.shape[:2], 16))  # or a video would be scaled
+    for run, name in zip(both.runs, ("passive", "constant:0.5"), strict=True):
+        alone = render(video(tmp_path / "alone.png", name), scenario, environment, seed=2)
+        assert run.policy == name
+        assert run.rows == alone.runs[0].rows
+        assert run.costs == alone.runs[0].costs
+    header, rows = both.tables()["pictures"]
+    assert list(header)[:2] == ["policy", "time_s"]
+    assert [row[0] for row in rows] == ["passive", "constant:0.5"]
+    # In the other order the columns change places, and the axes, which are common, do not change.
+    render(video(file, "constant:0.5,passive"), scenario, environment, seed=2)
+    with Image.open(file) as found:
+        turned = np.asarray(found.convert("RGB"))
+    column = slice(14, 14 + 484)
+    np.testing.assert_array_equal(picture[60:-24, column], turned[60:-24, 510 : 510 + 484])
+
+
+def test_a_learned_policy_stands_beside_others(
+    tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig, trained_file: Callable[..., None]
+) -> None:
+    """It has signals and a clock of its own, and the same track."""
+    learned = tmp_path / "mine.npz"
+    trained_file(learned)
+    result = render(video(tmp_path / "both.png", f"passive,{learned}"), scenario, environment)
+    assert [run.policy for run in result.runs] == ["passive", "ppo-s0"]
+    assert [run.seconds for run in result.runs] == pytest.approx([0.2, 0.2])
+    assert [run.rows[-1][:3] for run in result.runs] == [result.runs[0].rows[-1][:3]] * 2
+
+
+def test_axes_stay_the_same_all_through_a_film(
+    tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
+) -> None:
+    """Where a chart has its ticks no pixel changes from the first picture to the last."""
+    file = tmp_path / "both.gif"
+    render(video(file, "passive,constant:0.9"), scenario, environment)
+    with Image.open(file) as found:
+        assert found.n_frames == 5
+        pictures = []
+        for n in (0, 4):
+            found.seek(n)
+            pictures.append(np.asarray(found.convert("RGB")))
+    for left in (14, 510):
+        for top in (60 + 42 + 262, 60 + 42 + 262 + 158):  # ticks are left of the axes, and below
+            ticks = np.s_[top + 26 : top + 158, left + 2 : left + 42]
+            np.testing.assert_array_equal(pictures[0][ticks], pictures[1][ticks])
+            assert len(np.unique(pictures[0][ticks])) > 1
+    assert np.any(pictures[0] != pictures[1])
 
 
 def test_a_png_shows_the_end(tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig) -> None:
     result = render(video(tmp_path / "end.png", seconds=0.15), scenario, environment)
-    assert result.rows[-1][0] == pytest.approx(0.15)
-    assert result.seconds == pytest.approx(0.15)
+    (run,) = result.runs
+    assert run.rows[-1][0] == pytest.approx(0.15)
+    assert run.seconds == pytest.approx(0.15)
     with Image.open(tmp_path / "end.png") as found:
         assert found.size == (1280, 720)
 
@@ -99,14 +158,14 @@ def test_the_run_is_the_environments(
     env.reset(seed=3)
     rewards = [float(env.step(np.full(2, 0.5, dtype=np.float32))[1]) for _ in range(20)]
     env.close()
-    assert result.cost == pytest.approx(-sum(rewards) / 0.2, rel=1e-12)
+    assert result.runs[0].costs["J"] == pytest.approx(-sum(rewards) / 0.2, rel=1e-12)
 
 
 def test_the_passive_vehicle_has_its_dampers(
     tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
 ) -> None:
     result = render(video(tmp_path / "a.png", "passive"), scenario, environment, speed=300 / 3.6)
-    assert result.rows[-1][-2:] == (None, None)
+    assert result.runs[0].rows[-1][-2:] == (None, None)
     assert result.as_dict()["speed_kmh"] == pytest.approx(300.0)
 
 
@@ -117,8 +176,9 @@ def test_a_run_that_ends_early_stops_the_film(
     strict = environment.derailment.model_copy(update={"quotient": 1e-6})
     config = environment.model_copy(update={"derailment": strict})
     result = render(video(tmp_path / "a.gif", seconds=4.0, fps=5.0), scenario, config)
-    assert result.ending is not None
-    assert "derailment" in result.ending
+    ending = result.runs[0].ending
+    assert ending is not None
+    assert "derailment" in ending
     assert result.pictures <= 6
 
 
@@ -209,6 +269,11 @@ def test_the_command_writes_pictures_and_json(
     ("options", "problem"),
     [
         (["--policy", "mppt9"], "policy 'mppt9': unknown"),
+        (
+            ["--policies", "passive,mppt1,mppt2,constant,skyhook-onoff"],
+            "--policies: found 5",
+        ),
+        (["--policies", "mppt1,mppt1"], "policy 'mppt1': duplicate"),
         (["--seconds", "0"], "--seconds 0"),
         (["--seconds", "0.001"], "at least one control period"),
         (["--fps", "101", "-o", "a.mp4"], "--fps 101: expected at most one picture in a control period, 100"),
