@@ -87,8 +87,8 @@ class SafeFallback:
     Raises
     ------
     ConfigError
-        A fallback already, or passive dampers, which nothing closes; a policy of which nobody knows the environment, or one without
-        accelerations; thresholds that cannot be used.
+        A fallback already, or passive dampers, which nothing closes; a policy of which nobody knows the
+        environment; observations without accelerations; thresholds that cannot be used.
 
     Examples
     --------

@@ -17,7 +17,7 @@ from sayd_env.config.units import Array
 from sayd_env.envs.cost import EpisodeCost, episode_cost, mean_squares
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
-from sayd_env.envs.loop import LOG, RUNNING, TERMS
+from sayd_env.envs.loop import BOGIES, LOG, RUNNING, TERMS
 from sayd_env.physics.simulator import RUN_OUT
 
 
@@ -76,6 +76,8 @@ class Rollout:
     """Why the run ended early; None if it did not."""
     samples: int
     """How many there are of the run; the rest of the period in which it ended has no meaning."""
+    closed: npt.NDArray[np.bool_] | None = None
+    """(n, 2) whether a fallback intervened in a bogie; None for a policy without one."""
 
     @property
     def times(self) -> Array:
@@ -155,6 +157,7 @@ def roll_out(
     most, shape = max(steps), (count, batch.interface.actions)
     actions = np.zeros((most, *shape), dtype=np.float32)
     rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
+    closed = np.zeros((most, count, BOGIES), dtype=np.bool_) if hasattr(policy, "closed") else None
     log = np.empty((count, samples, LOG))
     length = np.array(steps)
     observation = batch.observations()
@@ -163,6 +166,8 @@ def roll_out(
         action, state = policy.predict(observation, state, start, deterministic=True)
         start[:] = False
         actions[n] = checked_actions(action, shape)
+        if closed is not None:
+            closed[n] = policy.closed(state)  # type: ignore[attr-defined]
         active = (length > n) & (batch.vehicles.status == RUNNING)
         if not active.any():
             break
@@ -174,7 +179,7 @@ def roll_out(
             if columns:
                 traced[i][first : first + samples] = batch.vehicles.trace[i][:, columns]
     return [
-        _rollout(batch, i, before[i], true[i], traced[i], actions, rewards, terms, steps[i])
+        _rollout(batch, i, before[i], true[i], traced[i], actions, rewards, terms, closed, steps[i])
         for i in range(count)
     ]
 
@@ -188,6 +193,7 @@ def _rollout(
     actions: npt.NDArray[np.float32],
     rewards: Array,
     terms: Array,
+    closed: npt.NDArray[np.bool_] | None,
     steps: int,
 ) -> Rollout:
     episode = batch.episodes[i]
@@ -207,6 +213,7 @@ def _rollout(
         actions=actions[:taken, i].copy(),
         rewards=rewards[:taken, i].copy(),
         terms=terms[:taken, i].copy(),
+        closed=None if closed is None else closed[:taken, i].copy(),
         ending=batch.ending(i) if ended else None,
         samples=min(end, before + int(batch.vehicles.memory.view(i).counter[0])),
     )

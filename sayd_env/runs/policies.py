@@ -14,7 +14,13 @@ from sayd_env.agents import pretrained
 from sayd_env.agents.onnx_policy import read_onnx
 from sayd_env.agents.policy_file import StoredPolicy, read_policy
 from sayd_env.config import ConfigError, nearest, packaged_names, validate
-from sayd_env.config.control import controller_of, load_controller, load_online
+from sayd_env.config.control import (
+    ConstantConfig,
+    PassiveControlConfig,
+    controller_of,
+    load_controller,
+    load_online,
+)
 from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.explain import shown
@@ -91,6 +97,13 @@ class PolicySpec:
         if self.stored is not None:
             return self.stored.needs
         return {"damper": "passive"} if self.name == PASSIVE else {}
+
+    @property
+    def open_loop(self) -> bool:
+        """Whether it reads no sensor: passive dampers, or one command."""
+        if self.stored is not None:
+            return False
+        return isinstance(load_controller(self.name, self.parameters), ConstantConfig | PassiveControlConfig)
 
     def identity(self) -> Any:
         """What a kept run depends on because of its policy: always the same object.
@@ -215,13 +228,8 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
     given = text.strip()
     if given.startswith(baselines.SAFE):
         return safe_spec(policy_spec(given.removeprefix(baselines.SAFE), foreign))
-    if given.endswith((LEARNED, FOREIGN)):
-        return learned_spec(read_learned(Path(given), foreign))
-    if given.endswith(ONNX):
-        return PolicySpec(Path(given).stem, stored=read_onnx(Path(given)))
-    if given.endswith(PARAMETERS):
-        load_controller(given)  # refused here rather than under way
-        return PolicySpec(given, label=f"{Path(given).stem}@{Path(given).resolve().parent.name}")
+    if given.endswith((LEARNED, FOREIGN, ONNX, *PARAMETERS)):
+        return _file_spec(given, foreign)
     name, parameters = baselines.parse(given)
     if name in baselines.NAMES:
         return PolicySpec(name, parameters, given) if parameters else PolicySpec(name)
@@ -242,6 +250,15 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
         f"policy {shown(text)}: unknown{nearest(name.partition(':')[0], known)}; expected "
         f"{', '.join(known)}, {EXPECTED}"
     )
+
+
+def _file_spec(given: str, foreign: ForeignReader | None) -> PolicySpec:
+    if given.endswith((LEARNED, FOREIGN)):
+        return learned_spec(read_learned(Path(given), foreign))
+    if given.endswith(ONNX):
+        return PolicySpec(Path(given).stem, stored=read_onnx(Path(given)))
+    load_controller(given)  # refused here rather than under way
+    return PolicySpec(given, label=f"{Path(given).stem}@{Path(given).resolve().parent.name}")
 
 
 def policy_specs(texts: Iterable[str], foreign: ForeignReader | None = None) -> list[PolicySpec]:
