@@ -361,8 +361,8 @@ def asked_text(to_passive: float, to_best_constant: float, worse_than_passive: f
     return (
         f"Asked: with a single fault no derailment, and in every condition a J of at most {to_passive:g} "
         f"times the passive vehicle's or {to_best_constant:g} times that of the best constant command, both "
-        "with the same fault; with anything else no derailment, and a J above the passive vehicle's by no more "
-        f"than {100 * worse_than_passive:g} %."
+        "with the same fault; with anything else no derailment, and a J above the passive vehicle's by no "
+        f"more than {100 * worse_than_passive:g} %."
     )
 
 
