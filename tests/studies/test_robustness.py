@@ -193,7 +193,7 @@ def test_a_dead_sensor_moves_no_open_loop(config: RobustnessConfig, result: Robu
 
 
 def test_a_fallback_that_never_trips_costs_nothing(result: RobustnessResult) -> None:
-    """On an even track no bogie hunts at 300 km/h on new wheels: all numbers are those of the policy inside."""
+    """On an even track no bogie hunts at 300 km/h on new wheels: all numbers are the same."""
     (inside,), (guarded,) = result.runs["constant:0.3", "none"], result.runs["safe:constant:0.3", "none"]
     assert guarded.fallback_share == 0.0
     assert inside.fallback_share is None
