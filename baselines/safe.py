@@ -47,6 +47,8 @@ class Watch:
     """(n,) control periods since the start of the episode."""
     intervened: Index
     """(n, 2) those in which it was less than all."""
+    content: bool
+    """Whether the monitor holds nothing of any vehicle, and remembers nothing against it."""
 
 
 class SafeFallback:
@@ -222,6 +224,7 @@ class SafeFallback:
             share=np.ones(shape),
             periods=np.zeros(count, dtype=np.int64),
             intervened=np.zeros(shape, dtype=np.int64),
+            content=True,
         )
 
     def _restart(self, state: Watch, rows: Array, vehicle: int) -> None:
@@ -237,7 +240,8 @@ class SafeFallback:
 
     def _take(self, state: Watch, rows: Array) -> None:
         """Take readings; one that is no number counts as a dead sensor's."""
-        rows = np.where(np.isfinite(rows), rows, 0.0)
+        if not np.isfinite(rows).all():
+            rows = np.where(np.isfinite(rows), rows, 0.0)
         self._indicator.take(state.hunting, rows[:, self._hunting])
         self._twins.take(state.agreement, rows[:, self._pairs])
 
@@ -250,6 +254,10 @@ class SafeFallback:
         state.slow = np.where(rows[:, self._speed] >= limits.slowest, 0, state.slow + 1)
         cause = hunts | self._twins.untrusted(state.agreement)
         cause |= (state.slow >= self._confirmation)[:, None]
+        state.periods += 1
+        if state.content and not cause.any():
+            state.calm += 1
+            return
         state.trips += hunts & ~state.closed
         state.calm = np.where(cause | (state.closed & (indicator > limits.release)), 0, state.calm + 1)
         # Sixty doublings are beyond any hold.
@@ -257,8 +265,8 @@ class SafeFallback:
         state.closed = cause | (state.closed & (state.calm < np.minimum(doubled, self._longest)))
         state.share = np.where(state.closed, 0.0, np.minimum(1.0, state.share + 1.0 / self._reopening))
         state.trips[~state.closed & (state.calm > 2 * self._longest)] = 0
-        state.periods += 1
         state.intervened += self.closed(state)
+        state.content = not state.trips.any() and bool(np.all(state.share == 1.0))
 
     def _guarded(self, action: Action, share: Array) -> Action:
         """The policy's commands, shape (..., A), with shares (..., 2) of the bogies."""

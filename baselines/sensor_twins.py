@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.baselines.policy import Flags
 from sayd_env.config.safe import SafeConfig, TwinConfig
@@ -77,7 +76,8 @@ class SensorTwins:
             or any(signal in read for signal in pair.signals)
         ]
         self.sensors = tuple(signal for pair in pairs for signal in pair.signals)
-        self._bogie = np.array([pair.bogie for pair in pairs])
+        self._members = np.array([[pair.bogie == bogie for bogie in range(len(BOGIES))] for pair in pairs])
+        """(p, 2) which pairs are of which bogie."""
         self._floor = np.array([pair.bounds.floor**2 for pair in pairs])
         self._ratio = np.array([pair.bounds.ratio**2 for pair in pairs])
         self._offset = np.array([pair.bounds.offset for pair in pairs])
@@ -88,7 +88,7 @@ class SensorTwins:
 
     def begin(self, rows: Array) -> Agreement:
         """State of vehicles that begin with these readings: at their means."""
-        shape = (len(rows), len(self._bogie))
+        shape = (len(rows), len(self._members))
         return Agreement(
             mean=rows.reshape(*shape, 2).copy(),
             square=np.zeros((*shape, 2)),
@@ -111,23 +111,22 @@ class SensorTwins:
         else:
             state.mean += self._share * (readings - state.mean)
             state.square += self._share * ((readings - state.mean) ** 2 - state.square)
-        larger, smaller = state.square.max(axis=2), state.square.min(axis=2)
+        first, second = state.square[..., 0], state.square[..., 1]
+        larger, smaller = np.maximum(first, second), np.minimum(first, second)
         lively = larger > self._floor
         contradict = lively & (larger > self._ratio * smaller)
         if not self._measured:
             contradict |= np.abs(state.mean[..., 0] - state.mean[..., 1]) > self._offset
-        state.contradicting = np.where(contradict, state.contradicting + 1, 0)
-        state.agreeing = np.where(contradict, 0, state.agreeing + (lively & ~contradict))
-        state.untrusted = (state.contradicting >= self._confirmation) | (
-            state.untrusted & (state.agreeing < self._trust)
-        )
+        state.contradicting += 1
+        state.contradicting *= contradict
+        state.agreeing += lively
+        state.agreeing *= ~contradict
+        state.untrusted &= state.agreeing < self._trust
+        state.untrusted |= state.contradicting >= self._confirmation
 
     def untrusted(self, state: Agreement) -> Flags:
         """Bogies of which some pair is not trusted, shape (n, 2)."""
-        found: npt.NDArray[np.bool_] = np.stack(
-            [state.untrusted[:, self._bogie == bogie].any(axis=1) for bogie in range(len(BOGIES))], axis=1
-        )
-        return found
+        return np.matmul(state.untrusted, self._members)
 
 
 def _signals(parameters: SafeConfig) -> Iterator[Twin]:

@@ -303,7 +303,7 @@ def test_readings_that_are_no_numbers_are_a_dead_sensor(interface):
 def test_what_cannot_be_is_refused(interface):
     made = interface()
     for act, said in (
-        (lambda: SafeFallback(Open(made), trip=0.1), "release 0.25 must be below trip 0.1"),
+        (lambda: SafeFallback(Open(made), trip=0.1), "release 0.4 must be below trip 0.1"),
         (lambda: SafeFallback(Open(made), tripp=0.1), "unknown key 'tripp', did you mean 'trip'"),
         (lambda: SafeFallback(SafeFallback(Open(made))), "is a fallback already"),
         (lambda: SafeFallback(object()), "no attribute 'interface'"),
