@@ -142,8 +142,9 @@ class RobustnessConfig(Model):
 
     @model_validator(mode="after")
     def _once(self) -> RobustnessConfig:
-        names = [axis.name for axis in self.axes]
-        for given in (self.conditions, self.seeds, self.policies, self.constants, names):
+        names = tuple(axis.name for axis in self.axes)
+        lists: tuple[tuple[Any, ...], ...] = self.conditions, self.seeds, self.policies, self.constants, names
+        for given in lists:
             if any(given.count(each) > 1 for each in given):
                 raise ValueError(f"found a duplicate in {', '.join(map(str, given))}")
         if self.onset >= self.episode_s:

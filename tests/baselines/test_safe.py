@@ -154,38 +154,56 @@ def test_hunting_again_doubles_the_hold(interface):
     assert [round(PERIOD * n, 2) for n in lengths[:4]] == [0.1, 0.2, 0.4, 0.5]
 
 
+MOTION = {
+    "lateral_acceleration": (0.0, 1.0, 3.0),
+    "longitudinal_acceleration": (0.0, 1.0, 3.0),
+    "pressure": (12e5, 4e5, 60e5),
+    "stroke": (0.0, 2e-3, 6e-3),
+}
+"""Mean and amplitude of what `waves` makes of a quantity, and a bias: twice what is allowed."""
+
+
 @pytest.mark.parametrize(
-    "signal",
+    ("signal", "kind"),
     [
-        "lateral_acceleration.front.trailing",
-        "longitudinal_acceleration.front.left",
-        "pressure_a.front.left.upper",
-        "stroke.front.right.lower",
+        ("lateral_acceleration.front.trailing", "lateral_acceleration"),
+        ("longitudinal_acceleration.front.left", "longitudinal_acceleration"),
+        ("pressure_a.front.left.upper", "pressure"),
+        ("stroke.front.right.lower", "stroke"),
     ],
 )
 @pytest.mark.parametrize("fault", ["dead", "frozen", "biased"])
-def test_a_sensor_that_fails_closes_its_bogie(interface, signal, fault):
-    """Within the confirmation and the time in which RMS values decay, 2 tau ln(ratio); means follow, too."""
-    limits, made = load_safe(), interface()
-    begin = 300
+def test_a_sensor_that_fails_closes_its_bogie(interface, signal, kind, fault):
+    """In the time of the closed form, by the sliding mean square of what no longer moves.
+
+    It falls as (s + D^2) exp(-t / tau), D the step of the mean, until the twin's RMS is `ratio` times as
+    large; a bias shows when (1 - exp(-t / tau)) of it exceed `offset`. Both must last.
+    """
+    limits, made, begin = load_safe(), interface(), 300
+    bounds, (mean, amplitude, bias) = getattr(limits, kind), MOTION[kind]
 
     def course(values):
         failed = values.copy()
-        size = {"lateral": 2.0, "longitu": 2.0, "pressur": 6e5, "stroke.": 5e-3}[signal[:7]]
-        after = {"dead": 0.0, "frozen": values[begin], "biased": values[begin:] + size}[fault]
-        failed[begin:] = after
+        after = {"dead": 0.0, "frozen": values[begin], "biased": values[begin:] + bias}
+        failed[begin:] = after[fault]
         return failed
 
-    def read(kind):
-        return SafeFallback(Open(made, sensors=(kind,)))
+    def watched(name):
+        return SafeFallback(Open(made, sensors=(name,)))
 
     rows = waves(made, 1.0, 9.0, **{signal.replace(".", "__"): course})
-    commands = shares(read(signal), rows)
-    most = limits.confirmation + 2.0 * limits.smoothing * math.log(max(limits.pressure.ratio, 8.0))
-    assert PERIOD * begin < first_closed(commands) < PERIOD * begin + most + 0.2
+    step = mean if fault == "dead" else 0.0
+    share = (
+        bounds.offset / bias
+        if fault == "biased"
+        else 1.0 - bounds.ratio**-2 / (1 + 2 * (step / amplitude) ** 2)
+    )
+    expected = limits.confirmation - limits.smoothing * math.log(1.0 - share)
+    commands = shares(watched(signal), rows)
+    assert first_closed(commands) - PERIOD * begin == pytest.approx(expected, abs=0.15)
     assert np.all(commands[-1] == [0.0, 1.0])  # it stays, and the other bogie is left alone
-    if not signal.startswith("lateral"):  # nobody reads it: nobody minds
-        assert np.all(shares(read("speed"), rows) == 1.0)
+    if kind != "lateral_acceleration":  # nobody reads it: nobody minds
+        assert np.all(shares(watched("speed"), rows) == 1.0)
 
 
 def test_a_dead_speed_closes_all(interface):
