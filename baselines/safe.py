@@ -201,7 +201,7 @@ class SafeFallback:
         self._watch(state, newest)
         return self._guarded(action, state.share[0] if single else state.share), state
 
-    def closed(self, state: Watch) -> Flags:
+    def intervening(self, state: Watch) -> Flags:
         """Bogies in which the last action was not quite the policy's own, shape (n, 2)."""
         return np.less(state.share, 1.0)
 
@@ -265,7 +265,7 @@ class SafeFallback:
         state.closed = cause | (state.closed & (state.calm < np.minimum(doubled, self._longest)))
         state.share = np.where(state.closed, 0.0, np.minimum(1.0, state.share + 1.0 / self._reopening))
         state.trips[~state.closed & (state.calm > 2 * self._longest)] = 0
-        state.intervened += self.closed(state)
+        state.intervened += self.intervening(state)
         state.content = not state.trips.any() and bool(np.all(state.share == 1.0))
 
     def _guarded(self, action: Action, share: Array) -> Action:

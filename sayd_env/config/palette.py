@@ -89,7 +89,7 @@ def policy_style(name: str) -> Style:
         return replace(_POLICIES[calibrated], line=":")
     kind, colon, value = name.partition(":")
     if colon and kind == "safe":  # a policy inside the fallback
-        return replace(policy_style(value), line=":")
+        return replace(policy_style(value), marker="h", line=":")
     if colon and kind in _POLICIES:  # a variant: the same colour
         return Style(_POLICIES[kind].colour, *_nth(zlib.crc32(value.encode())))
     training = _TRAINING.fullmatch(name)

@@ -76,8 +76,8 @@ class Rollout:
     """Why the run ended early; None if it did not."""
     samples: int
     """How many there are of the run; the rest of the period in which it ended has no meaning."""
-    closed: npt.NDArray[np.bool_] | None = None
-    """(n, 2) whether a fallback intervened in a bogie; None for a policy without one."""
+    intervened: npt.NDArray[np.bool_] | None = None
+    """(n, 2) whether the safe fallback intervened in a bogie; None for a policy without one."""
 
     @property
     def times(self) -> Array:
@@ -157,7 +157,7 @@ def roll_out(
     most, shape = max(steps), (count, batch.interface.actions)
     actions = np.zeros((most, *shape), dtype=np.float32)
     rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
-    closed = np.zeros((most, count, BOGIES), dtype=np.bool_) if hasattr(policy, "closed") else None
+    intervened = np.zeros((most, count, BOGIES), dtype=np.bool_) if hasattr(policy, "intervening") else None
     log = np.empty((count, samples, LOG))
     length = np.array(steps)
     observation = batch.observations()
@@ -166,8 +166,8 @@ def roll_out(
         action, state = policy.predict(observation, state, start, deterministic=True)
         start[:] = False
         actions[n] = checked_actions(action, shape)
-        if closed is not None:
-            closed[n] = policy.closed(state)  # type: ignore[attr-defined]
+        if intervened is not None:
+            intervened[n] = policy.intervening(state)
         active = (length > n) & (batch.vehicles.status == RUNNING)
         if not active.any():
             break
@@ -179,7 +179,7 @@ def roll_out(
             if columns:
                 traced[i][first : first + samples] = batch.vehicles.trace[i][:, columns]
     return [
-        _rollout(batch, i, before[i], true[i], traced[i], actions, rewards, terms, closed, steps[i])
+        _rollout(batch, i, before[i], true[i], traced[i], actions, rewards, terms, intervened, steps[i])
         for i in range(count)
     ]
 
@@ -193,7 +193,7 @@ def _rollout(
     actions: npt.NDArray[np.float32],
     rewards: Array,
     terms: Array,
-    closed: npt.NDArray[np.bool_] | None,
+    intervened: npt.NDArray[np.bool_] | None,
     steps: int,
 ) -> Rollout:
     episode = batch.episodes[i]
@@ -213,7 +213,7 @@ def _rollout(
         actions=actions[:taken, i].copy(),
         rewards=rewards[:taken, i].copy(),
         terms=terms[:taken, i].copy(),
-        closed=None if closed is None else closed[:taken, i].copy(),
+        intervened=None if intervened is None else intervened[:taken, i].copy(),
         ending=batch.ending(i) if ended else None,
         samples=min(end, before + int(batch.vehicles.memory.view(i).counter[0])),
     )

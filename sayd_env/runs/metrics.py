@@ -284,5 +284,9 @@ def valve_use(run: Run, rollout: Rollout) -> dict[str, Any]:
         "valve_mean": float(command.mean(dtype=np.float64)),
         "valve_travel_per_km": float(travel / (run.speed * time * 1e-3)),
         "switching_per_s": switchings(command) / time,
-        "fallback_share": None if rollout.closed is None else float(rollout.closed[: len(command)].mean()),
+        "fallback_share": _share(rollout.intervened, len(command)),
     }
+
+
+def _share(intervened: npt.NDArray[np.bool_] | None, periods: int) -> float | None:
+    return None if intervened is None else float(intervened[:periods].mean())

@@ -177,7 +177,7 @@ def test_a_sensor_that_fails_closes_its_bogie(interface, signal, kind, fault):
     """In the time of the closed form, by the sliding mean square of what no longer moves.
 
     It falls as (s + D^2) exp(-t / tau), D the step of the mean, until the twin's RMS is `ratio` times as
-    large; a bias shows when (1 - exp(-t / tau)) of it exceed `offset`. Both must last.
+    large; a bias shows when (1 - exp(-t / tau)) of it exceeds `offset`. Both must last.
     """
     limits, made, begin = load_safe(), interface(), 300
     bounds, (mean, amplitude, bias) = getattr(limits, kind), MOTION[kind]
@@ -192,12 +192,14 @@ def test_a_sensor_that_fails_closes_its_bogie(interface, signal, kind, fault):
         return SafeFallback(Open(made, sensors=(name,)))
 
     rows = waves(made, 1.0, 9.0, **{signal.replace(".", "__"): course})
-    step = mean if fault == "dead" else 0.0
-    share = (
-        bounds.offset / bias
-        if fault == "biased"
-        else 1.0 - bounds.ratio**-2 / (1 + 2 * (step / amplitude) ** 2)
-    )
+    spread = 0.5 * amplitude**2
+    if fault == "biased":
+        # The step itself passes for noise, s + D^2 x (1 - x) with x = exp(-t / tau), if it is large enough.
+        noisy = (bounds.ratio**2 - 1.0) * spread / bias**2
+        share = 0.5 - math.sqrt(0.25 - noisy) if noisy < 0.25 else bounds.offset / bias
+    else:
+        step = mean if fault == "dead" else 0.0
+        share = 1.0 - spread / (spread + step**2) / bounds.ratio**2
     expected = limits.confirmation - limits.smoothing * math.log(1.0 - share)
     commands = shares(watched(signal), rows)
     assert first_closed(commands) - PERIOD * begin == pytest.approx(expected, abs=0.15)

@@ -24,7 +24,7 @@ from sayd_env.studies.tuning import calibrate, tune
 AVERAGED = (
     "J J_acceleration J_force J_run J_offline J_offline_acceleration J_offline_force acceleration_ratio "
     "track_shift_ratio force_rms_n force_peak_n force_power_above_10_hz_n2 comfort valve_mean "
-    "valve_travel_per_km switching_per_s"
+    "valve_travel_per_km switching_per_s fallback_share"
 )
 
 
