@@ -209,8 +209,8 @@ class RobustnessResult:
 
     def plots(self) -> dict[str, Plot]:
         """J over each quantity, and with each fault, over the passive vehicle's."""
-        found = {"robustness_axes": self._draw_axes} if self.config.axes else {}
-        return found | {"robustness_faults": self._draw_faults}
+        found: dict[str, Plot] = {"robustness_faults": self._draw_faults}
+        return found | ({"robustness_axes": self._draw_axes} if self.config.axes else {})
 
     def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> dict[str, str]:
         """One page: what is met, pictures, and all outcomes."""
