@@ -126,7 +126,8 @@ class SensorTwins:
 
     def untrusted(self, state: Agreement) -> Flags:
         """Bogies of which some pair is not trusted, shape (n, 2)."""
-        return np.matmul(state.untrusted, self._members)
+        found: Flags = np.matmul(state.untrusted, self._members)
+        return found
 
 
 def _signals(parameters: SafeConfig) -> Iterator[Twin]:

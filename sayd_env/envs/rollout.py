@@ -157,7 +157,8 @@ def roll_out(
     most, shape = max(steps), (count, batch.interface.actions)
     actions = np.zeros((most, *shape), dtype=np.float32)
     rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
-    intervened = np.zeros((most, count, BOGIES), dtype=np.bool_) if hasattr(policy, "intervening") else None
+    intervening = getattr(policy, "intervening", None)  # of a safe fallback
+    intervened = None if intervening is None else np.zeros((most, count, BOGIES), dtype=np.bool_)
     log = np.empty((count, samples, LOG))
     length = np.array(steps)
     observation = batch.observations()
@@ -166,8 +167,8 @@ def roll_out(
         action, state = policy.predict(observation, state, start, deterministic=True)
         start[:] = False
         actions[n] = checked_actions(action, shape)
-        if intervened is not None:
-            intervened[n] = policy.intervening(state)
+        if intervening is not None and intervened is not None:
+            intervened[n] = intervening(state)
         active = (length > n) & (batch.vehicles.status == RUNNING)
         if not active.any():
             break
