@@ -210,7 +210,9 @@ class RobustnessResult:
     def plots(self) -> dict[str, Plot]:
         """J over each quantity, and with each fault, over the passive vehicle's."""
         found: dict[str, Plot] = {"robustness_faults": self._draw_faults}
-        return found | ({"robustness_axes": self._draw_axes} if self.config.axes else {})
+        if self.config.axes:
+            found["robustness_axes"] = self._draw_axes
+        return found
 
     def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> dict[str, str]:
         """One page: what is met, pictures, and all outcomes."""
