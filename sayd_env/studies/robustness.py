@@ -139,7 +139,7 @@ _VERDICTS = (
     Column("worst_fault", "worst fault"),
     Column("others_met", "others met"),
     Column("others", "of"),
-    Column("worst_other", "worst of them"),
+    Column("worst_other", "worst of them", wide=True),
     Column("derailed", "derailed", limit=0.0),
 )
 _RUNS = ("J", "acceleration_ratio", "valve_mean", "fallback_share", "ending")
