@@ -19,6 +19,7 @@ from sayd_env.config.fault import Fault
 from sayd_env.config.robustness import Axis, RobustnessConfig, load_robustness, single_faults
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.sensors import KINDS, SIGNALS
+from sayd_env.report.figures import png_bytes
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import policy_spec
@@ -114,8 +115,13 @@ def made_up(costs: dict[tuple[str, str], list[float]], **changes: Any) -> Robust
         ).items()
         if name.startswith("power lost")
     )
-    disturbances = (Disturbance(UNDISTURBED), Disturbance(FAULT, fault=fault, title="power lost"))
-    config = load_robustness(overrides=["seeds=[1]", "axes=[]"])
+    worn = Axis(name="wear", quantity="wear", values=(1.1,))
+    lost = Disturbance(FAULT, fault=fault, title="power lost")
+    disturbances = (Disturbance(UNDISTURBED), disturbance_of(worn, 1.1), lost)
+    config = load_robustness(overrides=["seeds=[1]", "axes=[{name: wear, quantity: wear, values: [1.1]}]"])
+    costs = costs | {
+        (policy, "wear 1.1"): values for (policy, title), values in costs.items() if title == "none"
+    }
     config = config.model_copy(update={"conditions": config.conditions[:2]})
     runs = {key: [row(key[0], cost) for cost in values] for key, values in costs.items()}
     judged = tuple(dict.fromkeys(policy for policy, _ in costs if policy not in ("passive", "constant:0.3")))
@@ -145,6 +151,9 @@ def test_what_is_asked_is_judged_condition_by_condition() -> None:
         ("bad", "none"): False,
         ("bad", "power lost"): False,
         ("off", "none"): True,
+        ("good", "wear 1.1"): True,
+        ("bad", "wear 1.1"): False,
+        ("off", "wear 1.1"): True,
         ("off", "power lost"): False,
     }
     bad = found["bad", "power lost"]
@@ -159,10 +168,12 @@ def test_a_result_is_shown(read_page: Callable[[str], Any]) -> None:
     result.summary(Console(file=text, width=80))
     assert max(map(len, text.getvalue().splitlines())) <= 80
     assert result.as_dict()["verdicts"][0]["faults_met"] == 1
-    page = read_page(result.pages({}, {"config": {}})["robustness"])
+    images = {name: png_bytes(draw, dpi=40) for name, draw in result.plots().items()}
+    page = read_page(result.pages(images, {"config": {}})["robustness"])
     assert page.links == []
+    assert page.pictures == [images["robustness_axes"], images["robustness_faults"]]
     assert "power lost" in page.text
-    assert len(result.tables()["runs"][1]) == 5 * 2 * 2  # type: ignore[arg-type]
+    assert len(result.tables()["runs"][1]) == 5 * 3 * 2  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
