@@ -22,13 +22,14 @@ from sayd_env.baselines.mppt import Mppt
 from sayd_env.baselines.observation_layout import interface_of
 from sayd_env.baselines.perturb_observe import PerturbAndObserve
 from sayd_env.baselines.policy import Policy
+from sayd_env.baselines.safe import SAFE, SafeFallback
 from sayd_env.baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
 from sayd_env.config import ConfigError
 from sayd_env.config.control import controller_of, load_controller
 from sayd_env.config.explain import shown
 from sayd_env.envs.registration import policy_loader
 
-__all__ = ["NAMES", "Policy", "interface_of", "make", "parse"]
+__all__ = ["NAMES", "SAFE", "Policy", "SafeFallback", "interface_of", "make", "parse"]
 
 _KINDS: dict[str, Any] = {
     "passive": Passive,
@@ -56,7 +57,7 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Any:
         One of `NAMES`, ``constant:V`` with a valve command V, or the path of a YAML file of parameters that
         is named after its controller, such as ``sayd tune`` writes: ``results/tune-mppt2/mppt2-tuned.yaml``.
         Or whatever else `sayd_env.load_policy` loads: a ready policy's name, ``.npz``, ``.onnx``,
-        ``file.py:factory``.
+        ``file.py:factory``. With ``safe:`` before it, any of these inside a `SafeFallback`.
     env_or_spec
         What it is to control: an `Interface`, a Gymnasium environment or vector environment (wrapped or not),
         a vector environment of Stable-Baselines3, or an environment's id or `EnvSpec`.
@@ -77,6 +78,8 @@ def make(name: str, env_or_spec: Any, **parameters: Any) -> Any:
         or dampers that the controller needs.
     """
     given, (name, short) = name, parse(name)
+    if given.strip().startswith(SAFE):
+        return SafeFallback(make(given.strip().removeprefix(SAFE), env_or_spec, **parameters))
     if name not in NAMES and not name.endswith((".yaml", ".yml")):
         return policy_loader()(given, env_or_spec, **parameters)
     duplicates = short.keys() & parameters

@@ -139,7 +139,7 @@ class FeatureRmsMeter(RmsMeter):
     """Reads the RMS values that the environment has measured."""
 
     def __init__(self, name: str, interface: Interface, parameters: BogieCostConfig) -> None:
-        self._period = _periods(interface)
+        self._period = periods_of_a_second(interface)
         self._force = parameters.k_F > 0.0
         acceleration = of_both(f"acceleration_rms.{{}}.{parameters.accelerometer}")
         self.sensors = acceleration + (of_both(f"force_rms.{{}}.{parameters.damper}") if self._force else ())
@@ -171,17 +171,11 @@ class SignalRmsMeter(RmsMeter):
     """Filters and squares sensor signals at the control rate."""
 
     def __init__(self, name: str, interface: Interface, parameters: BogieCostConfig) -> None:
-        self._period = _periods(interface)
+        self._period = periods_of_a_second(interface)
         self._assessment = interface.assessment
         self._rate = 1.0 / interface.control_period
         self._slowest = parameters.slowest
-        try:
-            self._band: Band = band(interface.online, interface.assessment, self._rate)
-        except ConfigError as error:
-            raise ConfigError(
-                f"{name}: a control period of {1e3 * interface.control_period:g} ms is too long to filter "
-                f"the acceleration ({error}); shorten it, or use observation='features'"
-            ) from None
+        self._band = control_band(name, interface)
         pressures: tuple[str, ...] = ()
         self._area = 0.0
         if parameters.k_F > 0.0:
@@ -242,7 +236,31 @@ class SignalRmsMeter(RmsMeter):
         return np.maximum(readings, self._slowest)
 
 
-def _periods(interface: Interface) -> int:
+def control_band(name: str, interface: Interface) -> Band:
+    """Filters of the on-line band at the control rate.
+
+    Raises
+    ------
+    ConfigError
+        Control periods too long for the band; the message begins with the name of the policy.
+    """
+    try:
+        return band(interface.online, interface.assessment, 1.0 / interface.control_period)
+    except ConfigError as error:
+        raise ConfigError(
+            f"{name}: a control period of {1e3 * interface.control_period:g} ms is too long to filter "
+            f"the acceleration ({error}); shorten it, or use observation='features'"
+        ) from None
+
+
+def periods_of_a_second(interface: Interface) -> int:
+    """Control periods of a second.
+
+    Raises
+    ------
+    ConfigError
+        They do not divide it.
+    """
     count = round(SECOND / interface.control_period)
     if count < 1 or abs(count * interface.control_period - SECOND) > 1e-9:
         raise ConfigError(

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = ("README.md", "docs/conicity.md", "docs/en14363.md", "docs/recordings.md")
+PAGES = ("README.md", "docs/conicity.md", "docs/en14363.md", "docs/recordings.md", "docs/robustness.md")
 SNIPPETS = [
     (page, snippet)
     for page in PAGES

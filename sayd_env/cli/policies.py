@@ -188,6 +188,40 @@ def hindsight(
     return Plan(lambda run: study(settings, specs, context=run), settings, settings.seeds[0])
 
 
+@command(GROUP, "--quick --policies mppt2,safe:mppt2", runs=True)
+def robustness(
+    foreign: options.ForeignOptions,
+    *,
+    policies: Names | None = options.policies(
+        f"Who is tried ({options.WHICH}). Default: the controllers of the configuration."
+    ),
+    config: str | None = scenario(
+        "--config NAME|FILE",
+        "Conditions, disturbances and faults: a YAML file. Default: configs/study/robustness.yaml.",
+    ),
+    assignments: options.Set = None,
+    quick: options.Quick = False,
+) -> Plan:
+    """Try policies beyond their training: noise, delay, slow valves, worn wheels, wet rails, loads, faults.
+
+    One thing is changed at a time, and each single fault of the environment SAYD/Faults happens alone. J is
+    compared with that of the passive vehicle and of the best constant command under the same disturbance, in
+    the same conditions, and judged by what the configuration asks. Finished runs are kept in the output
+    directory: an interrupted study goes on where it stopped.
+    """
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.robustness import load_robustness  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
+    from sayd_env.studies.robustness import robustness as study  # noqa: PLC0415
+
+    settings = load_robustness("robustness" if config is None else config, assignments or ())
+    settings = settings.shortened() if quick else settings
+    specs = policy_specs(
+        policies or settings.policies, foreign.reader(load_environment(settings.environment))
+    )
+    return Plan(lambda run: study(settings, specs, context=run), settings, settings.seeds[0])
+
+
 def _held_out() -> list[str]:
     from sayd_env.config.comparison import HELD_OUT  # noqa: PLC0415 - keeps --help fast
 

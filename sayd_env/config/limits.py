@@ -8,6 +8,10 @@ from typing import NamedTuple
 
 from sayd_env.config.distribution import Distribution
 
+WORN_OUT = 1.2
+"""Largest wear of a tread: 1 is the worn wheel that a profile describes, beyond it the hollow grows on by the
+same law. A fifth shows what a controller does with wheels that are turned too late; no profile says more."""
+
 
 class Limits(NamedTuple):
     """Values that a quantity of an episode may have."""
@@ -23,7 +27,7 @@ class Limits(NamedTuple):
 LIMITS: Mapping[str, Limits] = MappingProxyType(
     {
         "speed_kmh": Limits(30.0, 500.0, "km/h"),
-        "wear": Limits(0.0, 1.0, "-"),
+        "wear": Limits(0.0, WORN_OUT, "-"),
         "gauge": Limits(0.9, 1.7, "m"),
         "friction": Limits(0.05, 1.0, "-"),
         "payload": Limits(-0.5, 0.5, "-"),

@@ -79,7 +79,8 @@ def policy_style(name: str) -> Style:
     Parameters
     ----------
     name : str
-        A controller, an algorithm, one of its trainings (``ppo-s3``), ``constant:0.3``, or any other name.
+        A controller, an algorithm, one of its trainings (``ppo-s3``), ``constant:0.3``, ``safe:`` and any
+        of these, or any other name.
     """
     if name in _POLICIES:
         return _POLICIES[name]
@@ -87,6 +88,8 @@ def policy_style(name: str) -> Style:
     if calibrated in _POLICIES:
         return replace(_POLICIES[calibrated], line=":")
     kind, colon, value = name.partition(":")
+    if colon and kind == "safe":  # a policy inside the fallback
+        return replace(policy_style(value), marker="h", line=":")
     if colon and kind in _POLICIES:  # a variant: the same colour
         return Style(_POLICIES[kind].colour, *_nth(zlib.crc32(value.encode())))
     training = _TRAINING.fullmatch(name)

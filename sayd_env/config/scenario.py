@@ -11,6 +11,7 @@ from sayd_env.config.base import Model, Part, quantity
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import DAMPER, DamperConfig
 from sayd_env.config.layers import Kind, read_layered
+from sayd_env.config.limits import WORN_OUT
 from sayd_env.config.profile import RAIL, WHEEL, RailProfileConfig, WheelProfileConfig
 from sayd_env.config.track import TRACK, TrackConfig
 from sayd_env.config.vehicle import VEHICLE, VehicleConfig
@@ -58,7 +59,9 @@ class Scenario(Part):
     contact_damping: float = quantity(
         "N s/m", "Normal damping of a wheel's contact at its static load", ge=0.0
     )
-    wear: float = quantity("-", "Wear of the wheels' treads: 0 new, 1 worn", ge=0.0, le=1.0)
+    wear: float = quantity(
+        "-", "Wear of the wheels' treads: 0 new, 1 worn, beyond it more of the same", ge=0.0, le=WORN_OUT
+    )
     friction: float = quantity("-", "Coefficient of friction of wheel and rail", gt=0.0, le=1.0)
     numerics: NumericsConfig
     cost: CostConfig

@@ -118,7 +118,7 @@ def draw_episode(
     options : mapping, optional
         Quantities to fix; the other draws stay as they are. ``speed_kmh`` (km/h), ``profile`` ("new", "worn":
         the scenario's own at wear 0 or 1; otherwise the name of a wheel profile or the path of a YAML file,
-        unworn unless ``wear`` says more), ``wear`` (0 to 1; above 0 a profile is drawn that wears), ``gauge``
+        unworn unless ``wear`` says more), ``wear`` (above 0 a profile is drawn that wears), ``gauge``
         (m), ``friction``, ``payload``, ``initial_current``, ``track`` (name, or path to a YAML file: its
         irregularities) and ``track_scale``, ``line`` (name, path to a YAML or CSV file, or content: what it
         says goes before the other quantities), ``faults`` (a list as for `parse_faults`).

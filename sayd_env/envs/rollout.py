@@ -17,7 +17,7 @@ from sayd_env.config.units import Array
 from sayd_env.envs.cost import EpisodeCost, episode_cost, mean_squares
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
-from sayd_env.envs.loop import LOG, RUNNING, TERMS
+from sayd_env.envs.loop import BOGIES, LOG, RUNNING, TERMS
 from sayd_env.physics.simulator import RUN_OUT
 
 
@@ -76,6 +76,8 @@ class Rollout:
     """Why the run ended early; None if it did not."""
     samples: int
     """How many there are of the run; the rest of the period in which it ended has no meaning."""
+    intervened: npt.NDArray[np.bool_] | None = None
+    """(n, 2) whether the safe fallback intervened in a bogie; None for a policy without one."""
 
     @property
     def times(self) -> Array:
@@ -155,6 +157,8 @@ def roll_out(
     most, shape = max(steps), (count, batch.interface.actions)
     actions = np.zeros((most, *shape), dtype=np.float32)
     rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
+    intervening = getattr(policy, "intervening", None)  # of a safe fallback
+    intervened = None if intervening is None else np.zeros((most, count, BOGIES), dtype=np.bool_)
     log = np.empty((count, samples, LOG))
     length = np.array(steps)
     observation = batch.observations()
@@ -163,6 +167,8 @@ def roll_out(
         action, state = policy.predict(observation, state, start, deterministic=True)
         start[:] = False
         actions[n] = checked_actions(action, shape)
+        if intervening is not None and intervened is not None:
+            intervened[n] = intervening(state)
         active = (length > n) & (batch.vehicles.status == RUNNING)
         if not active.any():
             break
@@ -174,7 +180,7 @@ def roll_out(
             if columns:
                 traced[i][first : first + samples] = batch.vehicles.trace[i][:, columns]
     return [
-        _rollout(batch, i, before[i], true[i], traced[i], actions, rewards, terms, steps[i])
+        _rollout(batch, i, before[i], true[i], traced[i], actions, rewards, terms, intervened, steps[i])
         for i in range(count)
     ]
 
@@ -188,6 +194,7 @@ def _rollout(
     actions: npt.NDArray[np.float32],
     rewards: Array,
     terms: Array,
+    intervened: npt.NDArray[np.bool_] | None,
     steps: int,
 ) -> Rollout:
     episode = batch.episodes[i]
@@ -207,6 +214,7 @@ def _rollout(
         actions=actions[:taken, i].copy(),
         rewards=rewards[:taken, i].copy(),
         terms=terms[:taken, i].copy(),
+        intervened=None if intervened is None else intervened[:taken, i].copy(),
         ending=batch.ending(i) if ended else None,
         samples=min(end, before + int(batch.vehicles.memory.view(i).counter[0])),
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sayd_env.agents.policy_archive import read_bytes
+from sayd_env.baselines import SAFE
 from sayd_env.config import ConfigError, validate
 from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig, load_environment
@@ -16,7 +17,8 @@ from sayd_env.config.sensors import DAMPERS
 from sayd_env.config.units import Array
 from sayd_env.envs.episode_batch import make_interface
 from sayd_env.fmu.variable import INPUT, OUTPUT, TIME, Variable
-from sayd_env.runs.policies import PolicySpec, policy_spec
+from sayd_env.runs.own_code import OwnPolicy
+from sayd_env.runs.policies import GuardedPolicy, PolicySpec, policy_spec
 
 
 def controller_content(policy: str) -> tuple[dict[str, str], Mapping[str, bytes]]:
@@ -29,14 +31,17 @@ def controller_content(policy: str) -> tuple[dict[str, str], Mapping[str, bytes]
     DataError
         A damaged file.
     """
-    spec, path = policy_spec(policy), Path(policy)
+    spec = policy_spec(policy)
+    guarded = isinstance(spec.stored, GuardedPolicy)
+    inside = spec.stored.inside if isinstance(spec.stored, GuardedPolicy) else spec
+    path = Path(policy.strip().removeprefix(SAFE) if guarded else policy)
     if not path.is_file():
-        if ":" in policy and spec.stored is not None:
+        if isinstance(inside.stored, OwnPolicy):
             raise ConfigError(
                 f"policy {policy}: code of one's own cannot be packed; export it as .npz or .onnx"
             )
         return {"policy": policy}, {}
-    return {"file": path.name}, {path.name: read_bytes(path)}
+    return {"prefix": SAFE * guarded, "file": path.name}, {path.name: read_bytes(path)}
 
 
 class ControllerUnit:
@@ -116,4 +121,6 @@ class ControllerUnit:
 
 def read_policy(content: Mapping[str, str], resources: Path) -> PolicySpec:
     """The policy of a unit's model, see `controller_content`."""
-    return policy_spec(str(resources / content["file"]) if "file" in content else content["policy"])
+    if "file" not in content:
+        return policy_spec(content["policy"])
+    return policy_spec(content.get("prefix", "") + str(resources / content["file"]))

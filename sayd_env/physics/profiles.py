@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from scipy.signal import savgol_filter
 
 from sayd_env.config import ConfigError, DataError
+from sayd_env.config.limits import WORN_OUT
 from sayd_env.config.profile import (
     JOINT_TOLERANCE_MM,
     Arc,
@@ -81,17 +82,18 @@ def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:
     config : WheelProfileConfig
         The profile.
     wear : float
-        0 is new, 1 fully worn as the profile's `wear` section says; between them heights are blended.
+        0 is new, 1 fully worn as the profile's `wear` section says; between them heights are blended, and
+        beyond 1 they go on by the same law.
 
     Raises
     ------
     ConfigError
-        Wear outside 0..1, or asked of a profile that has no `wear` section.
+        Wear outside 0 to `WORN_OUT`, or asked of a profile that has no `wear` section.
     DataError
         The curve cannot be used: a faulty measured file, zones that do not meet, no flange at negative y.
     """
-    if not 0.0 <= wear <= 1.0:
-        raise ConfigError(f"wear: found {wear:g}, allowed is 0 (new) to 1 (worn)")
+    if not 0.0 <= wear <= WORN_OUT:
+        raise ConfigError(f"wear: found {wear:g}, allowed is 0 (new) over 1 (worn) to {WORN_OUT:g}")
     if wear > 0.0 and config.wear is None:
         raise ConfigError(
             f"wheel profile '{config.name}' has no wear section, so wear must be 0 (found {wear:g})"

@@ -81,6 +81,8 @@ class Row:
     """Changes of the valve command added up over a kilometre, mean over the valves; 1: the whole range."""
     switching_per_s: float | None = None
     """Passages of the valve command between the outer quarters of its range, mean over the valves."""
+    fallback_share: float | None = None
+    """Share of the time in which the safe fallback intervened, mean over the bogies; None without one."""
     ending: str | None = None
     """Why the run ended early; None if it did not."""
     duration_s: float = math.nan
@@ -282,4 +284,9 @@ def valve_use(run: Run, rollout: Rollout) -> dict[str, Any]:
         "valve_mean": float(command.mean(dtype=np.float64)),
         "valve_travel_per_km": float(travel / (run.speed * time * 1e-3)),
         "switching_per_s": switchings(command) / time,
+        "fallback_share": _share(rollout.intervened, len(command)),
     }
+
+
+def _share(intervened: npt.NDArray[np.bool_] | None, periods: int) -> float | None:
+    return None if intervened is None else float(intervened[:periods].mean())

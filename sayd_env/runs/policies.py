@@ -14,10 +14,17 @@ from sayd_env.agents import pretrained
 from sayd_env.agents.onnx_policy import read_onnx
 from sayd_env.agents.policy_file import StoredPolicy, read_policy
 from sayd_env.config import ConfigError, nearest, packaged_names, validate
-from sayd_env.config.control import controller_of, load_controller, load_online
+from sayd_env.config.control import (
+    ConstantConfig,
+    PassiveControlConfig,
+    controller_of,
+    load_controller,
+    load_online,
+)
 from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.explain import shown
+from sayd_env.config.safe import load_safe
 from sayd_env.config.scenario import Scenario
 from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import Interface
@@ -36,7 +43,8 @@ PARAMETERS = (".yaml", ".yml")
 """How the files of parameters of controllers end."""
 EXPECTED = (
     f"constant:V, the file of a learned policy (*{LEARNED}, *{ONNX}) or of a controller's parameters "
-    f"(*{PARAMETERS[0]}), or code of one's own: module:factory, file.py:factory"
+    f"(*{PARAMETERS[0]}), or code of one's own: module:factory, file.py:factory; each of them with "
+    f"{baselines.SAFE} before it inside the safe fallback"
 )
 _CODE = re.compile(r"(?P<place>[\w.]+|.+\.py):(?P<factory>\w+)")
 ForeignReader = Callable[[Path], StoredPolicy]
@@ -90,6 +98,13 @@ class PolicySpec:
             return self.stored.needs
         return {"damper": "passive"} if self.name == PASSIVE else {}
 
+    @property
+    def open_loop(self) -> bool:
+        """Whether it reads no sensor: passive dampers, or one command."""
+        if self.stored is not None:
+            return False
+        return isinstance(load_controller(self.name, self.parameters), ConstantConfig | PassiveControlConfig)
+
     def identity(self) -> Any:
         """What a kept run depends on because of its policy: always the same object.
 
@@ -137,6 +152,53 @@ class PolicySpec:
         return validate(EnvironmentConfig, dict(config) | dict(self.stored.needs), self.stored.where)
 
 
+@dataclass(frozen=True)
+class GuardedPolicy:
+    """What ``safe:`` makes of a policy: the same inside a `baselines.SafeFallback`."""
+
+    inside: PolicySpec
+
+    @property
+    def where(self) -> str:
+        """The policy as it was named."""
+        return baselines.SAFE + (self.inside.name if self.inside.stored is None else self.inside.stored.where)
+
+    @property
+    def needs(self) -> Mapping[str, Any]:
+        """Those of the policy inside."""
+        return self.inside.needs
+
+    def identity(self) -> Any:
+        """The thresholds, and the policy inside."""
+        return {"safe": load_safe().model_dump(mode="json"), "policy": self.inside.identity()}
+
+    def bound(self, interface: Interface) -> baselines.SafeFallback:
+        """The policy inside the fallback, ready to act in an environment.
+
+        Raises
+        ------
+        ConfigError
+            As the policy inside, or the environment lacks what the monitor reads.
+        """
+        return baselines.SafeFallback(self.inside.make(interface), interface)
+
+
+def safe_spec(inside: PolicySpec) -> PolicySpec:
+    """A policy inside the safe fallback.
+
+    Raises
+    ------
+    ConfigError
+        A fallback already, or passive dampers.
+    """
+    if inside.name == PASSIVE or isinstance(inside.stored, GuardedPolicy):
+        raise ConfigError(
+            f"policy '{baselines.SAFE}{inside.name}': expected a policy that commands valves after the colon"
+        )
+    prefix = baselines.SAFE
+    return PolicySpec(prefix + inside.name, label=prefix + inside.title, stored=GuardedPolicy(inside))
+
+
 def constant_spec(current: float) -> PolicySpec:
     """The policy of one command that never changes."""
     return PolicySpec("constant", {"current": current}, f"constant:{current:g}")
@@ -151,7 +213,8 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
         A name of `baselines.NAMES`, ``constant:V`` with a valve command V from 0 to 1, a name of
         `agents.pretrained`; the path of a learned policy's file, which ends in ``.npz``, in ``.onnx``, or in
         ``.zip`` if Stable-Baselines3 wrote it; of a controller's parameters in ``.yaml``, named after it; or
-        ``module:factory`` or ``file.py:factory`` of one's own code.
+        ``module:factory`` or ``file.py:factory`` of one's own code. With ``safe:`` before it, any of these
+        inside a `baselines.SafeFallback`.
     foreign : callable, optional
         What reads a file of Stable-Baselines3; without, it is refused.
 
@@ -163,13 +226,10 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
         A damaged file.
     """
     given = text.strip()
-    if given.endswith((LEARNED, FOREIGN)):
-        return learned_spec(read_learned(Path(given), foreign))
-    if given.endswith(ONNX):
-        return PolicySpec(Path(given).stem, stored=read_onnx(Path(given)))
-    if given.endswith(PARAMETERS):
-        load_controller(given)  # refused here rather than under way
-        return PolicySpec(given, label=f"{Path(given).stem}@{Path(given).resolve().parent.name}")
+    if given.startswith(baselines.SAFE):
+        return safe_spec(policy_spec(given.removeprefix(baselines.SAFE), foreign))
+    if given.endswith((LEARNED, FOREIGN, ONNX, *PARAMETERS)):
+        return _file_spec(given, foreign)
     name, parameters = baselines.parse(given)
     if name in baselines.NAMES:
         return PolicySpec(name, parameters, given) if parameters else PolicySpec(name)
@@ -190,6 +250,15 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
         f"policy {shown(text)}: unknown{nearest(name.partition(':')[0], known)}; expected "
         f"{', '.join(known)}, {EXPECTED}"
     )
+
+
+def _file_spec(given: str, foreign: ForeignReader | None) -> PolicySpec:
+    if given.endswith((LEARNED, FOREIGN)):
+        return learned_spec(read_learned(Path(given), foreign))
+    if given.endswith(ONNX):
+        return PolicySpec(Path(given).stem, stored=read_onnx(Path(given)))
+    load_controller(given)  # refused here rather than under way
+    return PolicySpec(given, label=f"{Path(given).stem}@{Path(given).resolve().parent.name}")
 
 
 def policy_specs(texts: Iterable[str], foreign: ForeignReader | None = None) -> list[PolicySpec]:

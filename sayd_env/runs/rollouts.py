@@ -11,6 +11,7 @@ from sayd_env.config.conditions import Line
 from sayd_env.config.control import load_online
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
+from sayd_env.config.fault import Fault
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
 from sayd_env.envs.draw import draw_episode
@@ -37,14 +38,17 @@ class Run:
     """Valve command of the run-in."""
     line: Line | None = None
     """What lies along the way; None: nothing. The speed is that at its start."""
+    faults: tuple[Fault, ...] = ()
+    """What fails on the way."""
 
     def inputs(self) -> Sequence[Any]:
         """What the run depends on; the on-line filter is seen by policies, and J is taken by it."""
         numbers = (round(self.speed, 9), self.seed, self.initial_current)
-        return self.scenario, self.environment, self.policy.identity(), load_online(), numbers, self.line
+        inputs = self.scenario, self.environment, self.policy.identity(), load_online(), numbers, self.line
+        return *inputs, [fault.model_dump(mode="json") for fault in self.faults]
 
     def companions(self) -> Hashable:
-        """Runs of one batch share everything but speed and seed."""
+        """Runs of one batch share everything but speed, seed and faults."""
         return id(self.policy), id(self.scenario), id(self.environment), self.initial_current
 
 
@@ -76,6 +80,7 @@ def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, keep: Sequence[
                 config, run.seed, 0, {"speed_kmh": run.speed * KMH, "initial_current": run.initial_current}
             ),
             line=None if run.line is None or run.line.plain else run.line,
+            faults=run.faults,
         )
         for run in runs
     ]

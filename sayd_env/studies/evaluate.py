@@ -34,7 +34,7 @@ COSTS = (
 )
 RATIOS = ("acceleration_ratio", "track_shift_ratio")
 FORCES = ("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2")
-VALVES = ("valve_mean", "valve_travel_per_km", "switching_per_s")
+VALVES = ("valve_mean", "valve_travel_per_km", "switching_per_s", "fallback_share")
 AVERAGED = (*COSTS, *RATIOS, *FORCES, "comfort", *VALVES)
 """Columns of a row that a summary averages."""
 
@@ -72,6 +72,7 @@ _DAMPER_COLUMNS = (
     Column("valve_mean", "mean V", digits=2),
     Column("valve_travel_per_km", "travel", "1/km", digits=1),
     Column("switching_per_s", "switching", "1/s", digits=1),
+    Column("fallback_share", "fallback", "%", 100.0, 0, wide=True),
 )
 _POLICY_COLUMNS = (
     Column("policy", "policy"),

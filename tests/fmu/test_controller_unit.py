@@ -11,7 +11,7 @@ from fmpy.validation import validate_fmu
 from sayd_env.config import ConfigError
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import DAMPERS, SIGNALS
-from sayd_env.fmu.controller import ControllerUnit, controller_content
+from sayd_env.fmu.controller import ControllerUnit, controller_content, read_policy
 from sayd_env.fmu.serve import restored
 from sayd_env.runs.policies import load_policy, policy_spec
 from sayd_env.studies.fmu import export_controller
@@ -91,3 +91,16 @@ def test_code_of_one_s_own_is_not_packed(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text("def make(interface):\n    return None\n")
     with pytest.raises(ConfigError, match="cannot be packed"):
         controller_content(f"{tmp_path / 'own.py'}:make")
+
+
+def test_a_policy_in_the_fallback_is_packed(tmp_path, trained_file):
+    """By name, or with its file, which lies elsewhere in the unit."""
+    assert controller_content("safe:mppt2") == ({"policy": "safe:mppt2"}, {})
+    trained_file(tmp_path / "own.npz")
+    content, files = controller_content(f"safe:{tmp_path / 'own.npz'}")
+    resources = tmp_path / "resources"
+    resources.mkdir()
+    for name, data in files.items():
+        (resources / name).write_bytes(data)
+    found, given = read_policy(content, resources), policy_spec(f"safe:{tmp_path / 'own.npz'}")
+    assert (found.title, found.identity()) == (given.title, given.identity())

@@ -98,8 +98,9 @@ def test_rail_a_lies_750_mm_from_the_centre() -> None:
 
 def test_wear_blends_between_new_and_worn() -> None:
     config = load_wheel("s1002cn-estimate")
-    new, half, worn = (wheel_profile(config, wear).z for wear in (0.0, 0.5, 1.0))
+    new, half, worn, beyond = (wheel_profile(config, wear).z for wear in (0.0, 0.5, 1.0, 1.2))
     np.testing.assert_allclose(half, 0.5 * (new + worn), atol=1e-12)
+    np.testing.assert_allclose(beyond - new, 1.2 * (worn - new), atol=1e-12)
     y = wheel_profile(config).y
     # Hollow wear of depth 1 mm about s = 3 mm, half width 30 mm; heights are relative to the tape circle.
     loss = 1e-3 * (np.cos(np.pi * (y - 3e-3) / 60e-3) ** 2) * (np.abs(y - 3e-3) < 30e-3)
@@ -117,7 +118,7 @@ def test_measured_worn_end_of_the_blend(tmp_path: Path) -> None:
         update={"wear": MeasuredWear(type="measured", shape=Shape(file=str(path)))}
     )
     tread = (reference.y > -0.035) & (reference.y < 0.05)
-    for wear in (0.0, 0.3, 1.0):
+    for wear in (0.0, 0.3, 1.0, 1.1):
         profile = wheel_profile(config, wear)
         z = np.interp(reference.y, profile.y, profile.z)
         expected = (1.0 - wear) * reference.z + wear * worn
@@ -145,7 +146,7 @@ def test_smoothing_removes_noise_but_keeps_the_curve() -> None:
 
 def test_wear_out_of_range() -> None:
     with pytest.raises(ConfigError, match="allowed is 0"):
-        wheel_profile(load_wheel("s1002cn"), 1.2)
+        wheel_profile(load_wheel("s1002cn"), 1.21)
     with pytest.raises(ConfigError, match="has no wear section"):
         wheel_profile(load_wheel("s1002"), 0.5)
 

@@ -14,7 +14,16 @@ import pytest
 from rich.console import Console
 
 from sayd_env.report.columns import Column, print_table
-from sayd_env.studies import adaptation, assess, critical_speed, evaluate, modes, policies, soak
+from sayd_env.studies import (
+    adaptation,
+    assess,
+    critical_speed,
+    evaluate,
+    modes,
+    policies,
+    robustness,
+    soak,
+)
 from sayd_env.studies.bench import bench
 from sayd_env.studies.comparison import page
 from sayd_env.studies.components import conicity, hysteresis
@@ -24,7 +33,7 @@ from sayd_env.studies.tuning import calibrate, tune
 AVERAGED = (
     "J J_acceleration J_force J_run J_offline J_offline_acceleration J_offline_force acceleration_ratio "
     "track_shift_ratio force_rms_n force_peak_n force_power_above_10_hz_n2 comfort valve_mean "
-    "valve_travel_per_km switching_per_s"
+    "valve_travel_per_km switching_per_s fallback_share"
 )
 
 
@@ -95,6 +104,7 @@ WORDS = {
     **{"controller": "skyhook-continuous", "asked": "J at least 10 % below the best", "range": "0.3 to 0.6"},
     **{"measured": "12.3 % (10.1 to 14.5)", "expected": "worn: critical speed 322 to 340 km/h", "id": "P10"},
     **{"by": "median", "gain": "current_minimum", "critical": "> 430", "short_commit": "0123456789ab+"},
+    **{"disturbance": "sensor biased, longitudinal_acceleration.front.left"},
     **{"environment": "training", "algorithm": "ppo", "sha256": "0" * 64, "verdict": "344 km/h " * 6},
 }
 FLAGS = {"holds": True, "stable": False, "cut": True}
@@ -123,6 +133,8 @@ HUGE |= {"track_shift_rms_n": 56789.0, "fraction": 1.0, "seconds": 36000.0, "ste
         tune.GAINS,
         tune.COSTS,
         calibrate.PARAMETERS,
+        robustness.OUTCOMES,
+        robustness._VERDICTS,
     ],
 )
 def test_a_table_fits_eighty_columns(columns: Sequence[Column]):
