@@ -382,7 +382,7 @@ def offline_along(rollout: Rollout, trip: Trip, settings: AssessmentConfig) -> f
         part = slice(max(a - around, 0), b + around)
         filtered = band_passed(signals[part], rate, distance[part], (first, last), settings)
         total += float(np.sum(filtered[a - part.start : b - part.start] ** 2))
-    return total / ((len(signals) - rollout.run_in) * signals.shape[1])
+    return float(total / ((len(signals) - rollout.run_in) * signals.shape[1]))
 
 
 def _parts(trip: Trip, first: float, last: float, settings: AssessmentConfig) -> list[tuple[float, float]]:

@@ -22,7 +22,7 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.envs.cost import charged
 from sayd_env.envs.draw import draw_episode
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.runs.along import line_rows
+from sayd_env.runs.along import Trip, line_rows
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PolicySpec, for_policy
@@ -116,6 +116,16 @@ class DrawnLines:
         drawn = {seed: draw_episode(environment, seed, 0).line for seed in config.seeds}
         return cls(environment, {seed: line for seed, line in drawn.items() if isinstance(line, Line)})
 
+    def check_length(self, seed: int, shortest: float) -> None:
+        """Refuse a line of which an episode runs over less than a length (m)."""
+        line, time = self.lines[seed], self.environment.episode_s
+        found = float(Trip(line, first_speed(line)).distance(time))
+        if found < shortest:
+            raise ConfigError(
+                f"lines: the line of seed {seed} is {found:.0f} m long after {time:g} s; "
+                f"expected {shortest:g} m or more, one segment of the spectrum"
+            )
+
 
 @dataclass(frozen=True)
 class ScenarioGrid:
@@ -155,9 +165,10 @@ class ScenarioGrid:
         drawn = None if config.lines is None else DrawnLines.of(config.lines)
         if drawn is not None:
             model, wheels = VehicleModel(scenario), cycle(config.wheels)
-            for line in drawn.lines.values():
+            for seed, line in drawn.lines.items():
                 for speed in (line.slowest, line.fastest):
                     model.check_speed(first_speed(line) if speed is None else speed)
+                drawn.check_length(seed, scenario.assessment.segment_length)
             conditions += [Condition(next(wheels), line=seed) for seed in drawn.lines]
         tracks = tuple(track.irregularity for track in config.tracks)
         return cls(config, environment, scenario, tuple(conditions), tracks, drawn)

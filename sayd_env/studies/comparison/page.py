@@ -65,13 +65,14 @@ _BESIDE = (
 )
 """Printed beside the scores of J on line."""
 _GAINS = (
-    Column("part", "on"),
+    Column("part"),
     Column("policy", "policy"),
     Column("filter"),
     Column("force_weight"),
     Column("controller", "below that of"),
-    *_estimate("geometric_reduction", "geom. mean by", unit="%", scale=100.0, digits=1),
-    *_estimate("reduction", "mean by", unit="%", scale=100.0, digits=1),
+    *_estimate("geometric_reduction", "by", unit="%", scale=100.0, digits=1),
+    Column("reduction", "mean by", unit="%", scale=100.0, digits=1),
+    *(Column(f"reduction_{end}", unit="%", scale=100.0, digits=1) for end in ("low", "high")),
     *_estimate("improvement", "P below", digits=2, wide=True),
 )
 _RELATIVE = (
@@ -126,9 +127,10 @@ class CompareResult(Comparison):
         print_table(console, title, _RELATIVE, _relative(self), wide=wide, section="part")
         learned = {each.name for each in self.entrants if each.learned}
         gains = [row for row in _own(_gains(self)) if row["policy"] in learned]
-        if gains:
-            title = "J of learned policies below the controllers' (95 %)"
-            print_table(console, title, _GAINS, gains, wide=wide, section="part")
+        for part in self.by_part if gains else ():
+            rows = [row for row in gains if row["part"] == part]
+            title = f"{part}: geometric and plain mean of J of learned policies below the controllers' (95 %)"
+            print_table(console, title, _GAINS, rows, wide=wide, section="policy")
         if self.targets:
             title = "learned policies: what was asked"
             print_table(console, title, _TARGETS, self.targets, wide=wide, section="policy")
