@@ -18,13 +18,16 @@ from __future__ import annotations
 from typing import Any
 
 from sayd_env.baselines.constant import Constant, Passive
+from sayd_env.baselines.hunting_schedule import HuntingSchedule
+from sayd_env.baselines.lqg import Lqg
 from sayd_env.baselines.mppt import Mppt
 from sayd_env.baselines.observation_layout import interface_of
 from sayd_env.baselines.perturb_observe import PerturbAndObserve
 from sayd_env.baselines.policy import Policy
 from sayd_env.baselines.safe import SAFE, SafeFallback
 from sayd_env.baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
-from sayd_env.config import ConfigError
+from sayd_env.baselines.speed_schedule import SpeedSchedule
+from sayd_env.config import ConfigError, packaged_names
 from sayd_env.config.control import controller_of, load_controller
 from sayd_env.config.explain import shown
 from sayd_env.envs.registration import policy_loader
@@ -41,11 +44,17 @@ _KINDS: dict[str, Any] = {
     "skyhook-continuous": ContinuousSkyhook,
     "mppt2-tuned": Mppt,
     "constant-tuned": Constant,
+    "speed-schedule": SpeedSchedule,
+    "speed-schedule-tuned": SpeedSchedule,
+    "hunting-schedule": HuntingSchedule,
+    "hunting-schedule-tuned": HuntingSchedule,
+    "lqg": Lqg,
+    "lqg-tuned": Lqg,
     "mppt1-estimate": Mppt,
     "mppt2-estimate": Mppt,
 }
-NAMES = tuple(_KINDS)
-"""Controllers that `make` knows."""
+NAMES = tuple(name for name in _KINDS if name in ("passive", *packaged_names("control")))
+"""Controllers that `make` knows: those whose parameters come with the program."""
 
 
 def make(name: str, env_or_spec: Any, **parameters: Any) -> Any:

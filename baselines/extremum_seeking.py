@@ -9,63 +9,36 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.baselines.policy import BogiePolicy
-from sayd_env.baselines.rms_meter import CURRENTS, Readings, make_rms_meter
-from sayd_env.config.control import BogieCostConfig
+from sayd_env.baselines.policy import Flags
+from sayd_env.baselines.rms_meter import CURRENTS
+from sayd_env.baselines.second_by_second import Measured, SecondBySecond
+from sayd_env.config.control import ExtremumConfig
 from sayd_env.config.units import Array
-from sayd_env.envs.interface import BOGIES, DAMPERS, Interface, RunIn
+from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
 
-CostParameters = TypeVar("CostParameters", bound=BogieCostConfig)
+SeekingParameters = TypeVar("SeekingParameters", bound=ExtremumConfig)
 
 
 @dataclass
-class Search:
+class Search(Measured):
     """State of n vehicles' controllers, two bogies each."""
 
-    readings: Readings
-    command: Array
-    """(n, 2) valve commands V."""
     cost: Array
     """(n, 2) J of the last second; NaN before there is one."""
     direction: Array
     """(n, 2) of the last move of V, +1 or -1; only for controllers that use it."""
 
 
-class ExtremumSeeking(BogiePolicy[CostParameters, Search]):
+class ExtremumSeeking(SecondBySecond[SeekingParameters, Search]):
     """A controller that changes its bogie's command once a second, by J of eq. (27)."""
 
-    def __init__(self, name: str, interface: Interface, parameters: CostParameters) -> None:
-        self._meter = make_rms_meter(name, interface, parameters)
-        self._reads_currents = parameters.initial is None
-        sensors = self._meter.sensors + (CURRENTS if self._reads_currents else ())
-        super().__init__(name, interface, parameters, sensors)
+    def __init__(self, name: str, interface: Interface, parameters: SeekingParameters) -> None:
+        super().__init__(name, interface, parameters, CURRENTS if parameters.initial is None else ())
 
     def costs(self, rms: Array) -> Array:
         """J of eq. (27) of RMS values of acceleration (m/s2) and force (N), shape (..., 2)."""
-        scale = np.array([self.interface.acceleration_limit, self.interface.force_reference])
-        weights = np.array([self.parameters.k_y, self.parameters.k_F])
-        return np.asarray((rms / scale) ** 2 @ weights)
-
-    def listen(self, run_in: RunIn) -> Search | None:
-        """State at step 0 of controllers that ran during the run-in: filters and f_0 include it.
-
-        Parameters
-        ----------
-        run_in : RunIn
-            What the vehicles observed before step 0.
-
-        Returns
-        -------
-        Search or None
-            For the first call of `predict`; None if there was no run-in.
-        """
-        if not len(run_in.observations):
-            return None
-        rows = run_in.observations[:, :, self._columns].astype(np.float64)
-        state = self._begin(rows[-1])
-        # The last observation is that of the reset: `predict` gets it.
-        self._meter.listen(state.readings, rows[:-1], run_in.begins)
-        return state
+        acceleration, force = self.parts(rms)
+        return acceleration + force
 
     @abstractmethod
     def _move(self, command: Array, previous: Array, cost: Array, rms: Array, direction: Array) -> Array:
@@ -78,9 +51,6 @@ class ExtremumSeeking(BogiePolicy[CostParameters, Search]):
     def _first_direction(self) -> float:
         return -1.0
 
-    def _count(self, state: Search) -> int:
-        return len(state.command)
-
     def _begin(self, rows: Array) -> Search:
         return Search(
             readings=self._meter.begin(rows),
@@ -90,8 +60,7 @@ class ExtremumSeeking(BogiePolicy[CostParameters, Search]):
         )
 
     def _restart(self, state: Search, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
-        for vehicle in vehicles:
-            self._meter.restart(state.readings, rows, int(vehicle))
+        super()._restart(state, rows, vehicles)
         state.command[vehicles] = self._initial(rows[vehicles])
         state.cost[vehicles] = np.nan
         state.direction[vehicles] = self._first_direction()
@@ -102,13 +71,9 @@ class ExtremumSeeking(BogiePolicy[CostParameters, Search]):
         currents = rows[:, -len(CURRENTS) :].reshape(-1, len(BOGIES), len(DAMPERS)).mean(axis=2)
         return np.asarray(np.clip(currents, self.parameters.v_min, 1.0))
 
-    def _command_bogies(self, state: Search, rows: Array) -> Array:
-        if self._meter.measure(state.readings, rows):
-            ended = self._meter.ended(state.readings)
-            rms = state.readings.rms[ended]
-            cost, direction = self.costs(rms), state.direction[ended]
-            moved = self._move(state.command[ended], state.cost[ended], cost, rms[:, :, 0], direction)
-            state.command[ended] = np.clip(moved, self.parameters.v_min, 1.0)
-            state.cost[ended] = cost
-            state.direction[ended] = direction
-        return state.command
+    def _decide(self, state: Search, ended: Flags, rms: Array, rows: Array) -> None:
+        cost, direction = self.costs(rms), state.direction[ended]
+        moved = self._move(state.command[ended], state.cost[ended], cost, rms[:, :, 0], direction)
+        state.command[ended] = np.clip(moved, self.parameters.v_min, 1.0)
+        state.cost[ended] = cost
+        state.direction[ended] = direction

@@ -103,9 +103,29 @@ class InverseDamper:
         ndarray
             Currents between `closed` and `open`.
         """
-        out = np.empty_like(rate)
+        out = np.empty(rate.shape)  # in C order, whatever that of the rates: its flat form must be itself
         _currents(self._tables, rate.ravel(), share.ravel(), out.ravel())
         return out
+
+    def for_forces(self, rate: Array, force: Array) -> Array:
+        """Currents at which the damper pulls with a force at a stroke rate, as far as it can.
+
+        It resists motion: where the force would drive it, the valve opens; where it is more than the closed
+        damper's, it closes.
+
+        Parameters
+        ----------
+        rate, force : ndarray
+            Stroke rates (m/s), positive for a damper that grows longer, and tensions (N).
+
+        Returns
+        -------
+        ndarray
+            Currents between `closed` and `open`.
+        """
+        most = np.interp(np.abs(rate), self._tables.rate, self._tables.force)
+        share = np.divide(np.abs(force), most, out=np.ones_like(most), where=most > 0.0)
+        return self.currents(rate, np.where(force * rate >= 0.0, share, 0.0))
 
 
 def _tank_over_drop(damper: SaydDamperConfig) -> tuple[Array, Array]:

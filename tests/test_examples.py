@@ -61,26 +61,6 @@ def test_j_is_minus_the_return_a_second(judge: ModuleType) -> None:
     assert scaled == pytest.approx(found, rel=1e-12)
 
 
-def test_lqg_knows_the_vehicle_and_asks_for_what_dampers_can_do(judge: ModuleType) -> None:
-    lqg = importlib.import_module("lqg")
-    env = gym.make_vec(lqg.ID, num_envs=2, **lqg.KEYWORDS)
-    policy = lqg.make(env.unwrapped.interface)
-    seen, _ = env.reset(seed=judge.SEED)
-    memory, commands, estimates, strokes = None, [], [], []
-    for _ in range(300):
-        action, memory = policy.predict(seen, memory)
-        commands.append(action)
-        estimates.append(memory[0] @ policy.c[4:6].T)
-        strokes.append(lqg._yaw(seen[:, policy.columns["stroke"]]) - memory[1])
-        seen = env.step(action)[0]
-    assert np.min(commands) >= 0.0
-    assert np.max(commands) <= lqg.WIDEST + 1e-6
-    assert np.std(commands) > 0.0
-    # A Kalman filter that does not know the vehicle loses it: its strokes would not be those of the dampers.
-    late = [np.array(values)[100:].ravel() for values in (estimates, strokes)]
-    assert np.corrcoef(*late)[0, 1] > 0.8
-
-
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.[pi][yp]*")), ids=lambda path: path.name)
 def test_the_list_names_every_example_once(path: Path) -> None:
     page = (EXAMPLES / "README.md").read_text(encoding="utf-8")

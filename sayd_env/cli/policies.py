@@ -355,7 +355,9 @@ def policies() -> Plan:
 
 @command(GROUP, "mppt2 --quick", runs=True, without=("wide",))
 def tune(
-    controller: Literal["mppt2", "constant"] = argument("CONTROLLER", "mppt2 or constant."),
+    controller: Literal["constant", "speed-schedule", "mppt2", "hunting-schedule", "lqg"] = argument(
+        "CONTROLLER", "constant, speed-schedule, mppt2, hunting-schedule or lqg."
+    ),
     *,
     config: options.Config = None,
     assignments: options.Set = None,
@@ -367,14 +369,15 @@ def tune(
     out: Path | None = output("--out DIR", options.out_text("tune-CONTROLLER", quick=True)),
     as_json: options.Json = False,
 ) -> Plan:
-    """Find the gains of a controller with the smallest mean J over a list of scenarios.
+    """Find the gains of a controller with the smallest mean J over a list of scenarios and lines.
 
     The list, the ranges and the budget are those of configs/study/tuning.yaml (--config, --set); J has the
-    weights of MPPT2 (--set reward=low-force). mppt2: differential evolution, then COBYQA, about ten minutes;
-    constant: Brent's search, a minute or two; --quick takes a few scenarios and evaluations.
+    weights of MPPT2 (--set reward=low-force). constant: Brent's search, some three minutes; the others:
+    differential evolution, then COBYQA, six to eleven minutes; --quick takes a few scenarios and evaluations.
+    The simulated time is told beside that of one PPO training.
 
     The result is a file of parameters that --policies takes like a name, for example
-    results/tune-mppt2/mppt2-tuned.yaml; the packaged mppt2-tuned and constant-tuned were found so.
+    results/tune-mppt2/mppt2-tuned.yaml; the packaged controllers with names in -tuned were found so.
     Evaluations are kept in the output directory: an interrupted tuning goes on where it stopped.
     """
     from sayd_env.config.storage import write_file  # noqa: PLC0415 - keeps --help fast

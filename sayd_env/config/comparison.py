@@ -15,7 +15,9 @@ from pydantic import Field, field_validator, model_validator
 from sayd_env.config.base import Model, Number, quantity
 from sayd_env.config.limits import LIMITS
 from sayd_env.config.loader import read_study
-from sayd_env.config.track import IrregularityConfig, check_track, read_irregularity
+from sayd_env.config.map import MapWheel
+from sayd_env.config.scenario import Scenario
+from sayd_env.config.track import IrregularityConfig, TrackClass, check_track, read_irregularity
 
 HELD_OUT = "heldout"
 """Name of the packaged comparison."""
@@ -65,6 +67,38 @@ class ComparedTrack(Model):
         return own if self.scale is None else own.model_copy(update={"scale": self.scale})
 
 
+class ComparedWheels(MapWheel):
+    """Wheels on a track gauge: together they make the conicity."""
+
+    gauge: float | None = quantity(
+        "m",
+        "Track gauge; null: the study's",
+        default=None,
+        ge=LIMITS["gauge"].low,
+        le=LIMITS["gauge"].high,
+    )
+
+    def under(self, scenario: Scenario) -> Scenario:
+        """A scenario on these wheels and this gauge."""
+        gauge = scenario.track.gauge if self.gauge is None else self.gauge
+        track = scenario.track.model_copy(update={"gauge": gauge})
+        wheel = self.of(scenario.wheel)
+        return scenario.model_copy(update={"wheel": wheel, "wear": self.wear, "track": track})
+
+
+class ComparedLines(Model):
+    """Lines that an environment draws, on tracks of their own."""
+
+    environment: str = Field(min_length=1, description="Environment with `lines`: a name or a path")
+    seeds: tuple[Seed, ...] = Field(
+        min_length=1,
+        description="Of the lines; each has the next of `wheels`, and all of the seeds run on it",
+    )
+    tracks: tuple[TrackClass, ...] = Field(min_length=1, description="In place of the lines' own")
+
+    _seeds = field_validator("seeds")(_distinct)
+
+
 class CriticalSpeedConfig(Model):
     """Where the critical speed of EN 14363 is searched."""
 
@@ -87,16 +121,20 @@ class BootstrapConfig(Model):
 
 
 class ComparisonConfig(Model):
-    """A comparison. Its scenarios are all combinations of tracks, speeds, wear, friction and seeds."""
+    """A comparison.
+
+    Its scenarios are all combinations of tracks, speeds, wheels, friction and seeds, and of lines and seeds.
+    """
 
     description: str = ""
     environment: str = Field(min_length=1, description="Name of an environment, or a path to its YAML file")
     length: float = quantity("m", "Assessed length of a run", gt=0.0, le=100e3)
     tracks: tuple[ComparedTrack, ...] = Field(min_length=1)
     speeds_kmh: tuple[Number, ...] = Field(min_length=1, description="Speeds (km/h), rising")
-    wear: tuple[Share, ...] = Field(min_length=1, description="Wear of the treads (-)")
+    wheels: tuple[ComparedWheels, ...] = Field(min_length=1, description="Wheels and gauges")
     friction: tuple[Number, ...] = Field(min_length=1, description="Coefficients of friction (-)")
     seeds: tuple[Seed, ...] = Field(min_length=1, description="Of tracks, tolerances and sensor errors")
+    lines: ComparedLines | None = Field(None, description="Lines beside them; null: none")
     initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
     critical_speed: CriticalSpeedConfig
     constants: tuple[Share, ...] = Field(
@@ -109,7 +147,16 @@ class ComparisonConfig(Model):
     bootstrap: BootstrapConfig
 
     _speeds = field_validator("speeds_kmh")(_rising)
-    _once = field_validator("wear", "seeds", "constants")(_distinct)
+    _once = field_validator("seeds", "constants")(_distinct)
+
+    @field_validator("wheels")
+    @classmethod
+    def _named_once(cls, wheels: tuple[ComparedWheels, ...]) -> tuple[ComparedWheels, ...]:
+        names = [each.name for each in wheels]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"'{name}' is a duplicate")
+        return wheels
 
     @field_validator("friction")
     @classmethod
@@ -140,5 +187,8 @@ def load_comparison(name: str = HELD_OUT, overrides: Iterable[str] = ()) -> Comp
     ConfigError
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
-    references = "environment", "critical_speed.study", "tracks.*.name"
+    references = (
+        *("environment", "critical_speed.study", "tracks.*.name", "wheels.*.profile"),
+        *("lines.environment", "lines.tracks.*.name"),
+    )
     return read_study(ComparisonConfig, name, overrides, *references)

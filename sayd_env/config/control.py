@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, Part, Provenance, quantity
+from sayd_env.config.base import Model, Number, Part, Provenance, quantity
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin, nearest, shown
 from sayd_env.config.layers import Kind, layered, read_layered
@@ -60,14 +61,10 @@ class ConstantConfig(Part):
 
 
 class BogieCostConfig(Part):
-    """What a controller that minimises J, eq. (27), measures on its bogie, and the range of its command."""
+    """What a controller measures on its bogie of J, eq. (27)."""
 
     k_y: float = quantity("-", "k_y of eq. (27), weight of the acceleration", ge=0.0)
     k_F: float = quantity("-", "k_F of eq. (27), weight of the force; 0: no pressure is read", ge=0.0)
-    v_min: float = quantity("-", "V_min, smallest valve command", ge=0.0, le=1.0)
-    initial: float | None = quantity(
-        "-", "Valve command of the first second; null: the fed-back current at the start", ge=0.0, le=1.0
-    )
     accelerometer: Literal["leading", "trailing"] = Field(
         description="Wheelset above which the bogie frame's lateral acceleration is measured"
     )
@@ -79,7 +76,16 @@ class BogieCostConfig(Part):
     )
 
 
-class MpptConfig(BogieCostConfig):
+class ExtremumConfig(BogieCostConfig):
+    """Range and start of the command of a controller that seeks the smallest J."""
+
+    v_min: float = quantity("-", "V_min, smallest valve command", ge=0.0, le=1.0)
+    initial: float | None = quantity(
+        "-", "Valve command of the first second; null: the fed-back current at the start", ge=0.0, le=1.0
+    )
+
+
+class MpptConfig(ExtremumConfig):
     """The paper's MPPT, eq. (27) to (31)."""
 
     k_J: float = quantity("-", "k_J of eq. (29), gain on the relative rise of J", ge=0.0, le=1.0)
@@ -98,7 +104,7 @@ class MpptConfig(BogieCostConfig):
         return self
 
 
-class PerturbObserveConfig(BogieCostConfig):
+class PerturbObserveConfig(ExtremumConfig):
     """Perturb and observe: step the command, observe J, reverse where it rises."""
 
     step: float = quantity("-", "Change of the valve command in a second", gt=0.0, le=1.0)
@@ -125,12 +131,94 @@ class SkyhookConfig(Part):
         return self
 
 
+class _OverSpeed(Model):
+    """A table over speed."""
+
+    speeds_kmh: tuple[Number, ...] = Field(
+        min_length=1,
+        description="Rising speeds of the table (km/h); beyond its ends the outer values stay",
+    )
+    commands: tuple[Annotated[Number, Field(ge=0.0, le=1.0)], ...] = Field(
+        description="Valve command V at each of them (-)"
+    )
+
+    def _columns(self) -> dict[str, tuple[float, ...]]:
+        return {"commands": self.commands}
+
+    @model_validator(mode="after")
+    def _one_for_each_speed(self) -> Self:
+        if any(a >= b for a, b in pairwise(self.speeds_kmh)):
+            raise ValueError("speeds_kmh must rise")
+        for name, values in self._columns().items():
+            if len(values) != len(self.speeds_kmh):
+                raise ValueError(f"{name}: found {len(values)} values for {len(self.speeds_kmh)} speeds")
+        return self
+
+
+class SpeedScheduleConfig(Part, _OverSpeed):
+    """A valve command over speed, linear between the speeds of a table."""
+
+
+class HuntingScheduleConfig(BogieCostConfig, _OverSpeed):
+    """A valve command over speed, corrected by what a bogie's hunting weighs beside its dampers' force."""
+
+    balances: tuple[Number, ...] = Field(
+        description="Wanted logarithm of (k_y psi_y^2 / y_lim^2) / (k_F psi_F^2 / F_max^2) at each speed (-)"
+    )
+    gain: float = quantity(
+        "-", "Closing of the valve in a second for a balance too high by 1", ge=0.0, le=1.0
+    )
+    v_min: float = quantity("-", "Smallest valve command", ge=0.0, le=1.0)
+    v_max: float = quantity("-", "Largest valve command", ge=0.0, le=1.0)
+
+    def _columns(self) -> dict[str, tuple[float, ...]]:
+        return {**super()._columns(), "balances": self.balances}
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.v_min >= self.v_max:
+            raise ValueError(f"v_min {self.v_min:g} must be below v_max {self.v_max:g}")
+        if self.k_y == 0.0 or self.k_F == 0.0:
+            raise ValueError("k_y and k_F must be positive: the command follows the ratio of their parts")
+        return self
+
+
+class LqgConfig(Part):
+    """LQG on the linearised vehicle, clipped to what the dampers can do."""
+
+    study: str = Field(min_length=1, description="Vehicle that is linearised: a packaged study, or a path")
+    speeds_kmh: tuple[Annotated[Number, Field(gt=0.0)], ...] = Field(
+        min_length=1,
+        description="Rising speeds of the designs (km/h), between which wanted forces are blended",
+    )
+    stroke_speed: float = quantity("m/s", "RMS of the stroke rate at which dampers are linearised", gt=0.0)
+    shifts: tuple[Annotated[Number, Field(gt=0.0)], ...] = Field(
+        min_length=1,
+        description="RMS of the wheelsets' shift at which contact is linearised (m): the first with a stable "
+        "vehicle",
+    )
+    corner: float = quantity("Hz", "From which the irregularities' density falls with f^2", gt=0.0)
+    states: int = quantity("-", "States of the reduced vehicle", ge=2, le=200)
+    force_weight: float = quantity("-", "k_F of the cost that the regulator minimises, at k_y = 1", ge=0.0)
+    force_penalty: float = quantity("-", "Weight of the force added to a closed damper's, over F_max", gt=0.0)
+    noise: float = quantity("-", "Errors of the sensors, over the RMS of what they read", gt=0.0)
+    widest: float = quantity("-", "Largest valve command", gt=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _rising(self) -> Self:
+        if any(a >= b for a, b in pairwise(self.speeds_kmh)):
+            raise ValueError("speeds_kmh must rise")
+        return self
+
+
 class TunedProvenance(Provenance):
     """Where the gains of a tuned controller come from."""
 
     command: str = Field(min_length=1, description="Command that found them")
     scenarios: str = Field(min_length=1, description="Scenarios on which they were assessed")
     evaluations: int = quantity("-", "Sets of gains that were tried", ge=1)
+    simulated_s: float | None = quantity("s", "Time that they were simulated", default=None, gt=0.0)
+    mean: Literal["geometric", "arithmetic"] = Field("arithmetic", description="Which mean of J was small")
     J_before: float = quantity("-", "Mean J of the controller that was tuned", gt=0.0)
     J_after: float = quantity("-", "Mean J with these gains", gt=0.0)
     commit: str | None = Field(description="State of the software, git; null: unknown")
@@ -148,7 +236,34 @@ class TunedMpptConfig(MpptConfig):
     provenance: TunedProvenance
 
 
-ControllerConfig = PassiveControlConfig | ConstantConfig | MpptConfig | PerturbObserveConfig | SkyhookConfig
+class TunedSpeedScheduleConfig(SpeedScheduleConfig):
+    """The best table over speed."""
+
+    provenance: TunedProvenance
+
+
+class TunedHuntingScheduleConfig(HuntingScheduleConfig):
+    """The best table over speed with its best correction."""
+
+    provenance: TunedProvenance
+
+
+class TunedLqgConfig(LqgConfig):
+    """LQG with the weights of the smallest J."""
+
+    provenance: TunedProvenance
+
+
+ControllerConfig = (
+    PassiveControlConfig
+    | ConstantConfig
+    | MpptConfig
+    | PerturbObserveConfig
+    | SkyhookConfig
+    | SpeedScheduleConfig
+    | HuntingScheduleConfig
+    | LqgConfig
+)
 
 CONTROLLERS: dict[str, type[ControllerConfig]] = {
     "passive": PassiveControlConfig,
@@ -160,6 +275,12 @@ CONTROLLERS: dict[str, type[ControllerConfig]] = {
     "skyhook-continuous": SkyhookConfig,
     "mppt2-tuned": TunedMpptConfig,
     "constant-tuned": TunedConstantConfig,
+    "speed-schedule": SpeedScheduleConfig,
+    "speed-schedule-tuned": TunedSpeedScheduleConfig,
+    "hunting-schedule": HuntingScheduleConfig,
+    "hunting-schedule-tuned": TunedHuntingScheduleConfig,
+    "lqg": LqgConfig,
+    "lqg-tuned": TunedLqgConfig,
     "mppt1-estimate": MpptConfig,
     "mppt2-estimate": MpptConfig,
 }
@@ -192,7 +313,7 @@ def load_controller(name: str, parameters: Mapping[str, Any] | None = None) -> C
     name : str
         One of `CONTROLLERS`, or the path of a YAML file that is named after one: ``own/mppt2.yaml``.
     parameters : mapping, optional
-        Values that replace those of the file.
+        Values that replace those of the file; ``commands.2`` is the third one of a list.
 
     Raises
     ------
@@ -207,4 +328,28 @@ def load_controller(name: str, parameters: Mapping[str, Any] | None = None) -> C
         return PassiveControlConfig()
     draft = layered(CONTROL, name)
     origins = (*draft.origins, *(Origin((key,), f"controller '{controller}'") for key in given))
-    return validate(CONTROLLERS[controller], draft.data | given, draft.source, origins)
+    return validate(CONTROLLERS[controller], _replaced(draft.data, given), draft.source, origins)
+
+
+def gains_of(config: ControllerConfig) -> dict[str, Any]:
+    """Parameters of a controller by name, those of lists one by one: ``commands.2``."""
+    found: dict[str, Any] = {}
+    for name, value in config.model_dump().items():
+        found |= {f"{name}.{k}": each for k, each in enumerate(value)} if isinstance(value, tuple) else {}
+        found[name] = value
+    return found
+
+
+def _replaced(data: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Data of a file with other values; those of a list are replaced in it."""
+    found = dict(data)
+    for name, value in given.items():
+        key, dot, place = name.partition(".")
+        values = found.get(key)
+        if not dot or not isinstance(values, list | tuple) or not place.isdecimal():
+            found[name] = value
+        elif int(place) >= len(values):
+            raise ConfigError(f"'{name}': the list '{key}' has {len(values)} values")
+        else:
+            found[key] = [*values[: int(place)], value, *values[int(place) + 1 :]]
+    return found

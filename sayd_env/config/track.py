@@ -113,6 +113,40 @@ class ChinaDensityConfig(Model):
     gauge: PowerLawConfig
 
 
+class BrokenLawConfig(Model):
+    """Roughness and cut-offs of one channel of an American spectrum."""
+
+    roughness: float = quantity("m2 times the unit of the wavenumber", "A", gt=0)
+    lower: float = quantity("unit of the wavenumber", "lower cut-off l", ge=0)
+    upper: float = quantity("unit of the wavenumber", "upper cut-off u", gt=0)
+
+
+class AmericanDensityConfig(Model):
+    r"""Densities of American track, one-sided over a wavenumber :math:`\kappa` in cycles/m or rad/m.
+
+    Alignment and vertical :math:`A u^2 (\kappa^2+l^2) / (\kappa^4 (\kappa^2+u^2))`, cross-level (a height)
+    and gauge :math:`A u^2 / ((\kappa^2+l^2)(\kappa^2+u^2))`: Hamid, Rasmussen, Baluja and Yang (1983). The
+    form of Garg and Dukkipati (1984), :math:`k A_v \Omega_c^2 / (\Omega^2 (\Omega^2+\Omega_c^2))` and
+    :math:`4 k A_v \Omega_c^2 / ((\Omega^2+\Omega_c^2)(\Omega^2+\Omega_s^2))`, is that of l = 0 and of
+    :math:`l = \Omega_s`.
+    """
+
+    type: Literal["american"]
+    wavenumber: Literal["cycles/m", "rad/m"] = Field(description="unit of the wavenumber")
+    cross_level_base: float = quantity("m", "distance over which the cross-level's height is measured", gt=0)
+    alignment: BrokenLawConfig
+    vertical: BrokenLawConfig
+    cross_level: BrokenLawConfig = Field(description="of the difference in height of the rails")
+    gauge: BrokenLawConfig
+
+    @model_validator(mode="after")
+    def _cut_off_below(self) -> Self:
+        for name in ("cross_level", "gauge"):
+            if getattr(self, name).lower == 0.0:
+                raise ValueError(f"{name}.lower must be positive: its variance has no end without")
+        return self
+
+
 class SpectrumConfig(_Irregularity):
     """Random irregularities of given power spectral densities, within a band of wavelengths."""
 
@@ -120,7 +154,9 @@ class SpectrumConfig(_Irregularity):
     wavelength_min: float = quantity("m", "shortest wavelength", gt=0)
     wavelength_max: float = quantity("m", "longest wavelength", gt=0, le=1000)
     levels: LevelsConfig = LevelsConfig()
-    density: Annotated[GermanDensityConfig | ChinaDensityConfig, Field(discriminator="type")]
+    density: Annotated[
+        GermanDensityConfig | ChinaDensityConfig | AmericanDensityConfig, Field(discriminator="type")
+    ]
 
     @model_validator(mode="after")
     def _band_is_not_empty(self) -> SpectrumConfig:

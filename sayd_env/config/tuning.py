@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from sayd_env.config.base import Model, Number, quantity
-from sayd_env.config.control import CONTROLLERS, load_controller
+from sayd_env.config.control import CONTROLLERS, gains_of, load_controller
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
 from sayd_env.config.loader import read_study
@@ -20,10 +21,28 @@ Gains = Mapping[str, float]
 class TuningScenario(Model):
     """Conditions of one run; everything else is drawn from its seed as the environment has it."""
 
+    profile: str | None = Field(
+        None, min_length=1, description="Wheel profile, as an episode's option; null: drawn"
+    )
     speed_kmh: float = quantity("km/h", "Speed", gt=0.0)
     wear: float = quantity("-", "Wear of the treads, 0 new, 1 worn", ge=0.0, le=1.0)
     friction: float = quantity("-", "Coefficient of friction", gt=0.0, le=1.0)
     seed: int = Field(description="Seed of everything else", ge=0, strict=True)
+
+    @property
+    def case(self) -> dict[str, Any]:
+        """The seed, and the options of its episode."""
+        return {name: value for name, value in self.model_dump().items() if value is not None}
+
+
+class TunedLines(Model):
+    """Lines, on which everything is drawn from the seeds."""
+
+    environment: str = Field(min_length=1, description="Environment with `lines`: a packaged name or a path")
+    seeds: tuple[Annotated[int, Field(strict=True, ge=0)], ...] = Field(
+        min_length=1, description="Of their episodes 0"
+    )
+    episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
 
 
 class GainRange(Model):
@@ -86,8 +105,8 @@ class ControllerTuning(Model):
             raise ValueError(
                 f"the local search of {len(self.gains)} gains needs {len(self.gains) + 2} evaluations or none"
             )
-        if len(self.gains) == 1 and self.search:
-            raise ValueError("one gain is found by the local search alone: leave out search")
+        if len(self.gains) == 1 and self.search in (1, 2):
+            raise ValueError("the global search of one gain needs three evaluations or none")
         if self.population < 1 + len(self.guesses):
             raise ValueError(f"the population of {self.population} is too small for all guesses")
 
@@ -114,6 +133,7 @@ class QuickTuning(Model):
     """Budget of a quick run."""
 
     scenarios: int = quantity("-", "Scenarios, spread over the list", ge=1)
+    lines: int = quantity("-", "Number of the first lines", ge=0)
     search: int = quantity("-", "Evaluations of the global search", ge=5)
     population: int = quantity("-", "Points of a generation", ge=5)
     polish: int = quantity("-", "Evaluations of the local search", ge=0)
@@ -127,20 +147,15 @@ class TuningConfig(Model):
     episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
     reward: RewardName = Field(None, description="Weights of J, by name; null: the study's")
     initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
+    mean: Literal["geometric", "arithmetic"] = Field(
+        "geometric", description="Mean of J over scenarios and lines that is to be small"
+    )
     digits: int = quantity("-", "Decimal places of a gain", ge=1, le=12)
     references: tuple[str, ...] = Field((), description="Policies that are also run on the list")
     scenarios: tuple[TuningScenario, ...] = Field(min_length=1)
+    lines: TunedLines | None = Field(None, description="Lines beside them; null: none")
     controllers: dict[str, ControllerTuning] = Field(min_length=1)
     quick: QuickTuning
-
-    @field_validator("scenarios")
-    @classmethod
-    def _once(cls, scenarios: tuple[TuningScenario, ...]) -> tuple[TuningScenario, ...]:
-        seeds = [scenario.seed for scenario in scenarios]
-        for seed in seeds:
-            if seeds.count(seed) > 1:
-                raise ValueError(f"the seed {seed} is a duplicate")
-        return scenarios
 
     @field_validator("controllers")
     @classmethod
@@ -148,7 +163,7 @@ class TuningConfig(Model):
         for name, tuning in controllers.items():
             if name not in CONTROLLERS:
                 raise ValueError(f"unknown controller '{name}'{nearest(name, CONTROLLERS)}")
-            known = CONTROLLERS[name].model_fields
+            known = gains_of(load_controller(name))
             for gain in tuning.gains:
                 if gain not in known:
                     raise ValueError(f"{name}: unknown gain '{gain}'{nearest(gain, known)}")
@@ -159,6 +174,14 @@ class TuningConfig(Model):
                 except ConfigError as error:
                     raise ValueError(f"an end of the ranges is not allowed: {error}") from None
         return controllers
+
+    @model_validator(mode="after")
+    def _other_seeds(self) -> TuningConfig:
+        seeds = [*(each.seed for each in self.scenarios), *(self.lines.seeds if self.lines else ())]
+        for seed in seeds:
+            if seeds.count(seed) > 1:
+                raise ValueError(f"the seed {seed} is a duplicate")
+        return self
 
     def of(self, controller: str) -> ControllerTuning:
         """Search for a controller's gains.
@@ -181,12 +204,22 @@ class TuningConfig(Model):
         searches = {
             name: tuning.model_copy(
                 update={"polish": min(tuning.polish, self.quick.polish), "population": self.quick.population}
-                | ({"search": self.quick.search, "polish": 0} if len(tuning.gains) > 1 else {})
+                | ({"search": self.quick.search, "polish": 0} if len(tuning.gains) > 1 else {"search": 0})
             )
             for name, tuning in self.controllers.items()
         }
         kept = self.scenarios[every - 1 :: every][: self.quick.scenarios]
-        return self.model_copy(update={"scenarios": kept, "controllers": searches})
+        lines = self.lines
+        if lines is not None:
+            seeds = lines.seeds[: self.quick.lines]
+            lines = lines.model_copy(update={"seeds": seeds}) if seeds else None
+        return self.model_copy(update={"scenarios": kept, "lines": lines, "controllers": searches})
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time of one evaluation (s), without run-ins, which are made once."""
+        lines = 0.0 if self.lines is None else len(self.lines.seeds) * self.lines.episode_s
+        return len(self.scenarios) * self.episode_s + lines
 
 
 def load_tuning(name: str = "tuning", overrides: Iterable[str] = ()) -> TuningConfig:
@@ -197,4 +230,4 @@ def load_tuning(name: str = "tuning", overrides: Iterable[str] = ()) -> TuningCo
     ConfigError
         A file, key or value that cannot be used.
     """
-    return read_study(TuningConfig, name, overrides, "environment")
+    return read_study(TuningConfig, name, overrides, "environment", "lines.environment")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from sayd_env.config.conditions import Line
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.line import LineConfig
 from sayd_env.config.scenario import CostConfig, Scenario
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs.cost import charged, squares
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.loop import (
@@ -27,18 +28,23 @@ from sayd_env.envs.loop import (
     LOG_FILTERED,
     LOG_FORCE,
     LOG_HYDRAULIC,
+    LOG_TRACK_SHIFT,
     PEAK_QUOTIENT,
     PEAK_TRACK_SHIFT,
 )
 from sayd_env.envs.rollout import Rollout
 from sayd_env.envs.trace import WHEEL_VERTICAL
+from sayd_env.envs.vehicle import model_limits
 from sayd_env.measured.lines import load_line
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.runs.controlled import refuse_divergence
-from sayd_env.runs.policies import PolicySpec, for_policy
+from sayd_env.runs.context import RunContext
+from sayd_env.runs.controlled import high_frequency_power, refuse_divergence
+from sayd_env.runs.metrics import OVER_THE_LENGTH, Row, band_passed, use_of
+from sayd_env.runs.policies import PASSIVE, PolicySpec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
 from sayd_env.stability import assess
+from sayd_env.stability.comfort import BLOCK, mean_comfort
 from sayd_env.stability.signals import sliding_rms
 
 _WHEEL_LOADS = range(WHEEL_VERTICAL, WHEEL_VERTICAL + LANES)
@@ -272,6 +278,121 @@ def line_record(run: Run, rollout: Rollout) -> LineRecord:
         **_running(run, rollout, trip),
         ending=rollout.ending,
     )
+
+
+def line_rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:
+    """Make runs along lines, or take them from the cache, and judge each as a whole.
+
+    A run is as long as its environment's episode. `what` names the runs where progress is reported.
+
+    Raises
+    ------
+    ConfigError
+        A policy that does not fit.
+    StudyError
+        A run that diverged.
+    """
+    found = context.records(judged_along, runs, Row, what)
+    return [replace(row, policy=run.policy.title) for run, row in zip(runs, found, strict=True)]
+
+
+def judged_along(runs: list[Run]) -> list[Row]:
+    """Make runs along lines that are companions, and judge each as a whole."""
+    rollouts = roll_out_runs(runs, episode=True)
+    return [whole_row(run, rollout) for run, rollout in zip(runs, rollouts, strict=True)]
+
+
+def whole_row(run: Run, rollout: Rollout) -> Row:
+    """Judge a run along a line as a whole.
+
+    J off line is the mean over time of that of the sections, each with the dominant frequency of its own. The
+    ratios are the largest ones of straight parts as long as a segment of the spectrum; 0 without any.
+
+    Raises
+    ------
+    StudyError
+        The simulation diverged.
+    """
+    assert run.line is not None
+    if rollout.ending is not None:
+        refuse_divergence(rollout)
+        over_the_length = dict.fromkeys(OVER_THE_LENGTH, math.inf)
+    else:
+        over_the_length = _over_the_line(run, rollout)
+    cost = rollout.episode_cost(run.environment, run.scenario)
+    time = len(rollout.terms) * rollout.control_period
+    distance = float(Trip(run.line, run.speed).distance(time))
+    passive = run.policy.name == PASSIVE
+    return Row(
+        policy=run.policy.title,
+        speed_kmh=round(run.speed * KMH, 6),
+        wear=run.scenario.wear,
+        friction=run.scenario.friction,
+        seed=rollout.episode.seed,
+        J=cost.total,
+        J_acceleration=cost.acceleration,
+        J_force=cost.force,
+        **over_the_length,
+        **({} if passive else use_of(rollout.actions, rollout.control_period, distance, rollout.intervened)),
+        ending=rollout.ending,
+        duration_s=time,
+    )
+
+
+def _over_the_line(run: Run, rollout: Rollout) -> dict[str, float]:
+    assert run.line is not None
+    scenario, trip, rate = run.scenario, Trip(run.line, run.speed), rollout.sample_rate
+    bounds = model_limits(VehicleModel(scenario))
+    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
+    force = rollout.true[rollout.run_in :, LOG_HYDRAULIC:LOG_CURRENT]
+    on_bogie = rollout.true[rollout.run_in :, LOG_FORCE:LOG_HYDRAULIC]
+    offline = (
+        offline_along(rollout, trip, scenario.assessment) / bounds.acceleration**2,
+        float(np.mean((force / scenario.cost.force_reference) ** 2)),
+    )
+    acceleration, shift = (float(np.nan_to_num(rms).max()) for rms in _running_rms(run, rollout, trip))
+    judged = scenario.vehicle.floor_height is not None and len(force) >= BLOCK * rate
+    places = (rollout.true[:, k : k + 3] for k in range(LOG_BODY, LOG_BODY + 9, 3))
+    return {
+        "J_run": float(np.dot(weights, rollout.cost())),
+        "J_offline": float(np.dot(weights, offline)),
+        "J_offline_acceleration": offline[0],
+        "J_offline_force": offline[1],
+        "acceleration_ratio": acceleration / bounds.acceleration,
+        "track_shift_ratio": shift / bounds.track_shift_force,
+        "force_rms_n": float(np.sqrt(np.mean(on_bogie**2))),
+        "force_peak_n": float(np.max(np.abs(on_bogie))),
+        "force_power_above_10_hz_n2": high_frequency_power(on_bogie, rate),
+        "comfort": max(mean_comfort(each, rate, rollout.run_in) for each in places) if judged else math.nan,
+    }
+
+
+def offline_along(rollout: Rollout, trip: Trip, settings: AssessmentConfig) -> float:
+    """Mean square of the bogie frames' accelerations behind the off-line filter along a line, (m/s2)^2.
+
+    The filter follows the dominant frequency from section to section; what lies around one starts it. A
+    section too short for a spectrum, as the last one of a run can be, counts with the one before.
+    """
+    signals, rate = rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT], rollout.sample_rate
+    distance, around = trip.distance(rollout.times), round(settings.filter_padding * rate)
+    total = 0.0
+    for first, last in _parts(trip, float(distance[rollout.run_in]), float(distance[-1]), settings):
+        a, b = np.searchsorted(distance, (first, last))
+        b = len(distance) if last >= float(distance[-1]) else b
+        part = slice(max(a - around, 0), b + around)
+        filtered = band_passed(signals[part], rate, distance[part], (first, last), settings)
+        total += float(np.sum(filtered[a - part.start : b - part.start] ** 2))
+    return float(total / ((len(signals) - rollout.run_in) * signals.shape[1]))
+
+
+def _parts(trip: Trip, first: float, last: float, settings: AssessmentConfig) -> list[tuple[float, float]]:
+    """Sections between two distances (m), those shorter than a segment of the spectrum put together."""
+    inner = [each.end for each in trip.line.sections[:-1] if first < each.end < last]
+    edges = [first]
+    for edge in inner:
+        if edge - edges[-1] >= settings.segment_length and last - edge >= settings.segment_length:
+            edges.append(edge)
+    return list(pairwise((*edges, last)))
 
 
 def _known(values: Array) -> Array:

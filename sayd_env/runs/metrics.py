@@ -201,17 +201,45 @@ def offline_cost(
     settings = scenario.assessment
     distance = distance_run(speed, rate, len(acceleration))
     part = assessed_part(len(acceleration), rate, speed, settings)
-    grid, spectra = averaged_spectra(
-        acceleration, rate, distance, settings, assessed_span(distance, settings)
-    )
-    width = len(spectra) // BOGIES
-    pairs = spectra.reshape(BOGIES, width, -1).sum(axis=1)
-    f0 = np.repeat(grid[np.argmax(pairs[:, 1:-1], axis=1) + 1], width)
-    filtered = band_pass(acceleration, rate, f0, settings)[part]
+    span = assessed_span(distance, settings)
+    filtered = band_passed(acceleration, rate, distance, span, settings)[part]
     return (
         float(np.mean((filtered / bounds.acceleration) ** 2)),
         float(np.mean((force[part] / scenario.cost.force_reference) ** 2)),
     )
+
+
+def band_passed(
+    acceleration: Array, rate: float, distance: Array, span: tuple[float, float], settings: AssessmentConfig
+) -> Array:
+    """Accelerations behind the off-line filter; each bogie has one f_0, of its spectra in a span.
+
+    Parameters
+    ----------
+    acceleration : ndarray, shape (t, 4)
+        Lateral accelerations of the bogie frames (m/s2).
+    rate : float
+        Hz.
+    distance : ndarray, shape (t,)
+        Of each sample (m).
+    span : tuple of float
+        Distances (m) between which the spectra are taken.
+    settings : AssessmentConfig
+
+    Returns
+    -------
+    ndarray, shape (t, 4)
+
+    Raises
+    ------
+    DataError
+        A span shorter than one segment of the spectrum.
+    """
+    grid, spectra = averaged_spectra(acceleration, rate, distance, settings, span)
+    width = len(spectra) // BOGIES
+    pairs = spectra.reshape(BOGIES, width, -1).sum(axis=1)
+    f0 = np.repeat(grid[np.argmax(pairs[:, 1:-1], axis=1) + 1], width)
+    return band_pass(acceleration, rate, f0, settings)
 
 
 def comfort_index(rollout: Rollout, settings: AssessmentConfig) -> float:
@@ -276,15 +304,29 @@ def valve_use(run: Run, rollout: Rollout) -> dict[str, Any]:
     """
     length, period = run.scenario.assessment.length or 0.0, rollout.control_period
     command = rollout.actions[: int(length / run.speed / period + 1e-6)]
-    if run.policy.name == PASSIVE or not len(command):
+    if run.policy.name == PASSIVE:
         return {}
-    time = len(command) * period
+    return use_of(command, period, run.speed * len(command) * period, rollout.intervened)
+
+
+def use_of(
+    command: npt.NDArray[np.float32],
+    period: float,
+    distance: float,
+    intervened: npt.NDArray[np.bool_] | None,
+) -> dict[str, Any]:
+    """Columns of a `Row` for commands, shape (steps, valves), of a control period (s) over a distance (m).
+
+    ``intervened`` says where a fallback acted, as in a `Rollout`.
+    """
+    if not len(command):
+        return {}
     travel = np.abs(np.diff(command, axis=0)).sum(axis=0, dtype=np.float64).mean()
     return {
         "valve_mean": float(command.mean(dtype=np.float64)),
-        "valve_travel_per_km": float(travel / (run.speed * time * 1e-3)),
-        "switching_per_s": switchings(command) / time,
-        "fallback_share": _share(rollout.intervened, len(command)),
+        "valve_travel_per_km": float(travel / (distance * 1e-3)),
+        "switching_per_s": switchings(command) / (len(command) * period),
+        "fallback_share": _share(intervened, len(command)),
     }
 
 

@@ -34,6 +34,8 @@ from sayd_env.runs.own_code import OwnPolicy
 PASSIVE = "passive"
 PAPER = ("mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
 """The paper's controllers."""
+TUNED = tuple(name for name in baselines.NAMES if name.endswith("-tuned"))
+"""Controllers with the parameters of the smallest mean J: the strongest opponents."""
 LEARNED = ".npz"
 """How the files of learned policies end."""
 FOREIGN = ".zip"

@@ -17,7 +17,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig
 
 CONTROLLERS = [name for name in baselines.NAMES if name != "passive"]
-BOGIE_CONTROLLERS = [name for name in CONTROLLERS if not name.startswith("constant")]
+BOGIE_CONTROLLERS = [name for name in CONTROLLERS if not name.startswith(("constant", "speed-schedule"))]
 PASSIVE = PassiveDamperConfig(
     type="passive", name="p", curve=((0.0, 0.0), (0.1, 1e4), (1.0, 2e4)), series_stiffness=5e6
 )
@@ -25,7 +25,7 @@ OBSERVATIONS = [
     (name, kind)
     for name in CONTROLLERS
     for kind in ("signals", "history", "features")
-    if not (kind == "features" and name.startswith("skyhook"))
+    if not (kind == "features" and name.startswith(("skyhook", "lqg")))
 ]
 
 
@@ -153,6 +153,9 @@ def test_a_file_of_parameters_stands_for_its_controller(interface, tmp_path):
         ("passive", {"damper": PASSIVE}, {"k": 1.0}, "'passive': has no parameters, found k"),
         ("mppt2", {"damper": PASSIVE}, {}, r"mppt2: weighs the force .* damper='sayd'"),
         ("skyhook-continuous", {"damper": PASSIVE}, {}, "characteristic of semi-active dampers"),
+        ("lqg", {"damper": PASSIVE}, {}, "lqg: needs the characteristic of semi-active dampers"),
+        ("lqg", {"observation": "features"}, {}, "lqg: .* has no signal 'lateral_acceleration.front"),
+        ("lqg", {}, {"speeds_kmh": (200.0, 100.0)}, "speeds_kmh must rise"),
         (
             "skyhook-onoff",
             {"observation": "features"},

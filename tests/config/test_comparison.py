@@ -15,9 +15,10 @@ from sayd_env.config.distribution import UniformDistribution
 from sayd_env.config.environment import load_environment
 from sayd_env.config.frozen import frozen
 from sayd_env.config.scenario import load_scenario
-from sayd_env.config.tuning import load_tuning
+from sayd_env.studies.comparison.grid import ScenarioGrid
 
 ROOT = Path(sayd_env.__file__).parents[1]
+CONFIGS = ROOT / "configs"
 SOURCES = [path for name in ("sayd_env", "agents", "baselines") for path in (ROOT / name).rglob("*.py")]
 
 
@@ -26,34 +27,93 @@ def held_out() -> ComparisonConfig:
     return load_comparison()
 
 
+def numbers_of(content: object) -> set[float]:
+    """All numbers of a YAML content, wherever they stand; true and false are none."""
+    if isinstance(content, dict | list):
+        inner = content.values() if isinstance(content, dict) else content
+        return set().union(*map(numbers_of, inner))
+    known = isinstance(content, int | float) and not isinstance(content, bool)
+    return {float(content)} if known else set()  # type: ignore[arg-type]
+
+
+def texts_of(content: object) -> set[str]:
+    """All texts among the values of a YAML content."""
+    if isinstance(content, dict | list):
+        inner = content.values() if isinstance(content, dict) else content
+        return set().union(*map(texts_of, inner))
+    return {content} if isinstance(content, str) else set()
+
+
+def others() -> dict[str, object]:
+    """Every other configuration by its path, the held-out spectra's own files left out."""
+    own = {HELD_OUT, "fra_6", "grade_5", "grade_6"}
+    files = (path for path in (ROOT / "configs").rglob("*.yaml") if path.stem not in own)
+    return {f"{path.parent.name}/{path.name}": yaml.safe_load(path.read_text()) for path in files}
+
+
 def test_held_out_conditions_lie_between_the_steps_of_the_training(held_out: ComparisonConfig):
     laws = load_environment("training").randomisation
+    gauges = load_environment("randomized").randomisation.gauge
+    worn = [each.wear for each in held_out.wheels if each.wear > 0.0]
     for law, values in (
         (laws.speed_kmh, held_out.speeds_kmh),
-        (laws.wear, held_out.wear),
+        (laws.wear, worn),
         (laws.friction, held_out.friction),
+        (gauges, [each.gauge for each in held_out.wheels]),
     ):
         assert isinstance(law, UniformDistribution)
         assert law.step
         for value in values:
+            assert value is not None
             steps = (value - law.low) / law.step
             assert abs(steps - round(steps)) > 0.1
             assert law.low < value < law.high
-    assert not {track.name for track in laws.tracks} & {track.name for track in held_out.tracks}
 
 
-def test_held_out_seeds_are_no_others(held_out: ComparisonConfig):
-    mine = {*held_out.seeds, *held_out.critical_speed.seeds}
-    for file in (ROOT / "configs" / "train").glob("*.yaml"):
-        evaluation = yaml.safe_load(file.read_text())["evaluation"]
-        assert not mine & set(evaluation["seeds"])
-    assert not mine & {case.seed for case in load_tuning().scenarios}
-    assert not mine & {*range(100), *range(1000, 1100)}  # of the studies, of the calibrations
+def test_held_out_wheels_reach_from_low_conicity_to_worn(held_out: ComparisonConfig):
+    first, *_, last = held_out.wheels
+    assert first.profile == "lma"
+    assert last.wear > 0.9
+
+
+def test_no_other_configuration_knows_a_held_out_spectrum(held_out: ComparisonConfig):
+    assert held_out.lines is not None
+    spectra = {track.name for track in (*held_out.tracks, *held_out.lines.tracks)}
+    assert len(spectra) >= 2
+    for name, content in others().items():
+        assert not spectra & texts_of(content), name
+
+
+def test_no_other_configuration_has_a_held_out_seed_or_condition(held_out: ComparisonConfig):
+    assert held_out.lines is not None
+    seeds = {*held_out.seeds, *held_out.critical_speed.seeds, *held_out.lines.seeds}
+    assert len(seeds) == sum(map(len, (held_out.seeds, held_out.critical_speed.seeds, held_out.lines.seeds)))
+    wheels = [(each.wear, each.gauge) for each in held_out.wheels]
+    for name, content in others().items():
+        found = numbers_of(content)
+        assert not seeds & found, name
+        assert not {*held_out.speeds_kmh} & found, name
+        if name.startswith(("study/", "env/", "line")):
+            assert not {*held_out.friction} & found, name
+            assert not {gauge for _, gauge in wheels} & found, name
+    assert not seeds & {*range(100), *range(1000, 1100)}  # of the studies, of the calibrations
+
+
+def test_its_size_is_what_the_file_says(held_out: ComparisonConfig):
+    """3000 m with run-in at each speed, 8 lines of 120 s with 500 m before them."""
+    grid = ScenarioGrid.of(held_out)
+    assert grid.drawn is not None
+    straight = 16 * sum(3000.0 * 3.6 / kmh for kmh in held_out.speeds_kmh)
+    lines = sum(120.0 + 500.0 / float(line.speed_at(0.0)) for line in grid.drawn.lines.values())
+    assert grid.seconds(1) == pytest.approx(3 * (straight + lines))
+    assert f"{grid.seconds(1):,.0f} s of simulation" in (CONFIGS / "study" / f"{HELD_OUT}.yaml").read_text()
 
 
 def test_trainings_draw_from_seeds_beyond_the_held_out_ones(held_out: ComparisonConfig):
     learning = pytest.importorskip("sayd_env.agents.learning_env", exc_type=ImportError)
-    assert max(*held_out.seeds, *held_out.critical_speed.seeds) < learning.SEEDS_APART
+    assert held_out.lines is not None
+    highest = max(*held_out.seeds, *held_out.critical_speed.seeds, *held_out.lines.seeds)
+    assert highest < learning.SEEDS_APART
 
 
 def test_nothing_but_the_comparison_reads_them():
@@ -72,8 +132,13 @@ def test_nothing_but_the_comparison_reads_them():
         ("speedz_kmh=[300]", r"speedz_kmh.*speeds_kmh"),
         ("speeds_kmh=[300,250]", r"speeds must rise: 250 follows 300"),
         ("speeds_kmh=[300,900]", r"found 900; allowed are 30 to 500 km/h"),
-        ("wear=[0.5,0.5]", r"0.5 is a duplicate"),
-        ("wear=[1.5]", r"wear.*1.5"),
+        ("wheels=[{name: a, wear: 0.5}, {name: a, wear: 0.6}]", r"'a' is a duplicate"),
+        ("wheels=[{name: a, wear: 1.5}]", r"wear.*1.5"),
+        ("wheels=[{name: a, wear: 0.0, gauge: 3.0}]", r"gauge.*3"),
+        ("wheels=[{name: a, profile: lma, wear: 0.5}]", r"does not say how it wears: wear must be 0"),
+        ("lines.seeds=[1,1]", r"1 is a duplicate"),
+        ("lines.tracks=[{name: nowhere}]", r"nowhere"),
+        ("lines.environmant=x", r"environmant.*environment"),
         ("friction=[0.0]", r"found 0; allowed are 0.05 to 1"),
         ("seeds=[]", r"seeds"),
         ("seeds=[1.5]", r"seeds.*1.5"),
@@ -98,12 +163,15 @@ def test_paths_are_relative_to_the_file(tmp_path: Path):
     source["environment"] = "own.yaml"
     source["critical_speed"]["study"] = "own.yaml"
     source["tracks"] = [{"name": "own.yaml"}]
+    source["lines"] |= {"environment": "own.yaml", "tracks": [{"name": "own.yaml"}]}
     track = (ROOT / "configs" / "track" / "china.yaml").read_text()
     (tmp_path / "own.yaml").write_text(track)
     (tmp_path / "mine.yaml").write_text(yaml.safe_dump(source))
     found = load_comparison(str(tmp_path / "mine.yaml"))
     own = str(tmp_path / "own.yaml")
     assert (found.environment, found.critical_speed.study, found.tracks[0].name) == (own, own, own)
+    assert found.lines is not None
+    assert (found.lines.environment, found.lines.tracks[0].name) == (own, own)
 
 
 def test_each_digest_is_that_of_its_part():

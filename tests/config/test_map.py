@@ -19,7 +19,10 @@ def test_no_condition_is_held_out():
     """None has a speed, wear, friction, track or seed of the comparison's."""
     held_out, laws = load_comparison(), load_environment("training").randomisation
     assert not set(MAP.speeds_kmh) & set(held_out.speeds_kmh)
-    assert not {wheel.wear for wheel in MAP.wheels} & set(held_out.wear)
+    assert not {(wheel.profile, wheel.wear) for wheel in MAP.wheels if wheel.wear > 0.0} & {
+        (wheel.profile, wheel.wear) for wheel in held_out.wheels
+    }
+    assert not set(MAP.gauges) & {wheel.gauge for wheel in held_out.wheels}
     assert not set(MAP.friction) & set(held_out.friction)
     assert not set(MAP.seeds) & {*held_out.seeds, *held_out.critical_speed.seeds}
     study = load_scenario().track.irregularity

@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 import yaml
 
+from sayd_env import baselines
 from sayd_env.config import ConfigError
-from sayd_env.config.control import load_controller
+from sayd_env.config.control import gains_of, load_controller
 from sayd_env.config.distribution import UniformDistribution
 from sayd_env.config.environment import load_environment
 from sayd_env.config.tuning import load_tuning
+from sayd_env.studies.tuning.tune import training_seconds
 
 STUDIES = Path(__file__).parents[2] / "configs" / "study"
 
@@ -55,15 +57,32 @@ def test_the_scenarios_are_of_the_training_and_of_no_comparison():
             steps = (getattr(scenario, name) - law.low) / law.step
             assert steps == pytest.approx(round(steps), abs=1e-6)
             assert law.low <= getattr(scenario, name) <= law.high
-    held_out = yaml.safe_load((STUDIES / "heldout.yaml").read_text())
-    seeds = {scenario.seed for scenario in tuning.scenarios}
-    assert len(seeds) == len(tuning.scenarios) == 24
-    assert seeds.isdisjoint(held_out["seeds"] + held_out["critical_speed"]["seeds"])
-    assert min(seeds) == 8000
-    for key, name in (("speeds_kmh", "speed_kmh"), ("wear", "wear"), ("friction", "friction")):
-        assert {getattr(scenario, name) for scenario in tuning.scenarios}.isdisjoint(held_out[key])
-    tracks = {track.name for track in laws.tracks}
-    assert tracks.isdisjoint(track["name"] for track in held_out["tracks"])
+    assert [scenario.seed for scenario in tuning.scenarios] == [*range(8000, 8032)]
+
+
+def test_the_scenarios_reach_from_low_conicity_to_worn_and_lines_are_among_them():
+    tuning = load_tuning()
+    low = [scenario for scenario in tuning.scenarios if scenario.profile == "lma"]
+    assert len(low) == 8
+    assert max(scenario.wear for scenario in tuning.scenarios) == 0.95
+    assert low[0].case == {"profile": "lma", "speed_kmh": 210.0, "wear": 0.0, "friction": 0.3, "seed": 8024}
+    assert "profile" not in tuning.scenarios[0].case
+    assert tuning.lines is not None
+    assert load_environment(tuning.lines.environment).lines is not None
+
+
+def test_every_search_simulates_at_least_what_one_training_of_ppo_does():
+    """An evaluation: 32 episodes of 20 s and 8 of 60 s. A training: its steps, of two bogies a vehicle."""
+    tuning = load_tuning()
+    assert tuning.seconds == 32 * 20.0 + 8 * 60.0
+    training = yaml.safe_load((STUDIES.parent / "train" / "ppo.yaml").read_text())
+    steps, period = training["total_steps"], training["environment"]["control_period"]
+    wanted = steps * period / (2 if training["view"] == "bogie" else 1)
+    assert training_seconds() == pytest.approx(wanted)
+    for search in tuning.controllers.values():
+        # What rounds to the same gains is not simulated again: of one gain only the even points are sure.
+        sure = search.search if len(search.gains) == 1 else search.search + search.polish
+        assert sure * tuning.seconds >= wanted
 
 
 def test_nothing_about_the_tuning_reads_the_comparison_s_file():
@@ -75,7 +94,8 @@ def test_nothing_about_the_tuning_reads_the_comparison_s_file():
 def test_a_look_has_fewer_scenarios_and_evaluations():
     tuning = load_tuning()
     short = tuning.shortened()
-    assert [s.seed for s in short.scenarios] == [8005, 8011, 8017, 8023]  # every sixth
+    assert [s.seed for s in short.scenarios] == [8007, 8015, 8023, 8031]  # every eighth
+    assert short.lines is None
     assert (short.of("mppt2").search, short.of("mppt2").population) == (10, 5)
     assert (short.of("constant").search, short.of("constant").polish) == (0, 5)
 
@@ -84,37 +104,53 @@ def test_packaged_results_are_those_of_the_packaged_tuning():
     """Gains lie in their ranges, all else is the controller's own; the provenance names list and budget."""
     tuning = load_tuning()
     seeds = [scenario.seed for scenario in tuning.scenarios]
-    for name, search in tuning.controllers.items():
-        own, tuned = load_controller(name).model_dump(), load_controller(f"{name}-tuned").model_dump()
+    shipped = [name for name in tuning.controllers if f"{name}-tuned" in baselines.NAMES]
+    assert {"constant", "mppt2"} <= set(shipped)
+    for name in shipped:
+        search = tuning.controllers[name]
+        own, tuned = (gains_of(load_controller(each)) for each in (name, f"{name}-tuned"))
         about = tuned.pop("provenance")
         own.pop("provenance")
         assert set(tuned) == set(own)
-        assert {key: value for key, value in tuned.items() if key not in search.gains} == {
-            key: value for key, value in own.items() if key not in search.gains
-        }
+        lists = {gain.partition(".")[0] for gain in search.gains if "." in gain}
+        kept = set(own) - set(search.gains) - lists
+        assert {key: tuned[key] for key in kept} == {key: own[key] for key in kept}
         gains = {key: tuned[key] for key in search.gains}
         assert search.values(search.place(gains), tuning.digits) == pytest.approx(gains, abs=2e-4)
         assert about["J_after"] < about["J_before"]
         assert 1 <= about["evaluations"] <= search.search + search.polish
         assert about["command"].startswith(f"sayd tune {name}")
+        if about["simulated_s"] is None:  # found before there were lines
+            continue
+        assert tuning.lines is not None
         assert about["scenarios"] == (
             f"{len(seeds)} of configs/study/tuning.yaml, {tuning.episode_s:g} s, "
-            f"seeds {min(seeds)} to {max(seeds)}"
+            f"seeds {min(seeds)} to {max(seeds)}; {len(tuning.lines.seeds)} lines, "
+            f"{tuning.lines.episode_s:g} s, seeds {min(tuning.lines.seeds)} to {max(tuning.lines.seeds)}"
         )
+        assert about["simulated_s"] == about["evaluations"] * tuning.seconds
+        assert about["mean"] == tuning.mean
         assert re.fullmatch("[0-9a-f]{40}", about["commit"])
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("scenarios.0.seed=8001", "scenarios: .*the seed 8001 is a duplicate"),
+        ("scenarios.0.seed=8001", "the seed 8001 is a duplicate"),
         ("reward=mppt3", "reward: .*found 'mppt3', did you mean 'mppt2'"),
         ("scenarios.0.wear=1.5", "scenarios.*wear: found 1.5"),
         ("controllers.mppt2.gains.k_J.low=0.4", "k_J: .*needs low < high"),
         ("controllers.mppt2.gains.k_J.high=1.5", "an end of the ranges is not allowed: .*k_J: found 1.5"),
         ("controllers.mppt2.gains.k_I={low: 0.0, high: 1.0}", "a guess needs a value of each of"),
         ("controllers.constant.gains={curent: {low: 0.0, high: 1.0}}", "unknown gain 'curent', did you mean"),
-        ("controllers.constant.search=10", "one gain is found by the local search alone"),
+        ("controllers.constant.search=2", "the global search of one gain needs three evaluations or none"),
+        ("lines.seeds=[8000]", "the seed 8000 is a duplicate"),
+        ("mean=harmonic", "mean: .*harmonic"),
+        (
+            "controllers.speed-schedule={gains: {commands.7: {low: 0.0, high: 1.0}}, polish: 3}",
+            "unknown gain 'commands.7'",
+        ),
+        ("scenarios.0.profile=''", "profile"),
         ("controllers.mppt2.search=10", "at least one generation: search 10, population 12"),
         ("controllers.mppt2.polish=5", "the local search of 7 gains needs 9 evaluations or none"),
         ("controllers.mppt2.guesses.0.v_min=0.5", "a guess of v_min, 0.5, lies outside its range"),

@@ -58,7 +58,8 @@ AVERAGED = (
         ),
         (
             page._COSTS,
-            "policy filter force_weight training_seeds J iqm_to_passive iqm_to_passive_low "
+            "part policy filter force_weight training_seeds J geometric geometric_low geometric_high "
+            "iqm_to_passive iqm_to_passive_low "
             "iqm_to_passive_high iqm_to_mppt2 iqm_to_mppt2_low iqm_to_mppt2_high improvement_over_mppt2 "
             "improvement_over_mppt2_low improvement_over_mppt2_high best_of_paper improvement_over_best "
             "improvement_over_best_low improvement_over_best_high reduction reduction_low reduction_high "
@@ -67,7 +68,8 @@ AVERAGED = (
         ),
         (
             page._GAINS,
-            "policy filter force_weight controller reduction reduction_low reduction_high improvement "
+            "part policy filter force_weight controller geometric_reduction geometric_reduction_low "
+            "geometric_reduction_high reduction reduction_low reduction_high improvement "
             "improvement_low improvement_high",
         ),
         (
@@ -105,6 +107,7 @@ WORDS = {
     **{"measured": "12.3 % (10.1 to 14.5)", "expected": "worn: critical speed 322 to 340 km/h", "id": "P10"},
     **{"by": "median", "gain": "current_minimum", "critical": "> 430", "short_commit": "0123456789ab+"},
     **{"disturbance": "sensor biased, longitudinal_acceleration.front.left"},
+    **{"part": "stationary"},
     **{"environment": "training", "algorithm": "ppo", "sha256": "0" * 64, "verdict": "344 km/h " * 6},
 }
 FLAGS = {"holds": True, "stable": False, "cut": True}
@@ -125,6 +128,7 @@ HUGE |= {"track_shift_rms_n": 56789.0, "fraction": 1.0, "seconds": 36000.0, "ste
         adaptation.ADAPTATION,
         (*page._COSTS, *page._BESIDE),
         page._GAINS,
+        page._RELATIVE,
         page._TARGETS,
         claims.CLAIMS,
         critical_speed.TRENDS,
@@ -144,7 +148,7 @@ def test_a_table_fits_eighty_columns(columns: Sequence[Column]):
     row |= {name: value for name, value in (WORDS | FLAGS | HUGE).items() if name in row}
     row |= {name: 12.3456 for name in row if name.startswith(("J", "iqm", "worst", "largest", "improvement"))}
     row |= {name: 0.123 for name in row if name in ("wear", "friction", "current", "reduction")}
-    row |= {name: 0.123 for name in row if name.startswith("reduction_")}
+    row |= {name: 0.123 for name in row if name.startswith(("reduction_", "geometric"))}
     console = Console(file=io.StringIO(), width=80)
     print_table(console, "title", columns, [row, row])
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]

@@ -2,7 +2,9 @@
 
 Sources: ERRI B176 in the rational form of SIMPACK as used by ORVD (Open Rail Vehicle Dynamics); RMS by band,
 integrated independently of this project from the formulas of ERRI B176 and of the Chinese high-speed spectrum
-(coefficients as in TB/T 3352-2014, taken from VTCM_simulation).
+(coefficients as in TB/T 3352-2014, taken from VTCM_simulation). American track: the formula of Garg and
+Dukkipati (1984) with the numbers of line grades 5 and 6, integrated in closed form; FRA class 6 (Hamid et al.
+1983) in inches and feet, in which its numbers are round.
 """
 
 from __future__ import annotations
@@ -103,6 +105,62 @@ def test_german_gauge_and_cross_level_at_their_cut_off() -> None:
     alignment, vertical, cross_level, gauge = psd[0]
     assert gauge / alignment == pytest.approx(0.5 * 5.32e-8 / 2.119e-7)
     assert cross_level / vertical == pytest.approx(0.5 / 0.75**2)
+
+
+# k A_a and k A_v (m2 rad/m) with k = 0.25 and A in cm2 rad/m, and Omega_s (rad/m).
+GRADES = {
+    "grade_6": (0.25 * 0.0339e-4, 0.25 * 0.0339e-4, 0.438),
+    "grade_5": (0.25 * 0.0762e-4, 0.25 * 0.2095e-4, 0.8209),
+}
+OMEGA_C = 0.8245
+
+
+@pytest.mark.parametrize("name", GRADES)
+@pytest.mark.parametrize("band", [(2.0, 120.0), (3.0, 25.0), (25.0, 70.0)])
+def test_american_line_grades_in_closed_form(name: str, band: tuple[float, float]) -> None:
+    """Integrals over Omega of both forms, by partial fractions.
+
+    c^2 / (O^2 (O^2 + c^2)) = 1 / O^2 - 1 / (O^2 + c^2), and
+    c^2 / ((O^2 + c^2)(O^2 + s^2)) = c^2 / (c^2 - s^2) (1 / (O^2 + s^2) - 1 / (O^2 + c^2)).
+    """
+    low, high = 2 * np.pi / band[1], 2 * np.pi / band[0]
+    alignment, vertical, s = GRADES[name]
+
+    def over(corner: float) -> float:
+        return float(np.arctan(high / corner) - np.arctan(low / corner)) / corner
+
+    steep = (1 / low - 1 / high) - over(OMEGA_C)
+    level = OMEGA_C**2 / (OMEGA_C**2 - s**2) * (over(s) - over(OMEGA_C))
+    expected = [alignment * steep, vertical * steep, 4 * vertical * level / 1.5**2, 4 * vertical * level]
+    config = spectrum(name, band)
+    edges = np.geomspace(1 / band[1], 1 / band[0], 20)
+    for column, variance in enumerate(expected):
+        pieces = (
+            quad(lambda f, k=column: float(irregularity_psd(config, f)[0, k]), a, b, epsrel=1e-9)[0]
+            for a, b in pairwise(edges)
+        )
+        assert sum(pieces) == pytest.approx(variance, rel=1e-6)
+    series = random_irregularity(config, 2**16 - 1, 0.25, seed=3)
+    np.testing.assert_allclose(series.var(axis=0), expected, rtol=5e-3)
+
+
+def test_fra_class_6_is_that_of_inches_and_feet() -> None:
+    """Roughness in in2/ft and cut-offs in cycles/ft; densities in in2/(cycle/ft)."""
+    inch, foot = 0.0254, 0.3048
+    f = np.geomspace(1 / 119, 1 / 2.01, 40)
+    k = f * foot
+    expected = []
+    for roughness, lower, upper, rising in (
+        (2.8e-5, 10.0e-3, 56.0e-3, True),
+        (4.5e-5, 7.1e-3, 40.0e-3, True),
+        (3.4e-5, 7.1e-3, 40.0e-3, False),
+        (2.8e-5, 8.9e-3, 71.0e-3, False),
+    ):
+        shape = (k**2 + lower**2) / k**4 if rising else 1.0 / (k**2 + lower**2)
+        expected.append(roughness * upper**2 / (k**2 + upper**2) * shape * inch**2 * foot)
+    psd = irregularity_psd(spectrum("fra_6"), f)
+    psd[:, 2] *= 1.5**2
+    np.testing.assert_allclose(psd, np.stack(expected, axis=1), rtol=5e-3)
 
 
 def test_chinese_percentile_90_is_2303_times_the_mean() -> None:

@@ -8,6 +8,7 @@ from scipy.fft import irfft, next_fast_len
 
 from sayd_env.config.track import (
     CHANNELS,
+    AmericanDensityConfig,
     ChinaDensityConfig,
     GermanDensityConfig,
     PowerLawConfig,
@@ -39,7 +40,7 @@ def irregularity_psd(config: SpectrumConfig, frequency: ArrayLike) -> Array:
 
     Notes
     -----
-    German: S_f(f) = 2 pi S_Omega(2 pi f). Chinese: height over base gives the cross-level's angle.
+    Over angular wavenumbers: S_f(f) = 2 pi S_Omega(2 pi f). A cross-level's height over its base is an angle.
     """
     f = np.atleast_1d(np.asarray(frequency, dtype=np.float64))
     low, high = 1.0 / config.wavelength_max, 1.0 / config.wavelength_min
@@ -98,7 +99,12 @@ def _phases(seed: int, channel: int, count: int) -> Array:
 
 def _density(config: SpectrumConfig, f: Array) -> Array:
     density = config.density
-    shapes = _german(density, f) if isinstance(density, GermanDensityConfig) else _china(density, f)
+    if isinstance(density, GermanDensityConfig):
+        shapes = _german(density, f)
+    elif isinstance(density, AmericanDensityConfig):
+        shapes = _american(density, f)
+    else:
+        shapes = _china(density, f)
     factor = np.array([config.scale * getattr(config.levels, channel) for channel in CHANNELS])
     return np.asarray(shapes * factor**2)
 
@@ -129,3 +135,17 @@ def _china(density: ChinaDensityConfig, f: Array) -> Array:
 def _power_law(law: PowerLawConfig, f: Array) -> Array:
     part = np.searchsorted(np.asarray(law.limits, dtype=np.float64), f, side="right")
     return np.asarray(np.asarray(law.coefficients)[part] * f ** -np.asarray(law.exponents)[part])
+
+
+def _american(density: AmericanDensityConfig, f: Array) -> Array:
+    unit = 2.0 * np.pi if density.wavenumber == "rad/m" else 1.0
+    k2 = (unit * f) ** 2
+    columns = []
+    for channel in CHANNELS:
+        law = getattr(density, channel)
+        lower2, upper2 = law.lower**2, law.upper**2
+        shape = (k2 + lower2) / k2**2 if channel in ("alignment", "vertical") else 1.0 / (k2 + lower2)
+        columns.append(unit * law.roughness * upper2 / (k2 + upper2) * shape)
+    shapes = np.stack(columns, axis=1)
+    shapes[:, CHANNELS.index("cross_level")] /= density.cross_level_base**2
+    return shapes

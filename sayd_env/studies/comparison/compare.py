@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
 
-from sayd_env.config.comparison import ComparisonConfig, CriticalSpeedConfig
+from sayd_env.config.comparison import BootstrapConfig, ComparisonConfig, CriticalSpeedConfig
 from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
@@ -16,13 +16,22 @@ from sayd_env.runs.policies import PolicySpec, constant_spec
 from sayd_env.studies.comparison.entrants import Entrant, provenance
 from sayd_env.studies.comparison.grid import (
     FILTERS,
+    STATIONARY,
     ScenarioGrid,
     Variant,
     checked_scenario,
     run_all,
 )
 from sayd_env.studies.comparison.page import CompareResult
-from sayd_env.studies.comparison.scores import STABLE_TO, best_constants, score, stability_of
+from sayd_env.studies.comparison.scores import (
+    STABLE_TO,
+    Bound,
+    Costs,
+    Score,
+    best_constants,
+    score,
+    stability_of,
+)
 from sayd_env.studies.comparison.statistics import Bootstrap
 from sayd_env.studies.map import MapGrid, MapResult, stability_map
 
@@ -71,14 +80,10 @@ def compare(
         )
         for variant in ways
     }
-    controllers = [each.name for each in entrants if not each.learned]
-    bootstrap = Bootstrap(len(grid.conditions), len(chosen.seeds), chosen.bootstrap)
-    scores = {
-        variant: {
-            name: score(name, table, bounds[variant].costs, grid.conditions, bootstrap, controllers)
-            for name in table
-        }
-        for variant, table in costs.items()
+    bootstrap = chosen.bootstrap
+    scores = _scores(grid, entrants, costs, bounds, bootstrap, slice(None))
+    parts = {
+        part: _scores(grid, entrants, costs, bounds, bootstrap, which) for part, which in grid.parts.items()
     }
     return CompareResult(
         grid=grid,
@@ -86,11 +91,32 @@ def compare(
         runs=runs,
         costs=costs,
         scores=scores,
+        parts=parts or {STATIONARY: scores},
         bounds=bounds,
         stability={cell.policy: stability_of(cell) for cell in cells.cells},
         learned=learned,
         quick=quick,
     )
+
+
+def _scores(
+    grid: ScenarioGrid,
+    entrants: Sequence[Entrant],
+    costs: Mapping[Variant, Costs],
+    bounds: Mapping[Variant, Bound],
+    settings: BootstrapConfig,
+    which: slice,
+) -> dict[Variant, dict[str, Score]]:
+    """Scores of all in some of the conditions."""
+    conditions = grid.conditions[which]
+    controllers = [each.name for each in entrants if not each.learned]
+    found = {}
+    for variant, table in costs.items():
+        bootstrap = Bootstrap(len(conditions), len(grid.config.seeds), settings)
+        mine = {name: np.ascontiguousarray(values[:, which]) for name, values in table.items()}
+        bound = np.ascontiguousarray(bounds[variant].costs[:, which])
+        found[variant] = {name: score(name, mine, bound, conditions, bootstrap, controllers) for name in mine}
+    return found
 
 
 def _critical_speeds(
@@ -109,8 +135,8 @@ def _critical_speeds(
 
 
 def fewer(config: ComparisonConfig) -> ComparisonConfig:
-    """A few of the conditions, one seed: for a look at what comes out."""
-    speeds, grid = config.speeds_kmh, config.critical_speed
+    """A few of the conditions, one line, one seed: for a look at what comes out."""
+    speeds, lines, grid = config.speeds_kmh, config.lines, config.critical_speed
     judged = [kmh for kmh in grid.speeds_kmh if kmh <= STABLE_TO][-1:]
     few = tuple(sorted({grid.speeds_kmh[0], *judged, grid.speeds_kmh[-1]}))
     reduced = grid.model_copy(update={"speeds_kmh": few, "seeds": grid.seeds[:1]})
@@ -118,7 +144,8 @@ def fewer(config: ComparisonConfig) -> ComparisonConfig:
         update={
             "tracks": config.tracks[:1],
             "speeds_kmh": tuple(dict.fromkeys((speeds[len(speeds) // 2], speeds[-1]))),
-            "wear": config.wear[-1:],
+            "wheels": config.wheels[-1:],
+            "lines": None if lines is None else lines.model_copy(update={"seeds": lines.seeds[:1]}),
             "friction": config.friction[-1:],
             "seeds": config.seeds[:1],
             "constants": config.constants[:: max(len(config.constants) // 4, 1)],

@@ -12,11 +12,11 @@ from sayd_env.agents import pretrained
 from sayd_env.agents.policy_archive import file_digest
 from sayd_env.agents.policy_file import NAME, StoredPolicy
 from sayd_env.config import ConfigError
-from sayd_env.runs.policies import LEARNED, PAPER, ForeignReader, PolicySpec, policy_spec, read_learned
+from sayd_env.runs.policies import LEARNED, PAPER, TUNED, ForeignReader, PolicySpec, policy_spec, read_learned
 
 REFERENCES = ("passive", "mppt2")
 """What all others are compared with."""
-DEFAULT = ("passive", *PAPER, "mppt2-tuned", "constant-tuned")
+DEFAULT = ("passive", *PAPER, *TUNED)
 """Who takes part beside the ready policies if nobody is named."""
 _BEST = "best.npz"  # in the folder of a training
 

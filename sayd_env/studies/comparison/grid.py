@@ -6,20 +6,23 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import islice, product
+from itertools import cycle, islice, product
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from sayd_env.config import ConfigError
-from sayd_env.config.comparison import ComparedTrack, ComparisonConfig
+from sayd_env.config.comparison import ComparedLines, ComparedTrack, ComparedWheels, ComparisonConfig
+from sayd_env.config.conditions import Line
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.reward import reported_costs
 from sayd_env.config.scenario import CostConfig, Scenario, load_scenario
 from sayd_env.config.track import IrregularityConfig
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.cost import charged
+from sayd_env.envs.draw import draw_episode
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.runs.along import Trip, line_rows
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PolicySpec, for_policy
@@ -27,32 +30,40 @@ from sayd_env.runs.rollouts import Run, environment_of
 
 Filter = Literal["online", "offline"]
 FILTERS: tuple[Filter, ...] = ("online", "offline")
+STATIONARY, LINES, TOGETHER = "stationary", "lines", "together"
+"""Parts of a comparison: straight track under conditions that do not change, lines, and both."""
 
 
 class Condition(NamedTuple):
-    """What scenarios have in common that differ in their seed alone."""
+    """What scenarios have in common that differ in their seed alone; None: as the line has it."""
 
-    track: ComparedTrack
-    speed_kmh: float
-    wear: float
-    friction: float
+    wheels: ComparedWheels
+    track: ComparedTrack | None = None
+    speed_kmh: float | None = None
+    friction: float | None = None
+    line: int | None = None
+    """Seed of the line; None: straight track, and nothing changes along it."""
 
     @property
     def text(self) -> str:
         """In words."""
+        if self.line is not None:
+            return f"line {self.line}, {self.wheels.name} wheels"
+        assert self.track is not None  # of straight track
         scale = "" if self.track.scale is None else f" x {self.track.scale:g}"
         return (
-            f"{self.speed_kmh:g} km/h, wear {self.wear:g}, friction {self.friction:g}, "
+            f"{self.speed_kmh:g} km/h, {self.wheels.name} wheels, friction {self.friction:g}, "
             f"{self.track.name}{scale}"
         )
 
     def as_dict(self) -> dict[str, object]:
         """Keys of a scenario in the result."""
         return {
-            "track": self.track.name,
-            "track_scale": self.track.scale,
+            "line": self.line,
+            "track": None if self.track is None else self.track.name,
+            "track_scale": None if self.track is None else self.track.scale,
             "speed_kmh": self.speed_kmh,
-            "wear": self.wear,
+            "wheels": self.wheels.name,
             "friction": self.friction,
         }
 
@@ -80,6 +91,43 @@ that of the assessed length."""
 
 
 @dataclass(frozen=True)
+class DrawnLines:
+    """Lines of a comparison, and what their episodes stand on."""
+
+    environment: EnvironmentConfig
+    """With the comparison's tracks."""
+    lines: Mapping[int, Line]
+    """By seed."""
+
+    @classmethod
+    def of(cls, config: ComparedLines) -> DrawnLines:
+        """Draw the lines of a comparison.
+
+        Raises
+        ------
+        ConfigError
+            An environment that draws no lines, or a line that is not allowed.
+        """
+        environment = load_environment(config.environment)
+        if environment.lines is None:
+            raise ConfigError(f"lines.environment: '{config.environment}' draws no lines")
+        lines = environment.lines.model_copy(update={"tracks": config.tracks})
+        environment = environment.model_copy(update={"lines": lines})
+        drawn = {seed: draw_episode(environment, seed, 0).line for seed in config.seeds}
+        return cls(environment, {seed: line for seed, line in drawn.items() if isinstance(line, Line)})
+
+    def check_length(self, seed: int, shortest: float) -> None:
+        """Refuse a line of which an episode runs over less than a length (m)."""
+        line, time = self.lines[seed], self.environment.episode_s
+        found = float(Trip(line, first_speed(line)).distance(time))
+        if found < shortest:
+            raise ConfigError(
+                f"lines: the line of seed {seed} is {found:.0f} m long after {time:g} s; "
+                f"expected {shortest:g} m or more, one segment of the spectrum"
+            )
+
+
+@dataclass(frozen=True)
 class ScenarioGrid:
     """The conditions of a comparison, and what they stand on."""
 
@@ -88,8 +136,10 @@ class ScenarioGrid:
     scenario: Scenario
     """The environment's study at the assessed length."""
     conditions: tuple[Condition, ...]
+    """Straight track first, then the lines."""
     irregularities: tuple[IrregularityConfig, ...]
     """Of each track."""
+    drawn: DrawnLines | None = None
 
     @classmethod
     def of(cls, config: ComparisonConfig) -> ScenarioGrid:
@@ -99,7 +149,7 @@ class ScenarioGrid:
         ------
         ConfigError
             An unknown environment or study, a length below one spectrum or the environment's episode, a speed
-            outside the vehicle's range.
+            outside the vehicle's range, or an environment that draws no lines.
         """
         environment = load_environment(config.environment)
         fastest, episode = max(config.speeds_kmh) / KMH, environment.episode_s
@@ -110,32 +160,67 @@ class ScenarioGrid:
             )
         length = f"assessment.length={config.length!r}"
         scenario = checked_scenario(environment.study, length, "length", config.speeds_kmh)
-        spans = product(config.tracks, config.speeds_kmh, config.wear, config.friction)
-        conditions = tuple(Condition(*each) for each in spans)
-        return cls(config, environment, scenario, conditions, tuple(t.irregularity for t in config.tracks))
+        spans = product(config.wheels, config.tracks, config.speeds_kmh, config.friction)
+        conditions = [Condition(*each) for each in spans]
+        drawn = None if config.lines is None else DrawnLines.of(config.lines)
+        if drawn is not None:
+            model, wheels = VehicleModel(scenario), cycle(config.wheels)
+            for seed, line in drawn.lines.items():
+                for speed in (line.slowest, line.fastest):
+                    model.check_speed(first_speed(line) if speed is None else speed)
+                drawn.check_length(seed, scenario.assessment.segment_length)
+            conditions += [Condition(next(wheels), line=seed) for seed in drawn.lines]
+        tracks = tuple(track.irregularity for track in config.tracks)
+        return cls(config, environment, scenario, tuple(conditions), tracks, drawn)
 
-    def runs(self, policy: PolicySpec) -> list[Run]:
-        """Runs of a policy: condition by condition, seed by seed."""
+    @property
+    def parts(self) -> Mapping[str, slice]:
+        """Conditions of straight track and those of lines, by name; one alone has no parts."""
+        straight = sum(each.line is None for each in self.conditions)
+        if straight == len(self.conditions):
+            return {}
+        return {STATIONARY: slice(0, straight), LINES: slice(straight, None)}
+
+    def runs(self, policy: PolicySpec) -> tuple[list[Run], list[Run]]:
+        """Runs of a policy on straight track and along lines: condition by condition, seed by seed."""
         fitted = for_policy(self.scenario, policy)
         environment = environment_of(fitted, self.environment)
+        along = environment if self.drawn is None else environment_of(fitted, self.drawn.environment)
+        on_wheels = {each.name: each.under(fitted) for each in self.config.wheels}
 
         @cache
-        def scenario(number: int, wear: float, friction: float) -> Scenario:
-            track = fitted.track.model_copy(update={"irregularity": self.irregularities[number]})
-            return fitted.model_copy(update={"track": track, "wear": wear, "friction": friction})
+        def scenario(wheels: str, number: int, friction: float) -> Scenario:
+            base = on_wheels[wheels]
+            track = base.track.model_copy(update={"irregularity": self.irregularities[number]})
+            return base.model_copy(update={"track": track, "friction": friction})
 
-        return [
-            Run(
-                policy,
-                scenario(self.config.tracks.index(each.track), each.wear, each.friction),
-                environment,
-                each.speed_kmh / KMH,
-                seed,
-                self.config.initial_current,
-            )
-            for each in self.conditions
-            for seed in self.config.seeds
-        ]
+        straight: list[Run] = []
+        lines: list[Run] = []
+        for each in self.conditions:
+            for seed in self.config.seeds:
+                name, rest = each.wheels.name, (seed, self.config.initial_current)
+                if each.line is not None:
+                    assert self.drawn is not None  # the line is one of it
+                    line = self.drawn.lines[each.line]
+                    lines.append(Run(policy, on_wheels[name], along, first_speed(line), *rest, line))
+                    continue
+                assert each.track is not None  # of straight track
+                assert each.speed_kmh is not None
+                assert each.friction is not None
+                place = self.config.tracks.index(each.track)
+                made = scenario(name, place, each.friction)
+                straight.append(Run(policy, made, environment, each.speed_kmh / KMH, *rest))
+        return straight, lines
+
+    def seconds(self, policies: int) -> float:
+        """Simulated time (s) of so many policies in all conditions, run-in included."""
+        way = self.config.length + self.environment.run_in
+        straight = sum(way * KMH / each.speed_kmh for each in self.conditions if each.speed_kmh is not None)
+        lines = 0.0
+        if self.drawn is not None:
+            run_in, episode = self.drawn.environment.run_in, self.drawn.environment.episode_s
+            lines = sum(episode + run_in / first_speed(line) for line in self.drawn.lines.values())
+        return policies * len(self.config.seeds) * (straight + lines)
 
     def costs(self, runs: Runs, variant: Variant) -> Array:
         """J of runs, charge for derailments included.
@@ -184,11 +269,28 @@ def run_all(
         A run that diverged.
     """
     each = [grid.runs(policy) for policy in policies]
-    found = iter(rows([run for runs in each for run in runs], context, what))
+    straight, lines = ([run for runs in each for run in runs[k]] for k in (0, 1))
+    total, before = len(straight) + len(lines), float(len(straight))
+    on_straight = iter(rows(straight, context.part(0.0, total, what), what))
+    on_lines = iter(line_rows(lines, context.part(before, total, f"{what}, lines"), what) if lines else ())
     return {
-        policy.title: _arrays(grid, list(islice(found, len(runs))))
-        for policy, runs in zip(policies, each, strict=True)
+        policy.title: _arrays(grid, [*islice(on_straight, len(one)), *islice(on_lines, len(other))])
+        for policy, (one, other) in zip(policies, each, strict=True)
     }
+
+
+def first_speed(line: Line) -> float:
+    """Speed (m/s) with which a drawn line begins.
+
+    Raises
+    ------
+    ConfigError
+        It has none.
+    """
+    found = line.speed_at(0.0)
+    if found is None:
+        raise ConfigError("lines.environment: its lines leave the speed out; expected some with speed_kmh")
+    return float(found)
 
 
 def checked_scenario(study: str, assignment: str, option: str, speeds_kmh: Iterable[float]) -> Scenario:
@@ -207,8 +309,13 @@ def _arrays(grid: ScenarioGrid, found: Sequence[Row]) -> Runs:
         return np.array([math.nan if value is None else value for value in values]).reshape(shape)
 
     length = grid.scenario.assessment.length or 0.0
+    episode = grid.environment.episode_s
+    along = episode if grid.drawn is None else grid.drawn.environment.episode_s
+    straight = sum(each.line is None for each in grid.conditions) * len(grid.config.seeds)
+    one, other = found[:straight], found[straight:]
+    whole = [row.lost(along) for row in other]
     return {
         **{name: table(getattr(row, name) for row in found) for name in MEASURED},
-        "lost": table(row.lost(grid.environment.episode_s) for row in found),
-        "offline_lost": table(row.lost(length / row.speed_kmh * KMH) for row in found),
+        "lost": table([*(row.lost(episode) for row in one), *whole]),
+        "offline_lost": table([*(row.lost(length / row.speed_kmh * KMH) for row in one), *whole]),
     }

@@ -11,7 +11,7 @@ from sayd_env.config.reward import REPORTED
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot
 from sayd_env.studies.comparison.figures import draw
-from sayd_env.studies.comparison.grid import OFFLINE, OWN, RATIOS, Variant
+from sayd_env.studies.comparison.grid import OFFLINE, OWN, RATIOS, TOGETHER, Variant
 from sayd_env.studies.comparison.result import MATRIX, Comparison
 from sayd_env.studies.comparison.scores import Stability
 from sayd_env.studies.comparison.statistics import Estimate
@@ -35,11 +35,13 @@ def _estimate(name: str, header: str = "", *, wide: bool = False, **shown: Any) 
 
 
 _COSTS = (
+    Column("part"),
     Column("policy", "policy"),
     Column("filter"),
     Column("force_weight"),
     Column("training_seeds", "trainings", wide=True),
     Column("J", "J", digits=4, best=True),
+    *_estimate("geometric", "geom. / best const.", digits=3, wide=True),
     *_estimate("iqm_to_passive", "/ passive", digits=2, wide=True),
     *_estimate("iqm_to_mppt2", "/ MPPT2", digits=2),
     *_estimate("improvement_over_mppt2", "P below MPPT2", digits=2, wide=True),
@@ -63,12 +65,22 @@ _BESIDE = (
 )
 """Printed beside the scores of J on line."""
 _GAINS = (
+    Column("part"),
     Column("policy", "policy"),
     Column("filter"),
     Column("force_weight"),
     Column("controller", "below that of"),
-    *_estimate("reduction", "by", unit="%", scale=100.0, digits=1),
+    *_estimate("geometric_reduction", "by", unit="%", scale=100.0, digits=1),
+    Column("reduction", "mean by", unit="%", scale=100.0, digits=1),
+    *(Column(f"reduction_{end}", unit="%", scale=100.0, digits=1) for end in ("low", "high")),
     *_estimate("improvement", "P below", digits=2, wide=True),
+)
+_RELATIVE = (
+    Column("part", "on"),
+    Column("policy", "policy"),
+    *_estimate("geometric", "J / best", digits=3),
+    Column("J", "mean J", digits=4),
+    Column("worst_vs_passive", "worst / passive", digits=2),
 )
 _TARGETS = (
     Column("policy", "policy"),
@@ -104,29 +116,42 @@ class CompareResult(Comparison):
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the scores, the targets, and what a reader has to know about them."""
-        title = (
-            f"{len(self.grid.conditions)} conditions x {len(self.config.seeds)} seeds: J on line, "
-            "and IQM of its ratio to MPPT2's (95 %)"
-        )
+        count = f"{_count(self)} x {len(self.config.seeds)} seeds"
+        title = f"{count}: J on line, and IQM of its ratio to MPPT2's (95 %)"
         lines = _lines(self)
         columns = [column for column in (*_COSTS, *_BESIDE) if column.name in lines[0]]
         print_table(console, title, columns, lines, wide=wide, section="bound")
         for line in _notes(self):
             console.print(line, markup=False, highlight=False)
+        title = "J over that of the best constant command of each condition: geometric mean (95 %)"
+        print_table(console, title, _RELATIVE, _relative(self), wide=wide, section="part")
         learned = {each.name for each in self.entrants if each.learned}
         gains = [row for row in _own(_gains(self)) if row["policy"] in learned]
-        if gains:
-            title = "mean J of learned policies below the controllers' (95 %)"
-            print_table(console, title, _GAINS, gains, wide=wide, section="policy")
+        for part in self.by_part if gains else ():
+            rows = [row for row in gains if row["part"] == part]
+            title = f"{part}: geometric and plain mean of J of learned policies below the controllers' (95 %)"
+            print_table(console, title, _GAINS, rows, wide=wide, section="policy")
         if self.targets:
             title = "learned policies: what was asked"
             print_table(console, title, _TARGETS, self.targets, wide=wide, section="policy")
 
 
+def _count(result: Comparison) -> str:
+    lines = sum(each.line is not None for each in result.grid.conditions)
+    straight = f"{len(result.grid.conditions) - lines} conditions"
+    return f"{straight} and {lines} lines" if lines else straight
+
+
+def _relative(result: Comparison) -> list[dict[str, Any]]:
+    """Rows by part and policy, in J's own weighting."""
+    return _own(_scores(result))
+
+
 def _lines(result: Comparison) -> list[dict[str, Any]]:
     """What is printed of each entrant, and of the best constant command of each condition."""
     rows = []
-    for each, scores in zip(result.entrants, _own(_scores(result)), strict=True):
+    together = [row for row in _own(_scores(result)) if row["part"] == TOGETHER]
+    for each, scores in zip(result.entrants, together, strict=True):
         row = scores | result.overview(each) | {"bound": False}
         row["largest_ratio"] = max(row[f"largest_{name}"] for name in RATIOS)
         row["critical"] = _critical(result.stability_of(each), result.config.critical_speed.speeds_kmh)
@@ -170,8 +195,10 @@ def _scores(result: Comparison) -> list[dict[str, Any]]:
     """Scores by way of taking J and policy, by `_COSTS`."""
     return [
         {
-            **{"policy": each.name, "filter": variant.filter, "force_weight": variant.factor},
+            **{"part": part, "policy": each.name},
+            **{"filter": variant.filter, "force_weight": variant.factor},
             **{"training_seeds": len(each.members), **vars(own)},
+            **_numbers("geometric", own.geometric),
             **_numbers("iqm_to_passive", own.relative_to_passive),
             **_numbers("iqm_to_mppt2", own.relative_to_mppt2),
             **_numbers("improvement_over_mppt2", own.probability_of_improvement["mppt2"]),
@@ -180,7 +207,8 @@ def _scores(result: Comparison) -> list[dict[str, Any]]:
             "J_best_training_seed": own.J_by_training_seed.min(),
             "J_worst_training_seed": own.J_by_training_seed.max(),
         }
-        for variant, found in result.scores.items()
+        for part, scores in result.by_part.items()
+        for variant, found in scores.items()
         for each, own in ((each, found[each.name]) for each in result.entrants)
     ]
 
@@ -189,12 +217,14 @@ def _gains(result: Comparison) -> list[dict[str, Any]]:
     """Reduction of mean J against each controller, and the chance of a lower one, by `_GAINS`."""
     return [
         {
-            **{"policy": name, "filter": variant.filter, "force_weight": variant.factor},
-            "controller": other,
+            **{"part": part, "policy": name},
+            **{"filter": variant.filter, "force_weight": variant.factor, "controller": other},
+            **_numbers("geometric_reduction", own.geometric_by_controller[other]),
             **_numbers("reduction", own.reduction_by_controller[other]),
             **_numbers("improvement", own.probability_of_improvement[other]),
         }
-        for variant, found in result.scores.items()
+        for part, scores in result.by_part.items()
+        for variant, found in scores.items()
         for name, own in found.items()
         for other in (each.name for each in result.entrants if not each.learned)
     ]

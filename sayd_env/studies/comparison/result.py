@@ -11,7 +11,7 @@ import numpy as np
 from sayd_env.config.comparison import ComparisonConfig
 from sayd_env.config.frozen import frozen
 from sayd_env.config.units import Array
-from sayd_env.runs.policies import PAPER
+from sayd_env.runs.policies import PAPER, TUNED
 from sayd_env.studies.comparison.entrants import Entrant
 from sayd_env.studies.comparison.grid import (
     AVERAGED,
@@ -19,6 +19,7 @@ from sayd_env.studies.comparison.grid import (
     OFFLINE,
     OWN,
     RATIOS,
+    TOGETHER,
     Runs,
     ScenarioGrid,
     Variant,
@@ -39,6 +40,9 @@ class Comparison:
     costs: Mapping[Variant, Mapping[str, Array]]
     """By entrant: shape (training seeds, conditions, seeds)."""
     scores: Mapping[Variant, Mapping[str, Score]]
+    """Of all conditions together."""
+    parts: Mapping[str, Mapping[Variant, Mapping[str, Score]]]
+    """Of stationary conditions and of lines, where there are some, by themselves."""
     bounds: Mapping[Variant, Bound]
     stability: Mapping[str, Stability]
     """By the titles of all members."""
@@ -60,10 +64,15 @@ class Comparison:
         return np.stack([self.runs[title][name] for title in entrant.titles])
 
     @property
+    def by_part(self) -> Mapping[str, Mapping[Variant, Mapping[str, Score]]]:
+        """Scores by part, the last one all together; of a comparison without parts that one alone."""
+        return {**(self.parts if len(self.parts) > 1 else {}), TOGETHER: self.scores}
+
+    @property
     def missing(self) -> tuple[str, ...]:
-        """The paper's controllers that do not take part; with one missing there are no targets."""
-        names = [entrant.name for entrant in self.entrants]
-        return tuple(name for name in PAPER if name not in names)
+        """Controllers of the paper and tuned ones that do not take part; with any missing no targets."""
+        names = [entrant.name.partition("@")[0] for entrant in self.entrants]
+        return tuple(name for name in (*PAPER, *TUNED) if name not in names)
 
     @property
     def targets(self) -> list[Target]:
@@ -77,9 +86,12 @@ class Comparison:
             for row in targets(
                 each,
                 {
-                    variant: found[each.name]
-                    for variant, found in self.scores.items()
-                    if variant.factor in self.config.force_weights
+                    part: {
+                        variant: found[each.name]
+                        for variant, found in variants.items()
+                        if variant.factor in self.config.force_weights
+                    }
+                    for part, variants in self.parts.items()
                 },
                 self.stability_of(each),
                 max(float(self.field(each, name).max()) for name in RATIOS),
@@ -122,10 +134,13 @@ class Comparison:
         """How an entrant did on line, and how the vehicle fared; means are infinite where a run derailed."""
         own = self.scores[OWN][entrant.name]
         fields = {name: self.field(entrant, name) for name in (*RATIOS, *AVERAGED)}
+        parts = {part: found[OWN][entrant.name] for part, found in self.by_part.items()}
         return {
             **own.relative_to_mppt2.as_dict(),
             "worst_vs_passive": own.worst_vs_passive,
             "J": own.J,
+            "geometric_mean": {part: found.geometric.value for part, found in parts.items()},
+            **{f"J_{part}": found.J for part, found in parts.items() if part != TOGETHER},
             **{
                 column: self.scores[Variant("online", factor)][entrant.name].J
                 for column, factor in self.grid.reported.items()
@@ -138,13 +153,17 @@ class Comparison:
         }
 
     def _by_filter(self, entrant: Entrant) -> dict[str, Any]:
-        return {
-            filter_: {
-                f"{factor:g}": self.scores[Variant(filter_, factor)][entrant.name].as_dict()
-                for factor in self.grid.factors
+        def of(scores: Mapping[Variant, Mapping[str, Score]]) -> dict[str, Any]:
+            return {
+                filter_: {
+                    f"{factor:g}": scores[Variant(filter_, factor)][entrant.name].as_dict()
+                    for factor in self.grid.factors
+                }
+                for filter_ in FILTERS
             }
-            for filter_ in FILTERS
-        }
+
+        parts = self.parts if len(self.parts) > 1 else {}
+        return of(self.scores) | {part: of(scores) for part, scores in parts.items()}
 
     def best_constants(self) -> list[dict[str, Any]]:
         """The best constant command of each condition, and what it costs."""

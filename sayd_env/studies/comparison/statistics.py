@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,8 @@ from sayd_env.config.units import Array
 Draws = npt.NDArray[np.int64]
 LEVEL = 0.95
 """Level of the intervals."""
+SMALLEST = 1e-300
+"""Of which there is a logarithm."""
 CHUNK = 4_000_000
 """Values that are resampled at once."""
 
@@ -67,6 +69,17 @@ def improvements(values: Array, reference: Array) -> Array:
     return 0.5 * (1.0 + np.sign(reference - values))
 
 
+class _Resampled(NamedTuple):
+    """A policy's values and what resampling makes of them."""
+
+    values: Array
+    """Kept, so that no other array takes its place in memory."""
+    means: Array
+    """(B,)."""
+    logarithms: Array
+    """(B,) means over the conditions of the logarithm of the means of each."""
+
+
 class Bootstrap:
     """B resamples of C conditions and S scenarios of each, the same for all policies."""
 
@@ -77,6 +90,7 @@ class Bootstrap:
         self._seed_shares = _shares(self._seeds, scenarios)
         self._condition_shares = _shares(drawn, conditions)
         self._trainings = lru_cache(self._drawn_trainings)
+        self._kept: dict[int, _Resampled] = {}
 
     def stratified(self, values: Array, statistic: Callable[[Array, int], Array]) -> Array:
         """A statistic, of an array along an axis, of each resample of values (R, C, S): shape (B,)."""
@@ -103,17 +117,27 @@ class Bootstrap:
 
     def paired(self, values: Array, reference: Array) -> tuple[Array, Array]:
         """Means of a policy and of a reference over the same resampled scenarios, each of shape (B,)."""
-        trainings = self._training_shares(len(values))
-        mine, theirs = self._over_scenarios(values), self._over_scenarios(reference)
-        return (trainings * mine).sum(axis=1), theirs[:, 0]
+        return self._resampled(values).means, self._resampled(reference).means
 
-    def _over_scenarios(self, values: Array) -> Array:
-        """Means over resampled conditions and seeds, shape (B, R)."""
-        means = [
-            share[:, None] * (self._condition_shares @ values[:, :, s].T)
-            for s, share in enumerate(self._seed_shares.T)
-        ]
-        return np.asarray(np.sum(means, axis=0))
+    def paired_logarithms(self, values: Array, reference: Array) -> Array:
+        """Means over resampled conditions of the logarithm of a ratio of means, shape (B,).
+
+        Of each condition first the means over the resampled seeds and trainings are taken, of a policy and of
+        a reference, then the logarithm of their ratio.
+        """
+        return np.asarray(self._resampled(values).logarithms - self._resampled(reference).logarithms)
+
+    def _resampled(self, values: Array) -> _Resampled:
+        """Means of an array, computed once; it must not be changed afterwards."""
+        if id(values) not in self._kept:
+            shares = self._training_shares(len(values)), self._seed_shares
+            by_condition = np.einsum("br,bs,rcs->bc", *shares, values, optimize=True)
+            means, logarithms = (
+                (self._condition_shares * each).sum(axis=1)
+                for each in (by_condition, np.log(np.maximum(by_condition, SMALLEST)))
+            )
+            self._kept[id(values)] = _Resampled(values, means, logarithms)
+        return self._kept[id(values)]
 
     def _training_shares(self, count: int) -> Array:
         return _shares(self._trainings(count), count)
@@ -147,6 +171,23 @@ def reduction(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate
     """How far the mean lies below the reference's, as a share of that, paired."""
     mine, theirs = bootstrap.paired(values, reference)
     return estimate(1.0 - values.mean() / reference.mean(), 1.0 - mine / theirs, "share")
+
+
+def geometric_mean(values: Array, reference: Array) -> float:
+    """Geometric mean over conditions of a policy's mean in each over the reference's."""
+    return float(np.exp(np.mean(np.log(values.mean(axis=(0, 2)) / reference.mean(axis=(0, 2))))))
+
+
+def geometric_ratio(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:
+    """Geometric mean over conditions of the ratio of means, paired."""
+    resampled = np.exp(bootstrap.paired_logarithms(values, reference))
+    return estimate(geometric_mean(values, reference), resampled, "ratio")
+
+
+def geometric_reduction(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:
+    """How far the geometric mean of the ratios lies below 1, as a share, paired."""
+    found = geometric_ratio(values, reference, bootstrap)
+    return Estimate(1.0 - found.value, 1.0 - found.high, 1.0 - found.low, "share")
 
 
 def difference(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:

@@ -75,17 +75,23 @@ def _as_yaml(text: str) -> str:
 def minimise(tuning: ControllerTuning, own: Gains, cost: CostAt, seed: int) -> None:
     """Search the ranges of some gains for the least cost.
 
-    One gain: Brent's bounded search. Several: differential evolution, whose first points are the gains that
-    the controller has, the guesses and a Latin hypercube; then COBYQA, a trust-region method without
+    One gain: evenly spaced points, then Brent's bounded search between the neighbours of the best one, or
+    between the ends without such points. Several: differential evolution, whose first points are the gains
+    that the controller has, the guesses and a Latin hypercube; then COBYQA, a trust-region method without
     derivatives, from its best point.
 
     `own` are the gains that the controller has; the seed is that of the global search.
     """
     bounds = [(gain.low, gain.high) for gain in tuning.gains.values()]
     if len(bounds) == 1:
+        (low, high), count = bounds[0], tuning.search
+        if count:
+            places = np.linspace(low, high, count)
+            best = int(np.argmin([cost("search", np.array([x])) for x in places]))
+            low, high = places[max(best - 1, 0)], places[min(best + 1, count - 1)]
         minimize_scalar(
             lambda x: cost("polish", np.array([x])),
-            bounds=bounds[0],
+            bounds=(low, high),
             method="bounded",
             options={"maxiter": tuning.polish, "xatol": 0.0},
         )

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sayd_env.agents.config import load_train
 from sayd_env.config import ConfigError
-from sayd_env.config.control import load_controller
+from sayd_env.config.control import gains_of, load_controller
 from sayd_env.config.loader import packaged_names
 from sayd_env.config.palette import policy_style
 from sayd_env.config.software import git_state
 from sayd_env.config.tuning import Gains, TuningConfig, TuningScenario
 from sayd_env.config.units import Array
+from sayd_env.envs.interface import BOGIES
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, label, log_axis, panels
 from sayd_env.runs.cache import fingerprint
@@ -44,13 +46,15 @@ class Evaluation:
     gains: Gains
     """What was tuned; empty for a reference."""
     costs: tuple[float, ...]
-    """J of each scenario, with the charge for a derailment."""
+    """J of each scenario and line, with the charge for a derailment."""
     derailed: int
-    """Scenarios that ended early."""
+    """Runs that ended early."""
+    cost: float
+    """The mean of J that is to be small."""
 
     @property
-    def cost(self) -> float:
-        """Mean of J."""
+    def mean(self) -> float:
+        """Arithmetic mean of J."""
         return float(np.mean(self.costs))
 
 
@@ -96,34 +100,45 @@ class TuneResult:
         """The controller with its own gains."""
         return self.references[self.controller]
 
+    @property
+    def simulated(self) -> float:
+        """Time that all sets of gains have been simulated, s."""
+        return len(self.tried) * self.settings.seconds
+
     def as_dict(self) -> dict[str, Any]:
-        """Gains, mean J before and after and of the references, and J of each scenario."""
+        """Gains, mean J before and after and of the references, J of each scenario and line, budget."""
         return {
             "controller": self.controller,
             "gains": self.best.gains,
             "J_before": self.before.cost,
             "J_after": self.best.cost,
+            "mean": self.settings.mean,
             "J": {name: e.cost for name, e in self.shown.items()},
+            "J_arithmetic": {name: e.mean for name, e in self.shown.items()},
             "J_by_scenario": {name: e.costs for name, e in self.shown.items()},
             "derailed": {name: e.derailed for name, e in self.shown.items()},
             "scenarios": self.settings.scenarios,
+            "lines": self.settings.lines,
             "evaluations": len(self.tried),
+            "simulated_s": self.simulated,
+            "ppo_training_s": training_seconds(),
         }
 
     def tables(self) -> dict[str, Table]:
         """J by scenario and policy, the tuned controller last; the evaluations."""
-        rows = [
-            [*case.model_dump().values(), *(e.costs[i] for e in self.shown.values())]
-            for i, case in enumerate(self.settings.scenarios)
-        ]
+        fields = [name for name in TuningScenario.model_fields if name != "seed"]
+        about = [[None, *(getattr(c, name) for name in fields), c.seed] for c in self.settings.scenarios]
+        if (lines := self.settings.lines) is not None:
+            about += [[lines.environment, *(None for _ in fields), seed] for seed in lines.seeds]
+        rows = [[*each, *(e.costs[i] for e in self.shown.values())] for i, each in enumerate(about)]
         gains = list(self.best.gains)
-        costs = [f"J_{case.seed}" for case in self.settings.scenarios]
+        costs = [f"J_{each[-1]}" for each in about]
         tried = [
             [e.policy, e.stage, *map(e.gains.get, gains), e.cost, e.derailed, *e.costs]
             for e in self.evaluations
         ]
         return {
-            "scenarios": ((*TuningScenario.model_fields, *self.shown), rows),
+            "scenarios": (("line", *fields, "seed", *self.shown), rows),
             "evaluations": (("policy", "stage", *gains, "J", "derailed", *costs), tried),
         }
 
@@ -133,45 +148,67 @@ class TuneResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the gains, and mean J beside that of the references."""
-        own = load_controller(self.controller)
+        own = gains_of(load_controller(self.controller))
         rows = [
-            {"gain": name, "before": getattr(own, name), "tuned": self.best.gains[name], "range": gain.text}
+            {"gain": name, "before": own[name], "tuned": self.best.gains[name], "range": gain.text}
             for name, gain in self.settings.of(self.controller).gains.items()
         ]
         print_table(console, f"{self.title}: {len(self.tried)} evaluations", GAINS, rows, wide=wide)
         costs = [
-            {"policy": name, "J": e.cost, "change": e.cost / self.before.cost - 1.0}
+            {"policy": name, "J": e.cost, "mean": e.mean, "change": e.cost / self.before.cost - 1.0}
             | {"better": int(np.less(e.costs, self.before.costs).sum()), "derailed": e.derailed}
             for name, e in self.shown.items()
         ]
-        title = f"mean J of {len(self.settings.scenarios)} scenarios"
+        title = f"J of {self._count()}: {self.settings.mean} mean, and plain mean"
         print_table(console, title, COSTS, costs, wide=wide)
+        console.print(
+            f"simulated: {self.simulated:,.0f} s; one PPO training: {training_seconds():,.0f} s",
+            highlight=False,
+        )
+
+    def _count(self) -> str:
+        lines = self.settings.lines
+        along = "" if lines is None else f" and {len(lines.seeds)} lines"
+        return f"{len(self.settings.scenarios)} scenarios{along}"
 
     def control_file(self) -> str:
         """Text of a file of parameters: the controller's own, with the tuned gains in their places."""
         ranges = self.settings.of(self.controller).gains
         own = load_controller(self.controller)
+        tuned = load_controller(self.controller, self.best.gains)
         seeds = [case.seed for case in self.settings.scenarios]
+        where = (
+            f"{len(seeds)} of {self.name}, {self.settings.episode_s:g} s, seeds {min(seeds)} to {max(seeds)}"
+        )
+        if (lines := self.settings.lines) is not None:
+            where += (
+                f"; {len(lines.seeds)} lines, {lines.episode_s:g} s, "
+                f"seeds {min(lines.seeds)} to {max(lines.seeds)}"
+            )
         about = {
             "command": self.command,
-            "scenarios": f"{len(seeds)} of {self.name}, {self.settings.episode_s:g} s, "
-            f"seeds {min(seeds)} to {max(seeds)}",
+            "scenarios": where,
             "evaluations": len(self.tried),
+            "simulated_s": f"{self.simulated:.0f}",
+            "mean": self.settings.mean,
             "J_before": f"{self.before.cost:.6g}",
             "J_after": f"{self.best.cost:.6g}",
             "commit": self.commit or "null",
         }
-        lines = [HEAD.format(controller=self.controller)]
+        text = [HEAD.format(controller=self.controller)]
         for name, info in type(own).model_fields.items():
             if name == "provenance":
                 continue
             extra = info.json_schema_extra
             unit = extra.get("unit") if isinstance(extra, dict) else None
-            value: Any = self.best.gains.get(name, getattr(own, name))
-            tag = f"calibrated: from {ranges[name].text}" if name in ranges else f"as {self.controller}"
-            text = f"{name}: {'null' if value is None else value}"
-            lines.append(f"{text:<{COMMENT_COLUMN - 1}} # {f'{unit}; ' if unit else ''}{tag}")
-        return "\n".join([*lines, *provenance_lines(about)]) + "\n"
+            value: Any = getattr(tuned, name)
+            found = [gain for gain in ranges if gain.partition(".")[0] == name]
+            spans = dict.fromkeys(ranges[gain].text for gain in found)
+            tag = f"calibrated: from {' and '.join(spans)}" if found else f"as {self.controller}"
+            shown = list(value) if isinstance(value, tuple) else value
+            entry = f"{name}: {'null' if value is None else shown}"
+            text.append(f"{entry:<{COMMENT_COLUMN - 1}} # {f'{unit}; ' if unit else ''}{tag}")
+        return "\n".join([*text, *provenance_lines(about)]) + "\n"
 
     def _draw(self, figure: Figure) -> None:
         left, right = panels(figure, 2, 2, (5.0, 4.2))
@@ -180,7 +217,14 @@ class TuneResult:
         for e, name in ((self.before, self.controller), (self.best, self.title)):
             style = policy_style(name)
             # No lines: two scenarios of neighbouring speeds have other wear and friction.
-            right.plot(speeds, e.costs, style.marker, color=style.colour, markersize=4, label=label(name))
+            right.plot(
+                speeds,
+                e.costs[: len(speeds)],
+                style.marker,
+                color=style.colour,
+                markersize=4,
+                label=label(name),
+            )
         right.set(xlabel="speed (km/h)", ylabel="J of a scenario")
         log_axis(right)
         right.legend(fontsize="small")
@@ -196,19 +240,20 @@ class TuneResult:
         for name, e in self.references.items():
             if e.cost < 2.0 * self.before.cost:
                 axes.axhline(e.cost, linewidth=1.0, label=label(name), **policy_style(name).plain)
-        axes.set(ylabel="mean J", title=self.title)
+        axes.set(ylabel=f"{self.settings.mean} mean of J", title=self.title)
         log_axis(axes)
         axes.legend(fontsize="small")
 
 
 HEAD = """\
-# The controller {controller} with the gains of the smallest mean J, by `sayd tune`.
+# The controller {controller} with the parameters of the smallest mean J, by `sayd tune`.
 # Tags: calibrated = found so, in the named range; the rest is as in {controller}.yaml.
 """
 GAINS = tuple(Column(name, name) for name in ("gain", "before", "tuned", "range"))
 COSTS = (
     Column("policy", "policy"),
     Column("J", "J", digits=5, best=True),
+    Column("mean", "mean J", digits=5),
     Column("change", "to before", "%", 100.0, 1),
     Column("better", "scenarios better"),
     Column("derailed", "derailed", limit=0),
@@ -225,7 +270,7 @@ def tune(
     command: str = "",
     context: RunContext | None = None,
 ) -> TuneResult:
-    """Find the gains of a controller with the smallest mean J over a list of scenarios.
+    """Find the gains of a controller with the smallest mean J over a list of scenarios and lines.
 
     `name` is what the scenarios are called in the controller's file, `seed` that of the global search (not of
     the scenarios), `command` how to repeat it. The context's cache keeps evaluations, its executor gives the
@@ -245,7 +290,7 @@ def tune(
     run = _Tuning(controller, settings, total, context or RunContext())
     for spec in asked:
         run.evaluate(spec, REFERENCE, {})
-    own = load_controller(controller).model_dump()
+    own = gains_of(load_controller(controller))
     own |= {k: settings.initial_current for k in ("initial",) if k in own and own[k] is None}
     minimise(tuning, own, run.cost_at, seed)
     command = command or f"sayd tune {controller}"
@@ -258,17 +303,24 @@ class _Tuning:
     def __init__(self, controller: str, settings: TuningConfig, total: int, context: RunContext) -> None:
         self.evaluations: list[Evaluation] = []
         self._controller, self._settings, self._context = controller, settings, context
-        self._evaluator = PolicyEvaluator(
-            settings.environment,
-            [case.model_dump() for case in settings.scenarios],
-            episode_s=settings.episode_s,
-            reward=settings.reward,
-            initial_current=settings.initial_current,
-            executor=context.executor,
-            kept=context.kept,
-        )
+        cases = [case.case for case in settings.scenarios]
+        self._evaluators = [self._evaluator(settings.environment, cases, settings.episode_s)]
+        if (lines := settings.lines) is not None:
+            seeds = [{"seed": seed} for seed in lines.seeds]
+            self._evaluators.append(self._evaluator(lines.environment, seeds, lines.episode_s))
         self._asked, self._total = 0, total
         self._seen: dict[tuple[float, ...], Evaluation] = {}
+
+    def _evaluator(self, environment: str, cases: list[dict[str, Any]], episode_s: float) -> PolicyEvaluator:
+        return PolicyEvaluator(
+            environment,
+            cases,
+            episode_s=episode_s,
+            reward=self._settings.reward,
+            initial_current=self._settings.initial_current,
+            executor=self._context.executor,
+            kept=self._context.kept,
+        )
 
     def cost_at(self, stage: str, place: Array) -> float:
         """Mean J of the controller at a place of the ranges."""
@@ -283,21 +335,42 @@ class _Tuning:
 
     def evaluate(self, spec: PolicySpec, stage: str, gains: Gains) -> Evaluation:
         """Evaluate a policy, unless it is in the cache."""
-        key = fingerprint(*self._evaluator.inputs(spec))
-        found = self._context.cache.get(key, Costs)
-        if found is None:
-            found = self._evaluator.costs(spec)
-            self._context.cache.put(key, found)
-        evaluation = Evaluation(spec.title, stage, gains, tuple(map(float, found.costs)), found.derailed)
+        found = [self._costs(evaluator, spec) for evaluator in self._evaluators]
+        costs = np.concatenate([each.costs for each in found])
+        evaluation = Evaluation(
+            spec.title,
+            stage,
+            gains,
+            tuple(map(float, costs)),
+            sum(each.derailed for each in found),
+            float(np.exp(np.mean(np.log(costs))))
+            if self._settings.mean == "geometric"
+            else float(costs.mean()),
+        )
         self.evaluations.append(evaluation)
         self._tell(stage)
         return evaluation
+
+    def _costs(self, evaluator: PolicyEvaluator, spec: PolicySpec) -> Costs:
+        key = fingerprint(*evaluator.inputs(spec))
+        found = self._context.cache.get(key, Costs)
+        if found is None:
+            found = evaluator.costs(spec)
+            self._context.cache.put(key, found)
+        return found
 
     def _tell(self, stage: str) -> None:
         self._asked += 1
         tried = [e for e in self.evaluations if e.stage != REFERENCE]
         best = f", best J {best_of(tried).cost:.5f}" if tried else ""
         self._context.progress(min(self._asked, self._total), self._total, f"{stage}{best}")
+
+
+def training_seconds() -> float:
+    """Time that one training of PPO simulates by its configuration, s: vehicles, not their bogies."""
+    config = load_train("ppo")
+    shares = len(BOGIES) if config.view == "bogie" else 1
+    return config.total_steps * config.environment.control_period / shares
 
 
 def refuse_packaged(file: Path) -> None:

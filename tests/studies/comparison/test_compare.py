@@ -15,8 +15,9 @@ from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
 from sayd_env.agents.policy_file import StoredPolicy, describe, save_policy
 from sayd_env.cli import main
 from sayd_env.config import ConfigError
-from sayd_env.config.comparison import ComparedTrack, ComparisonConfig, load_comparison
+from sayd_env.config.comparison import ComparedTrack, ComparedWheels, ComparisonConfig, load_comparison
 from sayd_env.config.control import load_controller
+from sayd_env.config.profile import load_wheel
 from sayd_env.envs.single import SaydEnv
 from sayd_env.runs.cache import RunCache, fingerprint
 from sayd_env.runs.context import RunContext
@@ -28,15 +29,20 @@ from sayd_env.studies.comparison.grid import OWN, ScenarioGrid, Variant
 from sayd_env.studies.comparison.scores import Stability
 
 ENVIRONMENT = "base: randomized\nepisode_s: 4.0\n"
+LINES = "base: line\nepisode_s: 12.0\n"
 STUDY = "base: nominal\nassessment: {run_in: 200.0, length: 600.0}\n"
 COMPARISON = """
 environment: env.yaml
 length: 600.0
 tracks: [{name: german_low, scale: 0.6}]
 speeds_kmh: [250.0, 350.0]
-wear: [1.0]
+wheels: [{name: worn, wear: 1.0}]
 friction: [0.35]
 seeds: [5]
+lines:
+  environment: lines.yaml
+  seeds: [11]
+  tracks: [{name: german_low, scale: {law: fixed, value: 0.5}}]
 initial_current: 0.0
 critical_speed: {study: study.yaml, speeds_kmh: [320.0, 400.0], wear: 1.0, seeds: [3]}
 constants: [0.3]
@@ -47,9 +53,10 @@ bootstrap: {samples: 200, seed: 0}
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A comparison of two conditions on a short track."""
+    """A comparison of two conditions on a short track, and of a line."""
     folder = tmp_path_factory.mktemp("comparison")
     (folder / "env.yaml").write_text(ENVIRONMENT)
+    (folder / "lines.yaml").write_text(LINES)
     (folder / "study.yaml").write_text(STUDY)
     (folder / "small.yaml").write_text(COMPARISON)
     return folder / "small.yaml"
@@ -144,6 +151,17 @@ def test_a_comparison_needs_the_length_of_an_episode(config: ComparisonConfig):
         ScenarioGrid.of(config.model_copy(update={"length": 300.0}))
 
 
+def test_a_line_needs_the_length_of_a_spectrum(config: ComparisonConfig, tmp_path: Path):
+    (tmp_path / "short.yaml").write_text("base: line\nepisode_s: 5.0\n")
+    assert config.lines is not None
+    lines = config.lines.model_copy(update={"environment": str(tmp_path / "short.yaml")})
+    with pytest.raises(ConfigError, match=r"the line of seed 11 is .* m long after 5 s; expected 500 m"):
+        ScenarioGrid.of(config.model_copy(update={"lines": lines}))
+    straight = lines.model_copy(update={"environment": "randomized"})
+    with pytest.raises(ConfigError, match=r"lines.environment: 'randomized' draws no lines"):
+        ScenarioGrid.of(config.model_copy(update={"lines": straight}))
+
+
 def test_what_cannot_be_is_refused_before_any_work(
     config: ComparisonConfig, entrants: list[Entrant], monkeypatch: pytest.MonkeyPatch
 ):
@@ -157,19 +175,33 @@ def test_conditions_are_all_combinations_and_reach_the_vehicle(config: Compariso
     many = config.model_copy(
         update={
             "tracks": (ComparedTrack(name="china"), ComparedTrack(name="german_low", scale=0.4)),
-            "wear": (0.0, 1.0),
+            "wheels": (
+                ComparedWheels(name="LMA", profile="lma", wear=0.0, gauge=1.438),
+                ComparedWheels(name="worn", wear=1.0),
+            ),
         }
     )
     grid = ScenarioGrid.of(many)
-    runs = grid.runs(PolicySpec("mppt2"))
-    assert len(runs) == len(grid.conditions) == 2 * 2 * 2
-    last = runs[-1]
+    runs, lines = grid.runs(PolicySpec("mppt2"))
+    assert len(runs) == len(grid.conditions) - 1 == 2 * 2 * 2
+    first, last = runs[0], runs[-1]
+    assert (first.scenario.wheel.name, first.scenario.wear, first.scenario.track.gauge) == (
+        load_wheel("lma").name,
+        0.0,
+        1.438,
+    )
     assert (last.speed * 3.6, last.scenario.wear, last.scenario.friction) == (350.0, 1.0, 0.35)
     assert getattr(last.scenario.track.irregularity, "scale") == 0.4  # noqa: B009 - of one kind of track
     assert last.scenario.damper.type == "sayd"
     assert not last.environment.randomisation.tracks
     assert last.environment.randomisation.tolerances  # still drawn from the seed
-    assert grid.runs(PolicySpec("passive"))[0].scenario.damper.type == "passive"
+    assert grid.runs(PolicySpec("passive"))[0][0].scenario.damper.type == "passive"
+    (line,) = lines
+    assert line.line is not None
+    assert line.speed == pytest.approx(float(line.line.speed_at(0.0)))
+    assert line.scenario.wheel.name == load_wheel("lma").name  # the first line has the first wheels
+    assert line.environment.episode_s == 12.0
+    assert {piece.scale for piece in line.line.tracks} == {0.5}
 
 
 def test_the_constant_s_run_is_that_of_its_command(config: ComparisonConfig):
@@ -177,7 +209,7 @@ def test_the_constant_s_run_is_that_of_its_command(config: ComparisonConfig):
     grid = ScenarioGrid.of(config)
     own = load_controller("constant").model_dump()["current"]
     named, same, other = (
-        fingerprint(*grid.runs(policy)[0].inputs())
+        fingerprint(*grid.runs(policy)[0][0].inputs())
         for policy in (PolicySpec("constant"), constant_spec(own), constant_spec(1.0))
     )
     assert named == same != other
@@ -208,8 +240,9 @@ def test_j_has_the_weights_and_the_charge_of_its_variant(config: ComparisonConfi
 
 
 def test_quick_takes_a_few(config: ComparisonConfig):
-    few = fewer(config.model_copy(update={"wear": (0.2, 0.9), "seeds": (1, 2, 3)}))
-    assert (few.wear, few.seeds, few.speeds_kmh) == ((0.9,), (1,), (350.0,))
+    wheels = tuple(ComparedWheels(name=f"{wear:g}", wear=wear) for wear in (0.2, 0.9))
+    few = fewer(config.model_copy(update={"wheels": wheels, "seeds": (1, 2, 3)}))
+    assert ([each.wear for each in few.wheels], few.seeds, few.speeds_kmh) == ([0.9], (1,), (350.0,))
     assert few.critical_speed.speeds_kmh == (320.0, 400.0)
 
 
@@ -232,8 +265,13 @@ def result(config: ComparisonConfig, entrants: list[Entrant], kept: Path) -> Com
 
 
 def test_a_blind_policy_scores_as_the_constant_that_it_commands(result: CompareResult):
-    """Its clock is another, but over the episode J on line is the same."""
-    assert result.bounds[OWN].costs == pytest.approx(result.costs[OWN]["blind"], rel=1e-6)
+    """Its clock is another, but over the episode J on line is the same.
+
+    On the line it is not quite: of another clock the run-in begins elsewhere, unless it is a whole number of
+    periods of both.
+    """
+    assert result.bounds[OWN].costs[:, :2] == pytest.approx(result.costs[OWN]["blind"][:, :2], rel=1e-6)
+    assert result.parts["stationary"][OWN]["blind"].geometric.value == pytest.approx(1.0, rel=1e-6)
     assert result.field(result.entrants[2], "valve_mean") == pytest.approx(0.3)
 
 
@@ -242,10 +280,13 @@ def test_the_result_has_what_scripts_read(result: CompareResult):
     assert list(found["scores"]) == ["passive", "mppt2", "blind"]
     assert {"iqm", "ci95", "worst_vs_passive", "online", "offline"} <= found["scores"]["blind"].keys()
     assert (found["scores"]["mppt2"]["iqm"], found["scores"]["mppt2"]["ci95"]) == (1.0, [1.0, 1.0])
-    assert [each["speed_kmh"] for each in found["scenarios"]] == [250.0, 350.0]
+    assert [each["speed_kmh"] for each in found["scenarios"]] == [250.0, 350.0, None]
+    assert [each["line"] for each in found["scenarios"]] == [None, None, 11]
+    assert set(found["scores"]["mppt2"]["geometric_mean"]) == {"stationary", "lines", "together"}
+    assert {"online", "offline"} == set(found["scores"]["mppt2"]["lines"])
     assert found["critical_speed_kmh"]["mppt2"] is None
     assert found["matrix"]["blind"]["training_seeds"] == ("blind-s4",)
-    assert found["matrix"]["blind"]["J"].shape == (1, 2)
+    assert found["matrix"]["blind"]["J"].shape == (1, 3)
     (learned,) = found["learned"]
     assert (learned["seed"], learned["steps"], learned["git_commit"]) == (4, 7, "abc")
     assert len(learned["sha256"]) == 64
@@ -254,7 +295,20 @@ def test_the_result_has_what_scripts_read(result: CompareResult):
     assert found["scores"]["mppt2"]["J_low_force"] == pytest.approx(low, rel=1e-12)
     assert set(found["scores"]["mppt2"]["online"]) == {"0.5", "1", "2", "4"}
     assert found["targets"] == []  # three of the paper's controllers are missing
-    assert result.missing == ("mppt1", "skyhook-onoff", "skyhook-continuous")
+    assert result.missing[:3] == ("mppt1", "skyhook-onoff", "skyhook-continuous")
+
+
+def test_each_part_is_scored_by_itself(result: CompareResult):
+    """Two conditions and one line: means over both parts, weighted by their conditions, are those of all."""
+    assert list(result.parts) == ["stationary", "lines"]
+    straight, lines = (result.parts[part][OWN]["mppt2"] for part in result.parts)
+    assert pytest.approx((2 * straight.J + lines.J) / 3) == result.scores[OWN]["mppt2"].J
+    whole = result.scores[OWN]["mppt2"].geometric.value
+    assert whole == pytest.approx((straight.geometric.value**2 * lines.geometric.value) ** (1 / 3))
+    runs = result.runs["mppt2"]
+    assert np.isfinite(runs["J_offline_acceleration"]).all()
+    # On one line both filters see the same hunting: J of them is of one order.
+    assert runs["J_offline_acceleration"][2, 0] == pytest.approx(runs["J_acceleration"][2, 0], rel=1.0)
 
 
 def test_passive_wheels_are_critical_where_the_map_has_them(result: CompareResult):
@@ -273,8 +327,8 @@ def test_nothing_is_run_twice(
 ):
     cache = RunCache(kept)
     again = compare(config, entrants, context=RunContext(cache=cache))
-    # Three policies and the constant in two conditions; three at two speeds, and halfway to a crossing.
-    assert cache.reused == 4 * 2 + 3 * 2 + sum(crosses(each) for each in result.stability.values())
+    # Three policies and the constant in three conditions; three at two speeds, and halfway to a crossing.
+    assert cache.reused == 4 * 3 + 3 * 2 + sum(crosses(each) for each in result.stability.values())
     assert np.array_equal(again.costs[OWN]["blind"], result.costs[OWN]["blind"])
     assert again.scores[OWN]["blind"].relative_to_passive == result.scores[OWN]["blind"].relative_to_passive
 
@@ -292,8 +346,10 @@ def test_other_weights_under_the_same_name_are_another_policy(
     cache = RunCache(copy)
     found = compare(fewer(config), others, context=RunContext(cache=cache))
     assert found.field(found.entrants[2], "valve_mean") == pytest.approx(0.1)
-    # The others and the constant are taken from the disk, at one speed and on the way to the critical one.
-    assert cache.reused == 3 + 2 * 2 + sum(crosses(result.stability[name]) for name in ("passive", "mppt2"))
+    # The others and the constant come from the disk: at one speed, along a line, to the critical speed.
+    assert cache.reused == 3 * 2 + 2 * 2 + sum(
+        crosses(result.stability[name]) for name in ("passive", "mppt2")
+    )
 
 
 def test_an_interrupted_comparison_keeps_what_was_run(
@@ -306,12 +362,12 @@ def test_an_interrupted_comparison_keeps_what_was_run(
     arguments = ["compare", "--config", str(file), "--policies", "mppt2", "--quick", "--out", str(tmp_path)]
     assert main(arguments) == 130
     assert f"finished runs are in {tmp_path}/runs; the same command goes on" in capsys.readouterr().err
-    assert len(list(tmp_path.glob("runs/*/*.npz"))) == 3
+    assert len(list(tmp_path.glob("runs/*/*.npz"))) == 6
     assert not (tmp_path / "result.json").exists()
     monkeypatch.undo()
     assert main([*arguments, "--json"]) == 0
     printed = capsys.readouterr()
-    assert "3 runs had been finished by an earlier start" in printed.err
+    assert "6 runs had been finished by an earlier start" in printed.err
     assert json.loads(printed.out)["scores"]["mppt2"]["iqm"] == 1.0
     tables = (
         "scores.csv",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sayd_env.config.comparison import BootstrapConfig, ComparedTrack
+from sayd_env.config.comparison import BootstrapConfig, ComparedTrack, ComparedWheels
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.stability import Crossing
 from sayd_env.studies.comparison.entrants import Entrant
@@ -19,18 +19,21 @@ from sayd_env.studies.comparison.scores import (
     stability_of,
     targets,
 )
-from sayd_env.studies.comparison.statistics import Bootstrap
+from sayd_env.studies.comparison.statistics import Bootstrap, geometric_reduction
 from sayd_env.studies.map import Cell
 
-CONDITIONS = [Condition(ComparedTrack(name="china"), 300.0, 1.0, friction) for friction in (0.3, 0.4)]
+WORN = ComparedWheels(name="worn", wear=1.0)
+CONDITIONS = [Condition(WORN, ComparedTrack(name="china"), 300.0, friction) for friction in (0.3, 0.4)]
 
 
 def made_up(learned: list[list[float]]) -> Score:
-    """Score of trainings with the given J in two conditions, where MPPT2 has 1 and 3, the passive one 2."""
+    """Score of trainings with J in two conditions: MPPT2 has 1 and 3, tuned 1 and 2, the passive one 2."""
     costs = {
         "passive": np.full((1, 2, 1), 2.0),
         "mppt2": np.array([[[1.0], [3.0]]]),
         "mppt1": np.full((1, 2, 1), 4.0),
+        "mppt2-tuned": np.array([[[1.0], [2.0]]]),
+        "constant-tuned@mine": np.array([[[0.9], [2.4]]]),
         "ppo": np.array(learned)[..., None],
     }
     bound = np.full((1, 2, 1), 0.5)
@@ -58,30 +61,53 @@ def test_a_score_compares_scenario_by_scenario():
     assert found.relative_to_best_constant == pytest.approx(2.3)
 
 
+def test_geometric_means_are_over_conditions_of_means():
+    """J of 0.5 and 1.8 over 0.5 each; MPPT2 has 1 and 3, the tuned ones 1 and 2, 0.9 and 2.4."""
+    found = made_up([[0.5, 1.5], [0.5, 2.1]])
+    assert found.geometric.value == pytest.approx((1.0 * 3.6) ** 0.5)
+    assert found.best_of["paper"] == ("mppt2", "mppt2")
+    assert found.best_of["tuned"] == ("mppt2-tuned", "mppt2-tuned")  # sqrt(2) and 1.5; sqrt(2.16) and 1.65
+    gain = found.geometric_by_controller["mppt2-tuned"]
+    assert gain.value == pytest.approx(1.0 - (0.9 / 2.0) ** 0.5)
+    # Resamples of two conditions: both alike (0.5, or 0.9 with trainings of 0.75 to 1.05), or one of each.
+    assert 1.0 - 1.05 - 1e-9 <= gain.low <= gain.value <= gain.high <= 0.5 + 1e-9
+
+
+def test_a_factor_on_every_condition_has_no_spread():
+    """20 % less in every condition and seed is 20 % less, whatever is drawn."""
+    random = np.random.default_rng(1)
+    theirs = random.uniform(0.1, 9.0, (1, 7, 3))
+    bootstrap = Bootstrap(7, 3, BootstrapConfig(samples=300, seed=0))
+    found = geometric_reduction(0.8 * theirs, theirs, bootstrap)
+    assert (found.value, found.low, found.high) == pytest.approx((0.2, 0.2, 0.2))
+
+
 STABLE = Stability(None, "not reached", {}, (340.0, 400.0), {"acceleration": 0.4}, 0.5)
+
+
+CRITICAL = Stability(390.0, "found", {}, (340.0, 400.0), {"acceleration": 1.1}, 1.2)
+UNKNOWN = Stability(None, "not reached", {}, (340.0, 370.0), {"acceleration": 0.4}, 0.5)
 
 
 @pytest.mark.parametrize(
     ("learned", "stability", "holds"),
     [
-        ([0.5, 1.5], STABLE, [True, True, True]),
-        ([0.95, 2.85], STABLE, [False, False, True]),  # 5 % below MPPT2, and 2.85 above 2
-        ([0.5, 2.1], STABLE, [True, False, True]),
-        ([1.9, 0.1], STABLE, [False, True, True]),  # half of MPPT2's on average, not in each condition
+        ([0.5, 1.5], STABLE, [True, True, True, True]),
+        ([0.85, 1.95], STABLE, [True, True, True, True]),  # 26 % below MPPT2, 9 % below the tuned one
+        ([0.9, 1.95], STABLE, [True, False, True, True]),  # 6 % below the tuned one
+        ([0.9, 2.8], STABLE, [False, False, False, True]),  # 8 % below MPPT2
         (
-            [0.5, 1.5],
-            Stability(390.0, "found", {}, (340.0, 400.0), {"acceleration": 1.1}, 1.2),
-            [True, True, False],
-        ),
-        (
-            [0.5, 1.5],
-            Stability(None, "not reached", {}, (340.0, 370.0), {"acceleration": 0.4}, 0.5),
-            [True, True, False],  # nobody knows about 400 km/h
-        ),
+            [0.5, 2.05],
+            STABLE,
+            [True, False, False, True],
+        ),  # 28 % below tuned; 2.5 % above passive
+        ([0.5, 1.5], CRITICAL, [True, True, True, False]),
+        ([0.5, 1.5], UNKNOWN, [True, True, True, False]),  # nobody knows about 400 km/h
     ],
 )
 def test_targets(learned: list[float], stability: Stability, holds: list[bool]):
-    rows = targets(Entrant("ppo", (PolicySpec("ppo-s0"),)), {OWN: made_up([learned])}, stability, 0.6)
+    parts = {"stationary": {OWN: made_up([learned])}}
+    rows = targets(Entrant("ppo", (PolicySpec("ppo-s0"),)), parts, stability, 0.6)
     assert [row.holds for row in rows] == holds
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sayd_env.cli import main
-from sayd_env.config.control import load_controller
+from sayd_env.config.control import SpeedScheduleConfig, load_controller
 from sayd_env.config.tuning import ControllerTuning, load_tuning
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
@@ -32,7 +32,12 @@ TINY = (
     "scenarios=[{speed_kmh: 300.0, wear: 0.5, friction: 0.3, seed: 9000},"
     " {speed_kmh: 200.0, wear: 0.0, friction: 0.4, seed: 9001}]",
     "controllers.constant.polish=2",
+    "controllers.constant.search=0",
+    "lines=null",
+    "mean=arithmetic",
 )
+PLAIN = TINY[-2:]
+"""Scenarios without lines, and their plain mean."""
 
 
 def search_of(**content: object) -> ControllerTuning:
@@ -114,7 +119,7 @@ def bowl(monkeypatch: pytest.MonkeyPatch) -> type[Bowl]:
 
 
 def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_path: Path):
-    settings = load_tuning()
+    settings = load_tuning(overrides=PLAIN)
 
     def again() -> tuple[TuneResult, int]:
         cache = RunCache(tmp_path)
@@ -134,18 +139,46 @@ def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_pa
     assert again()[0].best == result.best
     assert bowl.made == needed
     assert result.best.gains["current"] == pytest.approx(0.45, abs=1e-4)
-    # Mean over 24 scenarios of 0.1 k is 1.15; the least J is 0.02.
-    assert result.best.cost == pytest.approx(1.17, abs=1e-6)
-    assert result.before.cost == pytest.approx(1.17 + 0.45**2, abs=1e-9)
+    # Mean over 32 scenarios of 0.1 k is 1.55; the least J is 0.02.
+    assert result.best.cost == pytest.approx(1.57, abs=1e-6)
+    assert result.before.cost == pytest.approx(1.57 + 0.45**2, abs=1e-9)
 
 
 def test_progress_counts_every_evaluation_once(bowl: type[Bowl]):
     told: list[tuple[float, float]] = []
     context = RunContext(progress=lambda done, total, what="": told.append((done, total)))
     result = tune("constant", load_tuning(), context=context)
-    total = len(result.references) + load_tuning().of("constant").polish
+    search = load_tuning().of("constant")
+    total = len(result.references) + search.search + search.polish
     assert told == [(done, total) for done in range(1, len(told) + 1)]
-    assert len(told) >= len(result.evaluations) == bowl.made
+    # Scenarios, and lines; a closed constant is a reference and a place of the search.
+    assert 2 * len(told) >= 2 * len(result.evaluations) >= bowl.made
+
+
+def test_the_mean_is_the_geometric_one_over_scenarios_and_lines(bowl: type[Bowl]):
+    """Costs of 0.02 + 0.1 k, of each list by itself."""
+    result = tune("constant", load_tuning())
+    costs = [0.02 + 0.1 * k for k in (*range(32), *range(8))]
+    least = result.best.gains["current"]
+    assert result.best.costs == pytest.approx([cost + (least - 0.45) ** 2 for cost in costs])
+    assert result.best.cost == pytest.approx(float(np.exp(np.mean(np.log(result.best.costs)))))
+    assert result.best.mean == pytest.approx(float(np.mean(result.best.costs)))
+    header, rows = result.tables()["scenarios"]
+    assert len(rows) == 40
+    assert [row[0] for row in rows[-8:]] == ["line"] * 8
+    assert header[:6] == ("line", "profile", "speed_kmh", "wear", "friction", "seed")
+    assert result.as_dict()["simulated_s"] == len(result.tried) * 1120.0
+
+
+def test_entries_of_a_list_are_tuned_one_by_one(bowl: type[Bowl], tmp_path: Path):
+    """What comes out is a file of the controller with the list in its place."""
+    result = tune("speed-schedule", load_tuning(overrides=PLAIN).shortened())
+    file = tmp_path / "speed-schedule-tuned.yaml"
+    file.write_text(result.control_file())
+    found = load_controller(str(file))
+    assert isinstance(found, SpeedScheduleConfig)
+    assert found.commands == tuple(result.best.gains[f"commands.{k}"] for k in range(5))
+    assert found.speeds_kmh == load_controller("speed-schedule").model_dump()["speeds_kmh"]
 
 
 def test_evaluations_on_other_scenarios_are_made_anew(bowl: type[Bowl], tmp_path: Path):
@@ -153,11 +186,13 @@ def test_evaluations_on_other_scenarios_are_made_anew(bowl: type[Bowl], tmp_path
     needed, bowl.made = bowl.made, 0
     cache = RunCache(tmp_path)
     tune("constant", load_tuning(overrides=["episode_s=10.0"]), context=RunContext(cache=cache))
-    assert (bowl.made, cache.reused) == (needed, 0)
+    # The lines are the same.
+    assert (bowl.made, cache.reused) == (needed // 2, needed // 2)
 
 
 def test_the_file_of_parameters_is_the_controller_with_other_gains(bowl: type[Bowl], tmp_path: Path):
-    result = tune("mppt2", load_tuning().shortened(), name="mine.yaml", command="sayd tune mppt2 --quick")
+    settings = load_tuning(overrides=PLAIN).shortened()
+    result = tune("mppt2", settings, name="mine.yaml", command="sayd tune mppt2 --quick")
     file = tmp_path / "mppt2-tuned.yaml"
     file.write_text(result.control_file())
     found = load_controller(str(file)).model_dump()
@@ -165,7 +200,8 @@ def test_the_file_of_parameters_is_the_controller_with_other_gains(bowl: type[Bo
     own = load_controller("mppt2").model_dump(exclude={"provenance"})
     assert found == own | dict(result.best.gains)
     assert about["command"] == "sayd tune mppt2 --quick"
-    assert about["scenarios"] == "4 of mine.yaml, 12 s, seeds 8005 to 8023"
+    assert about["scenarios"] == "4 of mine.yaml, 20 s, seeds 8007 to 8031"
+    assert about["simulated_s"] == len(result.tried) * 4 * 20.0
     assert about["evaluations"] == len(result.tried)
     assert about["J_before"] == pytest.approx(0.17 + 0.45**2, rel=1e-5)  # mean of 0, 0.1, 0.2, 0.3: 0.15
 
@@ -177,7 +213,9 @@ def test_j_is_that_of_rollouts_of_the_scenarios():
     config, scenario = configured("training", episode_s=2.0)
     batch = EpisodeBatch(config, 2, scenario=scenario, num_threads=1)
     episodes = [
-        draw_episode(config, s.seed, 0, s.model_dump(exclude={"seed"}) | {"initial_current": 0.0})
+        draw_episode(
+            config, s.seed, 0, {k: v for k, v in s.case.items() if k != "seed"} | {"initial_current": 0.0}
+        )
         for s in settings.scenarios
     ]
     spec = PolicySpec("constant", found.gains)
