@@ -19,7 +19,7 @@ BENCH_OPTIONS =
 # The oldest Gymnasium that pyproject.toml allows.
 OLDEST = $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/\1/p' pyproject.toml)
 
-.PHONY: run test test-gymnasium-oldest bench-check lint clean
+.PHONY: run test docs test-pages test-gymnasium-oldest bench-check lint clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -27,7 +27,15 @@ run: $(VENV)/.installed
 
 test: $(VENV)/.installed $(VENV)/.learning
 	$(BIN)/python tests/warm_up.py
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=20 $(PYTEST_OPTIONS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=20 --ignore tests/pages $(PYTEST_OPTIONS)
+
+# The site, in build/site: warnings are errors. Building and reading it need no network.
+docs: $(VENV)/.installed $(VENV)/.pages
+	$(BIN)/mkdocs build --strict
+
+# The site and the pages of results, opened in an installed Chromium. With CI=true a lack of it fails, else it skips.
+test-pages: docs
+	$(BIN)/python -m pytest --durations=5 tests/pages $(PYTEST_OPTIONS)
 
 # The environments and their clients with the oldest Gymnasium, which is fetched.
 test-gymnasium-oldest: $(VENV)/.installed $(VENV)/.learning
@@ -71,4 +79,9 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 $(VENV)/.learning: $(VENV)/.installed
 	@echo "Adding what the tests need besides (torch, Ray, Dask), a few minutes"
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[train,onnx,ray,dask]'
+	touch $@
+
+$(VENV)/.pages: $(VENV)/.installed
+	@echo "Adding what the site and its tests need (MkDocs, Playwright), half a minute"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[docs,browser]'
 	touch $@
