@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = ("README.md", "docs/conicity.md", "docs/en14363.md", "docs/recordings.md")
+PAGES = (
+    "README.md",
+    "docs/index.md",
+    "docs/policies.md",
+    "docs/conicity.md",
+    "docs/en14363.md",
+    "docs/recordings.md",
+)
 SNIPPETS = [
     (page, snippet)
     for page in PAGES
