@@ -31,7 +31,7 @@ test: $(VENV)/.installed $(VENV)/.learning
 
 # The site, in build/site: warnings are errors. Building and reading it need no network.
 docs: $(VENV)/.installed $(VENV)/.pages
-	$(BIN)/mkdocs build --strict
+	DISABLE_MKDOCS_2_WARNING=true NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 # The site and the pages of results, opened in an installed Chromium. With CI=true a lack of it fails, else it skips.
 test-pages: docs
