@@ -2,7 +2,7 @@
 
     python docs/claim_figures.py results/reproduce
 
-takes the pictures of a finished ``sayd reproduce`` into docs/pictures, with 64 colours, which is a third of the bytes.
+takes the pictures of a finished ``sayd reproduce`` into docs/pictures, with 64 colours: a third of the bytes.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def page(claims: str) -> str:
     assert head is not None, "docs/claims.md has no table of rows"
     parts = [
         "# The paper's figures",
-        "What `sayd reproduce` draws in the place of each figure, what the paper's shows, and the statements that "
-        "are measured from it: [all rows](claims.md), and where they do not hold.",
+        "What `sayd reproduce` draws in the place of each figure, what the paper's shows, and the statements "
+        "that are measured from it: [all rows](claims.md), and where they do not hold.",
     ]
     for number, figure in FIGURES.items():
         parts.append(f"## Figure {number}: {figure.heading} {{ #figure-{number} }}")
@@ -42,6 +42,16 @@ def page(claims: str) -> str:
         if figure.rows:
             parts.append("\n".join([head[0], *(rows[row] for row in figure.rows)]))
     return "\n\n".join(parts) + "\n"
+
+
+def with_links(claims: str) -> str:
+    """The page of statements, each row with a link to the figure that it is measured from."""
+    for number, figure in FIGURES.items():
+        for row in figure.rows:
+            claims = re.sub(
+                rf"^\| {row} \|", f"| [{row}](figures.md#figure-{number}) |", claims, flags=re.MULTILINE
+            )
+    return claims
 
 
 def take(folder: Path) -> None:

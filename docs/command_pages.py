@@ -45,11 +45,11 @@ def _table(parameters: list[Any]) -> str:
 def _names(parameter: Any) -> str:
     metavar = parameter.metavar or ""
     names = [] if parameter.param_type_name == "argument" else [*parameter.opts, *parameter.secondary_opts]
-    return f"`{' '.join([', '.join(names), metavar]).strip()}`".replace("|", "\\|")
+    return f"`{' '.join([', '.join(names), metavar]).strip()}`"
 
 
 def _text(parameter: Any) -> str:
-    text = _plain(getattr(parameter, "help", "") or "").replace("|", "\\|")
+    text = _plain(getattr(parameter, "help", "") or "").replace("|", "&#124;")
     default = parameter.default
     if parameter.param_type_name == "option" and default not in (None, False, ()) and "Default" not in text:
         text += f" Default: `{default}`."

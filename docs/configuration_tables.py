@@ -41,6 +41,7 @@ from sayd_env.config.loader import packaged_names
 from sayd_env.config.map import MapConfig, load_map
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig, load_rail, load_wheel
 from sayd_env.config.reproduction import ReproductionConfig, load_reproduction
+from sayd_env.config.reward import RewardConfig, named_rewards
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
 from sayd_env.config.track import TrackConfig, read_track
@@ -54,6 +55,7 @@ PLAIN = {
     "activation": "Of the hidden layers",
     "algorithm": "Which of the algorithms this section is of",
     "axis": "Along or about which axis it acts",
+    "damper": "The yaw dampers",
     "density": "Law of the spectrum",
     "description": "What it is, in words",
     "elements": "Springs, dampers, stops, and places of yaw dampers",
@@ -61,11 +63,19 @@ PLAIN = {
     "kind": "Which of the kinds this is",
     "law": "Which of the laws this is",
     "learning": "The algorithm and its settings",
+    "lines": "Lines, by name",
     "name": "What messages and results call it",
+    "observation": "What an observation is",
+    "openings": "Valve commands (-)",
     "per": "Index sets over which it is repeated",
     "role": "What it is in the vehicle",
+    "scale": "Scale on which the range is searched",
+    "speeds_kmh": "Speeds (km/h)",
     "throttle": "The adjustable throttle",
     "type": "Which of the types this is",
+    "unit": "Unit of the range",
+    "valves": "Which valves a command goes to",
+    "wheels": "States of the wheels, by name",
 }
 """Meaning of keys that their models leave to their names."""
 
@@ -111,9 +121,8 @@ CHAPTERS = (
     Chapter(
         "Study",
         "study",
-        "A scenario, everything that a run needs except its speed and seed: `--config`, and the keys of "
-        "`--set`. `vehicle`, `damper`, `wheel`, `rail`, `track` and `assessment` stand by name, by path or "
-        "by content.",
+        "`--config`; its keys are those of `--set`. `vehicle`, `damper`, `wheel`, `rail`, `track` and "
+        "`assessment` stand by name, by path or by content.",
         (Root(Scenario, "nominal", load_scenario),),
         names=("nominal", "estimates", "manchester"),
     ),
@@ -145,7 +154,7 @@ CHAPTERS = (
     Chapter(
         "Drawn lines",
         "lines",
-        "Lines that episodes draw: `lines` of an environment.",
+        "`lines` of an environment: what its episodes draw.",
         (Root(LinesConfig, "highspeed", lambda: read_lines("highspeed")),),
     ),
     Chapter(
@@ -161,9 +170,16 @@ CHAPTERS = (
         (Root(SensorsConfig, "realistic", lambda: load_sensors("realistic")),),
     ),
     Chapter(
+        "Reward",
+        "study",
+        "`gymnasium.make(..., reward=NAME)` and `--reward NAME`; the file has weights under each name.",
+        (Root(RewardConfig, "mppt2", lambda: named_rewards()["mppt2"]),),
+        ("rewards",),
+    ),
+    Chapter(
         "Scaling",
         "learner",
-        "What `scaled=True` does.",
+        "`gymnasium.make(..., scaled=True)`.",
         (Root(LearnerConfig, "scaled", lambda: load_learner("scaled")),),
     ),
     Chapter(
@@ -228,7 +244,11 @@ def pages() -> dict[str, str]:
 def index() -> str:
     """The page that lists the chapters."""
     rows = [
-        (f"[{chapter.title}]({chapter.page})", f"`configs/{chapter.folder}/`", chapter.text)
+        (
+            f"[{chapter.title}]({chapter.page})",
+            f"`configs/{chapter.folder}/`",
+            chapter.text.partition(". ")[0],
+        )
         for chapter in CHAPTERS
     ]
     return (
@@ -238,7 +258,7 @@ def index() -> str:
         "the keys in which it differs from its `base`; single numbers stand under `set`, or behind `--set` "
         "on the command line, as `key: value` with dots between sections. An unknown key, a wrong type or a "
         "value out of bounds is one message with file, key and what is allowed.\n\n"
-        + _table(("kind of file", "packaged", "used by"), rows)
+        + _table(("kind of file", "packaged in", "given by"), rows)
     )
 
 
@@ -312,7 +332,11 @@ def _instances(value: Any) -> Iterator[BaseModel]:
 
 def _page(chapter: Chapter, found: Mapping[type[BaseModel], Found]) -> str:
     names = ", ".join(f"`{name}`" for name in chapter.packaged)
-    parts = [f"# {chapter.title}", chapter.text, f"Packaged in `configs/{chapter.folder}/`: {names}."]
+    parts = [
+        f"# {chapter.title}",
+        f"Given by {chapter.text}",
+        f"Packaged in `configs/{chapter.folder}/`: {names}.",
+    ]
     for model, entry in found.items():
         if entry.chapter is chapter:
             parts += _section(model, entry, found, chapter)
@@ -334,7 +358,17 @@ def _section(
         ]
         rows.append(row if only is None else [*row, _value(getattr(only, name))])
     where = [f"Stands at {', '.join(f'`{place}`' for place in entry.places)}."] if entry.places else []
-    return [f"## {title(model, entry)} {{ #{anchor(model)} }}", summary(model), *where, _table(head, rows)]
+    return [
+        f"## {title(model, entry)} {{ #{anchor(model)} }}",
+        summary(model),
+        *where,
+        _wide(_table(head, rows)),
+    ]
+
+
+def _wide(table: str) -> str:
+    """A table whose meanings keep their width beside long values."""
+    return f'<div class="keys" markdown>\n\n{table}\n\n</div>'
 
 
 def title(model: type[BaseModel], entry: Found) -> str:
@@ -472,4 +506,4 @@ def _yaml(value: Any) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

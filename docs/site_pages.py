@@ -44,6 +44,18 @@ def as_in_a_wheel() -> None:
             shutil.copyfile(module, place)
 
 
+def for_the_site(text: str) -> str:
+    """A page as MkDocs reads it, with links that say where they lead, and none to files of the repository."""
+
+    def titled(link: re.Match[str]) -> str:
+        title = read(DOCS / link[1]).partition("\n")[0].removeprefix("# ")
+        return f"[{title}]({link[2]})"
+
+    text = OUTSIDE.sub(r"\1", re.sub(r"\[([a-z0-9_]+\.md)\]\((\1[^)]*)\)", titled, text))
+    # A bar inside code needs its backslash on other renderers only.
+    return re.sub(r"`[^`\n]+`", lambda code: code[0].replace("\\|", "|"), text)
+
+
 def with_links(text: str) -> str:
     """The table of commands, each name with a link to its page."""
 
@@ -55,8 +67,9 @@ def with_links(text: str) -> str:
 
 as_in_a_wheel()
 for page in DOCS.glob("*.md"):
-    if OUTSIDE.search(read(page)):
-        write(page.name, OUTSIDE.sub(r"\1", read(page)))
+    text = for_the_site(read(page))
+    if text != read(page):
+        write(page.name, text)
 write("changelog.md", read(ROOT / "CHANGELOG.md"))
 write("contributing.md", read(ROOT / "CONTRIBUTING.md"))
 write("figures.md", claim_figures.page(read(DOCS / "claims.md")))
@@ -64,7 +77,8 @@ write("figures.md", claim_figures.page(read(DOCS / "claims.md")))
 commands = command_pages.pages()
 for name, text in commands.items():
     write(f"commands/{name}.md", text)
-write("commands.md", with_links(read(DOCS / "commands.md")))
+write("claims.md", claim_figures.with_links(for_the_site(read(DOCS / "claims.md"))))
+write("commands.md", with_links(for_the_site(read(DOCS / "commands.md"))))
 for name, text in configuration_tables.pages().items():
     write(f"configuration/{name}", text)
 write("configuration/index.md", configuration_tables.index())

@@ -34,5 +34,9 @@ def test_snippet_runs(
     assert capsys.readouterr().out
 
 
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
 def test_there_are_snippets():
     assert {page for page, _ in SNIPPETS} == set(PAGES)

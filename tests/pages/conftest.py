@@ -17,7 +17,7 @@ LOCAL = ("file:", "data:", "blob:", "about:", "http://127.0.0.1:")
 """Beginnings of addresses that lie on this machine."""
 
 
-def refuse(what: str) -> NoReturn:
+def refused(what: str) -> NoReturn:
     """Fail in continuous integration, which must have all that the tests need; skip elsewhere."""
     if os.environ.get("CI", "").lower() in ("1", "true"):
         pytest.fail(f"{what} (and CI is set: the tests of pages must not be skipped)")
@@ -25,15 +25,21 @@ def refuse(what: str) -> NoReturn:
 
 
 @pytest.fixture(scope="session")
+def refuse() -> Callable[[str], NoReturn]:
+    """Fails in continuous integration, skips elsewhere, for want of what it is told."""
+    return refused
+
+
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     """A headless Chromium of this machine; Playwright's own is not fetched."""
     program = next(filter(None, map(shutil.which, PROGRAMS)), None)
     if program is None:
-        refuse(f"no browser: none of {', '.join(PROGRAMS)} is found; on Debian: apt-get install chromium")
+        refused(f"no browser: none of {', '.join(PROGRAMS)} is found; on Debian: apt-get install chromium")
     try:
         from playwright.sync_api import sync_playwright  # noqa: PLC0415
     except ImportError:
-        refuse("Playwright is not installed: pip install 'sayd-env[browser]'")
+        refused("Playwright is not installed: pip install 'sayd-env[browser]'")
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=program, args=["--disable-gpu"])
         yield chromium
