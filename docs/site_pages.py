@@ -9,7 +9,7 @@ from pathlib import Path
 
 import mkdocs_gen_files
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(DOCS))
 
@@ -18,8 +18,13 @@ import claim_figures  # noqa: E402
 import command_pages  # noqa: E402
 import configuration_tables  # noqa: E402
 
-OUTSIDE = re.compile(r"\[([^\]]*)\]\((?:\.\./)+[^)]*\)")
-"""A link to a file of the repository that is no page."""
+LINK = re.compile(r"(?<!!)\[([^\]]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
+ELSEWHERE = {
+    ROOT / "CHANGELOG.md": "changelog.md",
+    ROOT / "CONTRIBUTING.md": "contributing.md",
+    ROOT / "examples" / "README.md": "examples.md",
+}
+"""Pages that do not lie in docs/."""
 
 
 def write(place: str, text: str) -> None:
@@ -44,16 +49,23 @@ def as_in_a_wheel() -> None:
             shutil.copyfile(module, place)
 
 
-def for_the_site(text: str) -> str:
-    """A page as MkDocs reads it, with links that say where they lead, and none to files of the repository."""
+def for_the_site(source: Path) -> str:
+    """A page as MkDocs reads it, with links that say where they lead, and none to files that are no pages."""
 
-    def titled(link: re.Match[str]) -> str:
-        title = read(DOCS / link[1]).partition("\n")[0].removeprefix("# ")
-        return f"[{title}]({link[2]})"
+    def link(found: re.Match[str]) -> str:
+        label, target, anchor = found[1], (source.parent / found[2]).resolve(), found[3] or ""
+        place = ELSEWHERE.get(target) or (target.name if target.parent == DOCS else "")
+        if not place and not target.exists():
+            raise FileNotFoundError(f"{source}: there is no {found[2]}")
+        if not place:
+            return label
+        if label.endswith(".md") and target.is_file():
+            label = read(target).partition("\n")[0].removeprefix("# ")
+        return f"[{label}]({place}{anchor})"
 
-    text = OUTSIDE.sub(r"\1", re.sub(r"\[([a-z0-9_]+\.md)\]\((\1[^)]*)\)", titled, text))
     # A bar inside code needs its backslash on other renderers only.
-    return re.sub(r"`[^`\n]+`", lambda code: code[0].replace("\\|", "|"), text)
+    bare = re.sub(r"`[^`\n]+`", lambda code: code[0].replace("\\|", "|"), read(source))
+    return LINK.sub(link, bare)
 
 
 def with_links(text: str) -> str:
@@ -67,18 +79,17 @@ def with_links(text: str) -> str:
 
 as_in_a_wheel()
 for page in DOCS.glob("*.md"):
-    text = for_the_site(read(page))
-    if text != read(page):
-        write(page.name, text)
-write("changelog.md", read(ROOT / "CHANGELOG.md"))
-write("contributing.md", read(ROOT / "CONTRIBUTING.md"))
+    write(page.name, for_the_site(page))
+for page, place in ELSEWHERE.items():
+    if page.is_file():
+        write(place, for_the_site(page))
+write("claims.md", claim_figures.with_links(for_the_site(DOCS / "claims.md")))
+write("commands.md", with_links(for_the_site(DOCS / "commands.md")))
 write("figures.md", claim_figures.page(read(DOCS / "claims.md")))
 
 commands = command_pages.pages()
 for name, text in commands.items():
     write(f"commands/{name}.md", text)
-write("claims.md", claim_figures.with_links(for_the_site(read(DOCS / "claims.md"))))
-write("commands.md", with_links(for_the_site(read(DOCS / "commands.md"))))
 for name, text in configuration_tables.pages().items():
     write(f"configuration/{name}", text)
 write("configuration/index.md", configuration_tables.index())
