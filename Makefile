@@ -26,7 +26,7 @@ COVERAGE_TESTS = tests
 UNCOMPILED = tests/baselines tests/stability tests/agents/test_products.py tests/physics/test_rows.py \
              tests/physics/test_throttle.py tests/physics/contact/test_polach.py
 
-.PHONY: run test test-gymnasium-oldest coverage bench-check lint dist clean
+.PHONY: run test docs test-pages test-gymnasium-oldest coverage bench-check lint dist clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -34,7 +34,15 @@ run: $(VENV)/.installed
 
 test: $(VENV)/.installed $(VENV)/.learning
 	$(BIN)/python tests/warm_up.py
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=20 $(PYTEST_OPTIONS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=20 --ignore tests/pages $(PYTEST_OPTIONS)
+
+# The site, in build/site: warnings are errors. Building and reading it need no network.
+docs: $(VENV)/.installed $(VENV)/.pages
+	DISABLE_MKDOCS_2_WARNING=true NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# The site and the pages of results, opened in an installed Chromium. With CI=true a lack of it fails, else it skips.
+test-pages: docs
+	$(BIN)/python -m pytest --durations=5 tests/pages $(PYTEST_OPTIONS)
 
 # The environments and their clients with the oldest Gymnasium, which is fetched.
 test-gymnasium-oldest: $(VENV)/.installed $(VENV)/.learning
@@ -104,4 +112,8 @@ $(VENV)/.learning: $(VENV)/.installed
 
 $(VENV)/.coverage $(VENV)/.release: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[$(subst .,,$(@F))]'
+
+$(VENV)/.pages: $(VENV)/.installed
+	@echo "Adding what the site and its tests need (MkDocs, Playwright), half a minute"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[docs,browser]'
 	touch $@

@@ -6,11 +6,23 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = ("README.md", "docs/conicity.md", "docs/en14363.md", "docs/recordings.md", "docs/robustness.md")
+PAGES = (
+    "README.md",
+    "docs/index.md",
+    "docs/policies.md",
+    "docs/conicity.md",
+    "docs/en14363.md",
+    "docs/recordings.md",
+    "docs/robustness.md",
+)
+
+
+def read(place: str) -> str:
+    return (ROOT / place).read_text(encoding="utf-8")
+
+
 SNIPPETS = [
-    (page, snippet)
-    for page in PAGES
-    for snippet in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
+    (page, snippet) for page in PAGES for snippet in re.findall(r"```python\n(.*?)```", read(page), re.DOTALL)
 ]
 
 
@@ -25,6 +37,26 @@ def test_snippet_runs(
     monkeypatch.chdir(tmp_path)
     exec(compile(snippet, page, "exec"), {})
     assert capsys.readouterr().out
+
+
+def test_the_readme_is_short():
+    assert len(read("README.md").splitlines()) <= 150
+
+
+def test_what_holds_is_that_of_the_table_of_claims():
+    table = re.findall(
+        r"^\| ([A-Z]\d+) \|.*\| (yes|\*\*no\*\*)[^|]*\|[^|]*\|$", read("docs/claims.md"), re.MULTILINE
+    )
+    lost = [row for row, verdict in table if verdict != "yes"]
+    held = len(table) - len(lost)
+    words = " ".join(read("README.md").split())
+    assert f"Of the paper's {len(table)} statements that can be checked, **{held} hold**" in words
+    assert f"{', '.join(lost[:-1])} and {lost[-1]} do not." in words
+    assert f"{held} of {len(table)} rows hold" in " ".join(read("docs/claims.md").split())
+    assert f"{held} of its {len(table)} checkable statements hold" in " ".join(read("docs/faq.md").split())
+    assert set(
+        re.findall(r"[A-Z]\d+", re.search(r"^OPEN = .*$", read("tests/validation/test_paper.py"), re.M)[0])
+    ) == {*lost}
 
 
 def test_there_are_snippets():

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import shlex
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -112,3 +114,10 @@ def test_an_option_has_one_meaning_wherever_it_is_offered():
             if option in each.opts
         }
         assert len(texts) == 1
+
+
+def test_the_page_of_commands_names_them_all() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert {
+        name for row in re.findall(r"^\| (.*?) \|", page, re.M) for name in re.findall("`sayd ([a-z-]+)", row)
+    } == {*PROGRAM.commands}

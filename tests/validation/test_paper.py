@@ -9,7 +9,7 @@ import pytest
 from sayd_env.cli import main
 
 OPEN = ("P3", "P4", "M2", "M6", "M7", "S4", "S6")
-"""Rows that do not hold on twenty seeds (README, "What holds")."""
+"""Rows that do not hold on twenty seeds (docs/claims.md, which a test of the README compares)."""
 
 UNDECIDED = ("P2", "P5", "P8")
 """Rows of critical speeds that hold on twenty seeds: the first two seeds hunt at 320 km/h already."""
@@ -17,7 +17,7 @@ UNDECIDED = ("P2", "P5", "P8")
 
 @pytest.mark.slow
 def test_rows_that_hold_go_on_holding(capsys: pytest.CaptureFixture[str]) -> None:
-    """Statements of Wang et al. (2022), judged as the README says."""
+    """Statements of Wang et al. (2022), judged as docs/claims.md says."""
     status = main(["reproduce", "--quick", "--strict", "--allow", ",".join(OPEN + UNDECIDED), "--json"])
     out, err = capsys.readouterr()
     assert status == 0, err
