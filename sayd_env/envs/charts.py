@@ -6,8 +6,7 @@ Axes, ticks and titles are drawn once and kept; a picture draws lines and the ne
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ class Chart:
     title: str
     values: Callable[[Frame], Array | None]
     """Of shape (t, lines), SI."""
-    lines: Mapping[str, str] = MappingProxyType({"front": FRONT, "rear": REAR})
+    lines: Mapping[str, str] = field(default_factory=lambda: {"front": FRONT, "rear": REAR})
     """Colour of each line by its name."""
     scale: float = 1.0
     """Shown over SI."""
