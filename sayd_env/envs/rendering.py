@@ -51,6 +51,8 @@ ROAD: Box = (17, 96, 1246, 361)
 SCALE = 95.0
 """Pixels in a metre of the vehicle."""
 VIEW_HALF_LENGTH = 3.15
+SPANS = (2e-3, 5e-3, 1e-2, 2e-2, 5e-2)
+"""Scales of the track's alignment, m."""
 
 
 class Renderer:
@@ -220,10 +222,12 @@ class Renderer:
             x += 22 + self.canvas.text(meaning, (x, y), 12, INK)
 
     def _status(self, frame: Frame) -> None:
-        """Show at the upper right whether the vehicle runs, has faults, or has ended."""
+        """Show at the upper right whether the vehicle runs, has faults, exceeds its limit, or has ended."""
         colour, words = GOOD, "running"
         if frame.faults:
             colour, words = REAR, "1 fault" if len(frame.faults) == 1 else f"{len(frame.faults)} faults"
+        if frame.above_limit:
+            colour, words = BAD, "above the limit"
         if frame.ending is not None:
             colour, words = BAD, frame.ending.partition(":")[0]
         width = self.canvas.text(words, (WIDTH - 30, 36), 13, PANEL, align="right", bold=True)
@@ -238,9 +242,8 @@ class Renderer:
             self._line(frame.place)
         inner = (left + 118, top + 4, width - 134, height - 8)
         canvas.text("Track alignment", (left + 12, top + 15), 13, INK, bold=True)
-        biggest = float(np.max(np.abs(frame.alignment)))
-        span = next(value for value in (2e-3, 5e-3, 1e-2, 2e-2, 5e-2, math.inf) if biggest <= value)
-        span = biggest if math.isinf(span) else span
+        # Of the whole ride, so that the scale of a film does not change.
+        span = next((value for value in SPANS if frame.largest_alignment <= value), frame.largest_alignment)
         canvas.text(f"± {span * 1e3:g} mm", (left + 12, top + 33), 11, SOFT)
         canvas.text(f"km {frame.position * 1e-3:.3f}", (left + 12, top + 49), 11, SOFT)
 

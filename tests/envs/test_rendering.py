@@ -290,6 +290,28 @@ def test_a_limit_is_exceeded_by_the_newest_value_of_a_bogie(quick: str) -> None:
     assert not replace(frame, acceleration=values[:0]).above_limit
 
 
+def test_the_badge_is_red_above_the_limit_whatever_else_is_told(quick: str) -> None:
+    recorder = watched(quick, 3)
+    renderer, frame = Renderer(recorder), recorder.frame()
+    for faults in ((), ("valve stuck: front.left.upper",)):
+        for share, red in ((0.99, False), (1.01, True)):
+            now = np.full_like(frame.acceleration, share * frame.acceleration_limit)
+            now[:, 1] = 0.0  # one bogie is enough
+            shown = picture(renderer, replace(frame, acceleration=now, faults=faults))
+            assert (tuple(shown[25, WIDTH - 50]) == rendering.BAD) is red
+
+
+def test_the_scale_of_the_track_is_that_of_the_whole_ride(quick: str) -> None:
+    """It holds all that a film shows of the track, and no frame changes it."""
+    recorder = watched(quick, 0, episode_s=20.0)
+    frames = [recorder.frame()]
+    for _ in range(40):
+        recorder.batch.step(HALF[None])
+        frames.append(recorder.frame())
+    (scale,) = {frame.largest_alignment for frame in frames}
+    assert scale >= max(np.abs(frame.alignment).max() for frame in frames) > 0.0
+
+
 def test_a_diverged_run_can_be_drawn(quick: str) -> None:
     recorder = watched(quick, 2)
     recorder.batch.vehicles.state.view(0).v[:] = np.nan
