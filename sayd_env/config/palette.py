@@ -30,6 +30,12 @@ FRONT, REAR = BLUE, VERMILION
 """Colours of the bogies."""
 LIMIT = BLACK
 """Colour of a limit, which is a dashed line."""
+INK, SOFT, FAINT = "#18202C", "#687484", "#DEE3E9"
+"""Words, words beside them, and what lies behind, in a picture of the vehicle."""
+GOOD, BAD = GREEN, "#C4242C"
+"""A vehicle within its limits, and one that is not; words say it, too."""
+SHADE = "#EDEDED"
+"""Behind every second section of a line."""
 
 
 @dataclass(frozen=True)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sayd_env.config.reward import REPORTED
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot
+from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
 from sayd_env.studies.comparison.figures import draw
 from sayd_env.studies.comparison.grid import OFFLINE, OWN, RATIOS, Variant
 from sayd_env.studies.comparison.result import MATRIX, Comparison
 from sayd_env.studies.comparison.scores import Stability
 from sayd_env.studies.comparison.statistics import Estimate
 from sayd_env.studies.map import RATIO
+from sayd_env.studies.standing import Standing, verdict
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -102,25 +105,59 @@ class CompareResult(Comparison):
         """One page."""
         return {"compare": lambda figure: draw(self, figure)}
 
+    def page(self) -> Page:
+        """What was asked and reached, the scores, and the figure."""
+        scores, *others = (Grid.of(each, lambda _: "compare") for each in _listings(self))
+        notes = map(Text, _notes(self))
+        picture = Picture(
+            "compare", "J over speed, distribution, intervals, training seeds, bound, reductions"
+        )
+        sections = [
+            Section("Scores", [scores, *notes]),
+            Section("Figures", [picture]),
+            *([Section("Learned policies", others)] if others else []),
+        ]
+        return Page("Policies compared on held-out conditions", _verdict(self), sections)
+
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the scores, the targets, and what a reader has to know about them."""
-        title = (
-            f"{len(self.grid.conditions)} conditions x {len(self.config.seeds)} seeds: J on line, "
-            "and IQM of its ratio to MPPT2's (95 %)"
-        )
-        lines = _lines(self)
-        columns = [column for column in (*_COSTS, *_BESIDE) if column.name in lines[0]]
-        print_table(console, title, columns, lines, wide=wide, section="bound")
+        scores, *others = _listings(self)
+        scores.print(console, wide)
         for line in _notes(self):
             console.print(line, markup=False, highlight=False)
-        learned = {each.name for each in self.entrants if each.learned}
-        gains = [row for row in _own(_gains(self)) if row["policy"] in learned]
-        if gains:
-            title = "mean J of learned policies below the controllers' (95 %)"
-            print_table(console, title, _GAINS, gains, wide=wide, section="policy")
-        if self.targets:
-            title = "learned policies: what was asked"
-            print_table(console, title, _TARGETS, self.targets, wide=wide, section="policy")
+        for listing in others:
+            listing.print(console, wide)
+
+
+def _listings(result: CompareResult) -> Iterator[Listing]:
+    """Scores; gains of learned policies and what was asked of them, where there are any."""
+    title = (
+        f"{len(result.grid.conditions)} conditions x {len(result.config.seeds)} seeds: J on line, "
+        "and IQM of its ratio to MPPT2's (95 %)"
+    )
+    lines = _lines(result)
+    columns = [column for column in (*_COSTS, *_BESIDE) if column.name in lines[0]]
+    yield Listing(title, columns, lines, "bound")
+    learned = {each.name for each in result.entrants if each.learned}
+    gains = [row for row in _own(_gains(result)) if row["policy"] in learned]
+    if gains:
+        yield Listing("mean J of learned policies below the controllers' (95 %)", _GAINS, gains, "policy")
+    if result.targets:
+        yield Listing("learned policies: what was asked", _TARGETS, result.targets, "policy")
+
+
+def _verdict(result: CompareResult) -> Verdict:
+    """The best policy and who keeps the limits; how many targets hold, where there are any."""
+    lines = {row["policy"]: row for row in _lines(result) if not row["bound"]}
+    standings = [
+        Standing(name, row["J"], row["largest_ratio"], row["derailed"]) for name, row in lines.items()
+    ]
+    found = verdict(standings, f"{len(result.grid.conditions)} held-out conditions")
+    if not result.targets:
+        return found
+    held = sum(target.holds for target in result.targets)
+    words = f"{held} of {len(result.targets)} targets of the learned policies hold."
+    return Verdict([words, *found.words], held == len(result.targets))
 
 
 def _lines(result: Comparison) -> list[dict[str, Any]]:

@@ -39,7 +39,7 @@ _MILLI = 1e3
 _SHOWN_AMPLITUDES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 _CONTACT_LINES_EVERY = 1e-3
 _CONTACT_LINES_REACH = 8e-3
-_NAMES_APART = 2e-3  # m on the wheel between contact lines whose positions are written beside them
+_NAMES_APART = 4e-3  # m on the wheel between contact lines whose positions are written beside them
 
 CURVE = (
     Column("amplitude_mm", "amplitude", "mm"),
@@ -249,13 +249,14 @@ def _draw_pair(axes: Axes, result: ConicityResult) -> None:
     offset = float(np.interp(0.0, contact.y, contact.s - contact.t))
     axes.plot(result.wheel.y * _MILLI, (lift - result.wheel.z) * _MILLI, BLUE, label=label(result.wheel.name))
     axes.plot((result.rail.y + offset) * _MILLI, result.rail.z * _MILLI, GREY, label=label(result.rail.name))
-    reach, named = min(_CONTACT_LINES_REACH, contact.y[-1]), -np.inf
-    for y in np.arange(-reach, reach + 1e-6, _CONTACT_LINES_EVERY):
+    reach, named = min(_CONTACT_LINES_REACH, contact.y[-1]), np.inf
+    for y in np.arange(reach, -reach - 1e-6, -_CONTACT_LINES_EVERY):
         s, t = np.interp(y, contact.y, contact.s), np.interp(y, contact.y, contact.t)
         ends = lift - np.interp(s, result.wheel.y, result.wheel.z), np.interp(t, result.rail.y, result.rail.z)
         axes.plot(np.array([s, t + offset]) * _MILLI, np.array(ends) * _MILLI, VERMILION, linewidth=0.7)
         if abs(s - named) >= _NAMES_APART:
-            axes.annotate(f"{y * _MILLI:.0f}", (s * _MILLI, ends[0] * _MILLI + 0.5), fontsize=6, ha="center")
+            place = s * _MILLI, ends[0] * _MILLI + 1.0
+            axes.annotate(f"{y * _MILLI:+.0f}", place, fontsize=7, ha="center")
             named = s
     axes.set(
         title=f"{_label(result)} on {result.rail.name}: contact lines for y in mm",

@@ -17,7 +17,7 @@ from sayd_env.config.software import git_state
 from sayd_env.config.tuning import Gains, TuningConfig, TuningScenario
 from sayd_env.config.units import Array
 from sayd_env.report.columns import Column, Table, print_table
-from sayd_env.report.figures import Plot, label, log_axis, panels
+from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.cache import fingerprint
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.evaluator import Costs, PolicyEvaluator
@@ -183,7 +183,7 @@ class TuneResult:
             right.plot(speeds, e.costs, style.marker, color=style.colour, markersize=4, label=label(name))
         right.set(xlabel="speed (km/h)", ylabel="J of a scenario")
         log_axis(right)
-        right.legend(fontsize="small")
+        legend_below(figure, left, right)
 
     def _draw_search(self, axes: Axes) -> None:
         names = list(self.best.gains)
@@ -198,7 +198,6 @@ class TuneResult:
                 axes.axhline(e.cost, linewidth=1.0, label=label(name), **policy_style(name).plain)
         axes.set(ylabel="mean J", title=self.title)
         log_axis(axes)
-        axes.legend(fontsize="small")
 
 
 HEAD = """\
