@@ -5,19 +5,19 @@ Axes, ticks and titles are drawn once and kept; a picture draws lines and the ne
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.config.palette import BLACK, FAINT, FRONT, INK, LIMIT, REAR, SOFT, plain_matplotlib
+from sayd_env.config.palette import BLACK, FRONT, LIMIT, REAR, plain_matplotlib
 from sayd_env.config.units import Array
 from sayd_env.envs.recorder import WINDOW, Frame
 
 DPI = 100
+INK, SOFT, FAINT = "#18202C", "#687484", "#DEE3E9"
 LEFT, RIGHT, TOP, BOTTOM = 44, 14, 30, 22
 """Pixels around the axes of a chart."""
 
@@ -29,8 +29,8 @@ class Chart:
     title: str
     values: Callable[[Frame], Array | None]
     """Of shape (t, lines), SI."""
-    lines: Mapping[str, str] = MappingProxyType({"front": FRONT, "rear": REAR})
-    """Colour of each line by its name."""
+    colours: Sequence[str] = (FRONT, REAR)
+    """One for each line."""
     scale: float = 1.0
     """Shown over SI."""
     limit: Callable[[Frame], float] = lambda _: 0.0
@@ -57,7 +57,7 @@ FORCE = Chart(
     name="F max",
 )
 VALVE = Chart("Valve opening, mean of a bogie", lambda frame: frame.valve, least=1.0)
-COST = Chart("Cost J of the last second", lambda frame: frame.cost[:, None], {"": BLACK}, least=0.1, digits=3)
+COST = Chart("Cost J of the last second", lambda frame: frame.cost[:, None], (BLACK,), least=0.1, digits=3)
 
 
 class Charts:
@@ -115,16 +115,13 @@ class _Panel:
         axes.set_xticks([-s for s in ago], [f"\N{MINUS SIGN}{s:g} s" if s else "now" for s in ago])
         axes.get_xticklabels()[-1].set_ha("right")
         axes.set_title(chart.title, loc="left", x=-0.09, fontsize=9, fontweight="bold", color=INK, pad=8.0)
-        colours = chart.lines.values()
-        self.lines = [axes.plot([], [], color=c, linewidth=1.5, animated=True)[0] for c in colours]
+        self.lines = [axes.plot([], [], color=c, linewidth=1.5, animated=True)[0] for c in chart.colours]
         newest: Any = {"transform": axes.transAxes, "ha": "right", "fontsize": 9, "fontweight": "bold"}
-        places = 1.0 - 0.13 * np.arange(len(colours))[::-1]
+        places = 1.0 - 0.13 * np.arange(len(chart.colours))[::-1]
         self.numbers = [
             axes.text(x, 1.08, "", color=c, animated=True, **newest)
-            for x, c in zip(places, colours, strict=True)
+            for x, c in zip(places, chart.colours, strict=True)
         ]
-        for x, (name, c) in zip(places, chart.lines.items(), strict=True):
-            axes.text(x, 0.98, name, color=c, transform=axes.transAxes, ha="right", va="top", fontsize=7)
         self.limit = axes.axhline(np.nan, color=LIMIT, linestyle="--", linewidth=1.0)
         self.limit_name = axes.text(-WINDOW, 0.0, "", color=LIMIT, fontsize=7, va="bottom")
         self.shown = (0.0, 0.0)

@@ -105,8 +105,6 @@ class Frame:
     """(k,) places along the track, seen from the vehicle's centre, m."""
     alignment: Array
     """(k,) lateral position of the track's centre line there, m."""
-    largest_alignment: float
-    """Largest absolute value of it on the whole ride, m."""
     gauge: Array
     """(k,) widening of the gauge there, m."""
     damper_force: Array
@@ -164,7 +162,6 @@ class Recorder:
         """Clear the history: an episode has begun, or the vehicle has been set to another state."""
         self._count = 0
         self._last = -1
-        self._largest: float | None = None
 
     def take(self) -> None:
         """Keep what the charts show of the last control period; a vehicle at standstill adds nothing."""
@@ -234,7 +231,6 @@ class Recorder:
             poses=poses(self.model, np.nan_to_num(state.q)),
             rail_x=rail_x,
             alignment=rails[:, 0],
-            largest_alignment=self._largest_alignment(position),
             gauge=rails[:, 3],
             damper_force=np.nan_to_num(self._damper_force()),
             opening=None if opening is None else np.nan_to_num(opening),
@@ -251,18 +247,6 @@ class Recorder:
             acceleration_limit=limit,
             force_reference=cost.force_reference,
         )
-
-    def _largest_alignment(self, position: float) -> float:
-        """Largest lateral position of the track's centre line on the rest of the ride, m; looked for once."""
-        if self._largest is None:
-            batch, i = self.batch, self.vehicle
-            episode, line = batch.episodes[i], batch.lines[i]
-            assert episode is not None  # as in `frame`
-            length = episode.speed * batch.config.episode_s if line is None else line.length
-            along = position + np.arange(-BEHIND, length + AHEAD, SPACING)
-            rails, _ = batch.vehicles.vehicle(i).track.evaluate(along)
-            self._largest = float(np.max(np.abs(rails[:, 0])))
-        return self._largest
 
     def _place(self, position: float) -> Place | None:
         line = self.batch.lines[self.vehicle]

@@ -25,9 +25,13 @@ LARGEST_FORCE = 15e3
 # Colours.
 PAPER: Colour = (238, 241, 245)
 PANEL: Colour = (255, 255, 255)
-INK, SOFT, FAINT = rgb(palette.INK), rgb(palette.SOFT), rgb(palette.FAINT)
-FRONT, REAR = rgb(palette.FRONT), rgb(palette.REAR)
-GOOD, BAD = rgb(palette.GOOD), rgb(palette.BAD)
+INK: Colour = (24, 32, 44)
+SOFT: Colour = (104, 116, 132)
+FAINT: Colour = (222, 227, 233)
+FRONT: Colour = rgb(palette.FRONT)
+REAR: Colour = rgb(palette.REAR)
+BAD: Colour = (196, 36, 44)
+GOOD: Colour = rgb(palette.GREEN)
 CAR: Colour = (233, 238, 245)
 CAR_EDGE: Colour = (128, 144, 166)
 RAIL: Colour = (142, 148, 158)
@@ -37,9 +41,6 @@ PULL: Colour = (200, 40, 48)
 NONE: Colour = (198, 204, 212)
 BOGIE_COLOURS = (FRONT, REAR)
 BOGIE_FILLS: tuple[Colour, Colour] = ((176, 204, 244), (250, 208, 166))
-
-SPANS = (2e-3, 5e-3, 1e-2, 2e-2, 5e-2)
-"""Scales of the track's alignment, m."""
 
 # Layout: left, top, width, height.
 Box = tuple[float, float, float, float]
@@ -198,12 +199,10 @@ class Renderer:
         self._status(frame)
 
     def _status(self, frame: Frame) -> None:
-        """Show at the upper right whether the vehicle runs, has faults, hunts, or has ended."""
+        """Show at the upper right whether the vehicle runs, has faults, or has ended."""
         colour, words = GOOD, "running"
         if frame.faults:
             colour, words = REAR, "1 fault" if len(frame.faults) == 1 else f"{len(frame.faults)} faults"
-        if np.any(frame.acceleration[-1:] > frame.acceleration_limit):
-            colour, words = BAD, "above the limit"
         if frame.ending is not None:
             colour, words = BAD, frame.ending.partition(":")[0]
         width = self.canvas.text(words, (WIDTH - 30, 36), 13, PANEL, align="right", bold=True)
@@ -299,8 +298,9 @@ class Renderer:
             self._line(frame.place)
         inner = (left + 118, top + 4, width - 134, height - 8)
         canvas.text("Track alignment", (left + 12, top + 15), 13, INK, bold=True)
-        # Of the whole ride, so that the scale of a film does not change.
-        span = next((value for value in SPANS if frame.largest_alignment <= value), frame.largest_alignment)
+        biggest = float(np.max(np.abs(frame.alignment)))
+        span = next(value for value in (2e-3, 5e-3, 1e-2, 2e-2, 5e-2, math.inf) if biggest <= value)
+        span = biggest if math.isinf(span) else span
         canvas.text(f"± {span * 1e3:g} mm", (left + 12, top + 33), 11, SOFT)
         canvas.text(f"km {frame.position * 1e-3:.3f}", (left + 12, top + 49), 11, SOFT)
 

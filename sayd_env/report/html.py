@@ -165,7 +165,7 @@ class Picture:
         return (
             f'<figure id="{_anchor(self.name)}">'
             f'<img alt="{escape(self.alternative)}" src="data:image/png;base64,{data}">'
-            f'<div class="plot"></div><figcaption>{words}</figcaption>'
+            f'<h3 class="title"></h3><div class="plot"></div><figcaption>{words}</figcaption>'
             f'<script type="application/json">{content}</script></figure>'
         )
 

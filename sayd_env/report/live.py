@@ -67,7 +67,7 @@ def live_figure(figure: Figure) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``data`` and ``layout`` of Plotly, the axes without domains, and ``panels``: of each its axes, row,
+        ``title``, ``data`` and ``layout`` of Plotly, the axes without domains, and ``panels``: of each its axes, row,
         column and number of columns that it takes, the share of its columns in the width, its height over its
         width, and the name of its x-axis.
     """
@@ -110,9 +110,6 @@ class _Converter:
     """Names that the legend has."""
 
     def whole(self, figure: Figure) -> dict[str, Any]:
-        title = figure.get_suptitle()
-        if title:
-            self.layout["title"] = {"text": _escaped(title)}
         panels: list[dict[str, Any]] = []
         seen: list[_Panel] = []
         for axes in figure.axes:
@@ -124,7 +121,7 @@ class _Converter:
             if not twin:
                 panels.append(self._place(seen[-1]))
             self._artists(seen[-1], figure)
-        return {"data": self.data, "layout": self.layout, "panels": panels}
+        return {"title": figure.get_suptitle(), "data": self.data, "layout": self.layout, "panels": panels}
 
     def _panel(self, axes: Axes, others: Sequence[_Panel]) -> _Panel:
         """Axes of their own; those that lie over others (`twinx`) share the x-axis."""
@@ -209,9 +206,10 @@ class _Converter:
         trace["mode"] = "+".join(["lines"] * (dash is not None) + ["markers"] * (marker is not None))
         alpha = line.get_alpha()
         colour = _colour(line.get_color(), alpha)
-        trace["line"] = {"color": colour, "width": _PIXELS * line.get_linewidth()}
         if dash is not None:
-            trace["line"] |= {"dash": dash, "shape": _STEPS.get(line.get_drawstyle(), "linear")}
+            shape = _STEPS.get(line.get_drawstyle(), "linear")
+            width = _PIXELS * line.get_linewidth()
+            trace["line"] = {"color": colour, "width": width, "dash": dash, "shape": shape}
         if marker is not None:
             size = _PIXELS * float(line.get_markersize()) * (0.5 if line.get_marker() == "." else 1.0)
             trace["marker"] = {"symbol": marker, "size": max(size, 2.0), "color": colour}

@@ -23,7 +23,7 @@
     const layout = structuredClone(figure.layout), panels = figure.panels, narrow = width < NARROW;
     const columns = narrow ? 1 : Math.max(...panels.map((p) => p.columns));
     const right = Object.values(layout).some((axis) => axis && axis.overlaying) ? 62 : layout.coloraxis ? 84 : MARGIN.r;
-    const margin = { ...MARGIN, r: right, t: MARGIN.t + (layout.title ? 28 : 0) };
+    const margin = { ...MARGIN, r: right };
     const names = [...figure.data, ...layout.shapes].filter((t) => t.showlegend).map((t) => t.name.length);
     const entry = 52 + 6.6 * Math.max(0, ...names);
     const across = Math.max(1, Math.floor((width - 20) / entry));
@@ -47,19 +47,33 @@
         if (!x.title && (narrow || line === lines.at(-1)) && c.name) x.title = { text: c.name };
         for (const [key, axis] of Object.entries(layout))
           if (key.startsWith("yaxis") && (axisKey(c.yaxis) === key || axis.overlaying === c.yaxis))
-            axis.domain = [1 - (top + c.high) / high, 1 - top / high].map((v) => Math.min(Math.max(v, 0), 1));
+            Object.assign(axis, {
+              domain: [1 - (top + c.high) / high, 1 - top / high].map((v) => Math.min(Math.max(v, 0), 1)),
+              title: axis.title && { text: wrapped(axis.title.text, c.high) },
+            });
+        for (const note of layout.annotations)
+          if (note.xref === `${c.xaxis} domain`) note.text = wrapped(note.text, c.wide);
       }
       top += highest[k] + GAP_Y;
     });
     for (const [key, axis] of Object.entries(layout)) if (/^[xy]axis/.test(key)) dress(axis);
     return {
       ...layout, width, height: high + margin.t + margin.b, margin, autosize: false,
-      title: layout.title && { ...layout.title, font: { size: 15 }, x: 0.5, y: 1, yref: "container", yanchor: "top", pad: { t: 10 } },
       legend: { orientation: "h", xref: "container", x: 0.5, xanchor: "center", yref: "container", y: 0, yanchor: "bottom",
         font: { size: 12 }, entrywidth: entry - 42 },
       font: { family: "system-ui, sans-serif", size: 12, color: "#1b2430" }, paper_bgcolor: "#fff", plot_bgcolor: "#fff",
       hovermode: "closest", dragmode: touch ? false : "zoom", hoverlabel: { namelength: -1 },
     };
+  }
+
+  // A text in lines no longer than a width (px).
+  function wrapped(text, width) {
+    const most = Math.max(12, Math.floor(width / 6.6)), lines = [""];
+    for (const word of text.split(" ")) {
+      if (lines.at(-1) && lines.at(-1).length + word.length >= most) lines.push(word);
+      else lines.push([lines.pop(), word].filter(Boolean).join(" "));
+    }
+    return lines.join("<br>");
   }
 
   const axisKey = (name) => `${name[0]}axis${name.slice(1)}`;
@@ -74,6 +88,7 @@
 
   function show(element) {
     const figure = JSON.parse(element.querySelector("script").textContent);
+    element.querySelector(".title").textContent = figure.title;
     const box = element.querySelector(".plot");
     element.classList.add("live");
     const width = () => Math.max(280, Math.floor(element.getBoundingClientRect().width));
