@@ -119,7 +119,7 @@ def test_figure_3_goes_beyond_the_knee_of_figure_2(result: HysteresisResult) -> 
 
 @pytest.mark.parametrize(("amplitudes", "currents"), [(20, 1), (11, 2), (1, 12), (3, 4), (7, 3)])
 def test_many_loops_fill_a_grid(result: HysteresisResult, amplitudes: int, currents: int) -> None:
-    """No picture is more than twice as high as wide or wide as high, and its sides stay below 5,000 pixels."""
+    """No picture is more than twice as high as wide, or wide as high, and none has 5,000 pixels."""
     one = result.loops[0]
     loops = [
         replace(one, amplitude=1e-3 * (i + 1), current=k / 12)
