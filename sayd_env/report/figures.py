@@ -107,8 +107,8 @@ def log_axis(axes: Axes, which: str = "y") -> None:
 
     axes.set(**{f"{which}scale": "log"})
     axis = axes.yaxis if which == "y" else axes.xaxis
-    low, high = sorted(axes.dataLim.intervaly if which == "y" else axes.dataLim.intervalx)
-    near = 0.0 < low < math.inf and high < 30.0 * low
+    low, high = sorted(axes.get_ylim() if which == "y" else axes.get_xlim())
+    near = low > 0.0 and high < 100.0 * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if near else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

@@ -67,9 +67,9 @@ def live_figure(figure: Figure) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``title``, ``data`` and ``layout`` of Plotly, the axes without domains, and ``panels``: of each its axes, row,
-        column and number of columns that it takes, the share of its columns in the width, its height over its
-        width, and the name of its x-axis.
+        ``title``; ``data`` and ``layout`` of Plotly, the axes without domains; and ``panels``: of each its
+        axes, its row and column, how many columns there are, where it begins and what it takes of their
+        width, its height over its width, the name of its x-axis, and whether both axes have one scale.
     """
     return _Converter().whole(figure)
 

@@ -5,15 +5,17 @@ The results are made up where a simulation would take its time; how they are dra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from sayd_env.config.comparison import load_comparison
 from sayd_env.config.environment import load_environment
 from sayd_env.config.hindsight import load_hindsight
 from sayd_env.config.map import load_map
@@ -21,16 +23,22 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.report.files import ResultDirectory, document
 from sayd_env.report.html import Page
 from sayd_env.report.live import extremes
+from sayd_env.runs.along import LineRecord, line_runs
 from sayd_env.runs.controlled import ControlledRuns
 from sayd_env.runs.metrics import Row
-from sayd_env.runs.policies import policy_spec
+from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.runs.rollouts import Run
 from sayd_env.stability import Crossing, Limits
 from sayd_env.studies.adaptation import ConstantMap, Costs
 from sayd_env.studies.assess import Train, assess_file
+from sayd_env.studies.comparison import compare as comparison
+from sayd_env.studies.comparison.compare import CompareResult
+from sayd_env.studies.comparison.entrants import read_entrants
+from sayd_env.studies.comparison.grid import MEASURED, ScenarioGrid
 from sayd_env.studies.evaluate import EvaluateResult
 from sayd_env.studies.hindsight import FOR_ALL, HINDSIGHT, SINGLE, HindsightResult, OnLine
-from sayd_env.studies.map import Cell, MapGrid, MapResult
+from sayd_env.studies.line import LineResult
+from sayd_env.studies.map import CRITERIA, Cell, MapGrid, MapResult
 from sayd_env.studies.paper.controlled_claims import controlled_claims
 from sayd_env.studies.paper.figures import controlled_plots
 from sayd_env.studies.paper.page import reproduce_page
@@ -137,6 +145,83 @@ def simulated(scenario: Scenario) -> SimulateResult:
     )
 
 
+def lined(scenario: Scenario) -> LineResult:
+    """Two policies on a line of three sections, one of them above a limit in the last one."""
+    environment, runs, records = load_environment(), [], []
+    for policy, level in (("passive", 1.2), ("mppt2", 0.4)):
+        (run,) = line_runs([policy_spec(policy)], scenario, "slow_curve", [120.0 / 3.6], [7], environment)
+        assert run.line is not None
+        ends = [section.end for section in run.line.sections]
+        time = np.diff([0.0, *ends]) / run.speed
+        seconds = np.arange(int(time.sum()))
+        sections, course = level * np.linspace(0.3, 1.0, len(ends)), level * (1.0 + 0.2 * np.sin(seconds))
+        position = np.linspace(50.0, ends[-1] - 50.0, 40)
+        parts = dict.fromkeys(("acceleration", "force", "curve_force", "unloading"), 0.1 * sections)
+        record = LineRecord(
+            **parts,
+            time=time,
+            lost=np.zeros(len(ends)),
+            quotient=sections,
+            track_shift=1e4 * sections,
+            acceleration_rms=np.full(len(ends), np.nan),
+            track_shift_rms=1e3 * sections,
+            command=0.5 + 0.1 * np.cos(seconds)[:, None],
+            cost_acceleration=0.1 * course,
+            cost_force=0.1 * course,
+            peak_quotient=0.3 * course,
+            peak_track_shift=1e4 * course,
+            position=position,
+            running_acceleration=level * np.ones(position.shape),
+        )
+        runs.append(run)
+        records.append(record)
+    return LineResult("slow_curve", scenario, environment, tuple(runs), tuple(records))
+
+
+COMPARISON = """
+environment: env.yaml
+length: 600.0
+tracks: [{name: german_low, scale: 0.6}]
+speeds_kmh: [250.0, 300.0, 350.0]
+wear: [0.0, 1.0]
+friction: [0.35]
+seeds: [5, 6, 7]
+initial_current: 0.0
+critical_speed: {study: study.yaml, speeds_kmh: [320.0, 400.0], wear: 1.0, seeds: [3]}
+constants: [0.3]
+force_weights: [0.5, 1.0, 2.0]
+bootstrap: {samples: 200, seed: 0}
+"""
+
+
+def compared(folder: Path) -> CompareResult:
+    """Controllers with made-up runs; the higher the speed, the more they cost."""
+    (folder / "env.yaml").write_text("base: randomized\nepisode_s: 4.0\n")
+    (folder / "study.yaml").write_text("base: nominal\nassessment: {run_in: 200.0, length: 600.0}\n")
+    (folder / "small.yaml").write_text(COMPARISON)
+
+    def run_all(grid: ScenarioGrid, policies: Sequence[PolicySpec], *_: Any) -> dict[str, Any]:
+        speed = np.array([each.speed_kmh for each in grid.conditions])[:, None]
+        level = speed / 300.0 * (1.0 + 0.1 * np.arange(len(grid.config.seeds)))
+        return {
+            policy.title: dict.fromkeys(MEASURED, (0.9 - 0.1 * k) * level)
+            | dict.fromkeys(("lost", "offline_lost"), 0.0 * level)
+            for k, policy in enumerate(policies)
+        }
+
+    def critical(_: Any, settings: Any, policies: Sequence[PolicySpec], *__: Any) -> Any:
+        ratios = {name: {kmh: (0.5,) for kmh in settings.speeds_kmh} for name in CRITERIA}
+        crossing = dict.fromkeys(CRITERIA, (None, Crossing.NOT_REACHED))
+        return SimpleNamespace(cells=[Cell(each.title, 1.0, 0.35, crossing, ratios) for each in policies])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison, "run_all", run_all)
+        patch.setattr(comparison, "_critical_speeds", critical)
+        return comparison.compare(
+            load_comparison(str(folder / "small.yaml")), read_entrants(["skyhook-continuous"])
+        )
+
+
 @dataclass(frozen=True)
 class Reproduced:
     """The page of `sayd reproduce` without the passive vehicle's runs."""
@@ -175,6 +260,8 @@ def pages(
         "assess": lambda: assessed(short_scenario, folder),
         "hindsight": along_lines,
         "simulate": lambda: simulated(short_scenario),
+        "line": lambda: lined(short_scenario),
+        "compare": lambda: compared(folder),
         "reproduce": lambda: Reproduced(paper_runs(1), limits),
     }
 
@@ -185,7 +272,7 @@ def pages(
     return page
 
 
-COMMANDS = ("evaluate", "map", "assess", "hindsight", "simulate", "reproduce")
+COMMANDS = ("evaluate", "map", "assess", "hindsight", "simulate", "line", "compare", "reproduce")
 
 
 def shown(page: Any) -> None:

@@ -23,7 +23,7 @@ from sayd_env.physics.multibody import assemble
 from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
 from sayd_env.physics.simulator import table_load
 from sayd_env.report.columns import Column, Table, csv_table, print_table
-from sayd_env.report.figures import Plot, label
+from sayd_env.report.figures import Plot, label, legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -224,10 +224,16 @@ def plot_conicity(figure: Figure, results: Sequence[ConicityResult]) -> None:
     pairs = [pair for result in results for pair in _pairs(result)]
     figure.set_size_inches(10.0, 3.2 * (1 + len(pairs)))
     grid = figure.add_gridspec(1 + len(pairs), 2)
+    first: Any = None
     for row, pair in enumerate(pairs):
-        _draw_pair(figure.add_subplot(grid[row, :]), pair)
-    _draw_curves(figure.add_subplot(grid[-1, 0]), results)
-    _draw_radii(figure.add_subplot(grid[-1, 1]), results)
+        # All to the same scale, one below the other.
+        axes = figure.add_subplot(grid[row, :], sharex=first, sharey=first)
+        first = first or axes
+        _draw_pair(axes, pair)
+    curves, radii = figure.add_subplot(grid[-1, 0]), figure.add_subplot(grid[-1, 1])
+    _draw_curves(curves, results)
+    _draw_radii(radii, results)
+    legend_below(figure, curves, columns=3)
 
 
 def _pairs(result: ConicityResult) -> list[ConicityResult]:
@@ -275,7 +281,7 @@ def _draw_curves(axes: Axes, results: Sequence[ConicityResult]) -> None:
     for i, each in enumerate(results):
         curves = (each.tan_gamma_e, each.tan_gamma_e_table, each.harmonic)
         _draw_ways(axes, i, each, each.amplitude, curves)
-    axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)", title="by EN 15302")
+    axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)", title="equivalent conicity, EN 15302")
 
 
 def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
@@ -283,7 +289,11 @@ def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
         y, *radii = each.delta_r()
         near = np.abs(y) <= _CONTACT_LINES_REACH
         _draw_ways(axes, i, each, y[near], [radius[near] * _MILLI for radius in radii])
-    axes.set(xlabel="lateral position (mm)", ylabel="difference of rolling radii (mm)")
+    axes.set(
+        xlabel="lateral position (mm)",
+        ylabel="difference (mm)",
+        title="difference of rolling radii",
+    )
 
 
 def _draw_ways(axes: Axes, number: int, result: ConicityResult, x: Array, curves: Sequence[Array]) -> None:
@@ -292,4 +302,3 @@ def _draw_ways(axes: Axes, number: int, result: ConicityResult, x: Array, curves
         named = f"{_label(result)}: {way}"
         axes.plot(x * _MILLI, values, CYCLE[number % len(CYCLE)], linestyle=line, label=named)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=7)
