@@ -292,7 +292,7 @@ def _plotly() -> str:
     """The library that draws, packed: a third of its size."""
     from plotly.offline import get_plotlyjs  # noqa: PLC0415 - slow to import, and only pages need it
 
-    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 6, mtime=0)).decode("ascii")
 
 
 _SCRIPT = Template("""<script type="text/plain" id="plotly">$library</script>
