@@ -342,14 +342,14 @@ def _key(name: str) -> str:
 
 def _axis(axis: Axis, limits: tuple[float, float], scale: str) -> dict[str, Any]:
     """Name, range, kind and, where they are words, ticks of an axis."""
-    from matplotlib.ticker import FixedFormatter  # noqa: PLC0415 - slow to import
+    from matplotlib.ticker import FixedLocator  # noqa: PLC0415 - slow to import
 
     log = scale == "log"
     ends = [float(value) for value in (np.log10(limits) if log else limits)]
     found: dict[str, Any] = {"range": ends, "type": "log" if log else "linear"}
     if axis.get_label_text():
         found["title"] = {"text": _escaped(axis.get_label_text())}
-    if isinstance(axis.get_major_formatter(), FixedFormatter):
+    if isinstance(axis.get_major_locator(), FixedLocator):
         found["tickvals"] = [float(place) for place in axis.get_majorticklocs()]
         found["ticktext"] = [_escaped(each.get_text()) for each in axis.get_majorticklabels()]
     return found

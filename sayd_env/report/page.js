@@ -2,7 +2,7 @@
 // print, the pictures stay.
 "use strict";
 (() => {
-  const NARROW = 640, GAP_X = 76, GAP_Y = 66, MARGIN = { l: 66, r: 20, t: 44, b: 56 };
+  const NARROW = 640, GAP_X = 76, GAP_Y = 66, MARGIN = { l: 66, r: 20, t: 34, b: 56 };
   const touch = matchMedia("(pointer: coarse)").matches;
   const config = {
     displaylogo: false, responsive: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
@@ -49,7 +49,7 @@
           if (key.startsWith("yaxis") && (axisKey(c.yaxis) === key || axis.overlaying === c.yaxis))
             Object.assign(axis, {
               domain: [1 - (top + c.high) / high, 1 - top / high].map((v) => Math.min(Math.max(v, 0), 1)),
-              title: axis.title && { text: wrapped(axis.title.text, c.high) },
+              ...(axis.title && { title: { text: wrapped(axis.title.text, c.high) } }),
             });
         for (const note of layout.annotations)
           if (note.xref === `${c.xaxis} domain`) note.text = wrapped(note.text, c.wide);
@@ -59,8 +59,11 @@
     for (const [key, axis] of Object.entries(layout)) if (/^[xy]axis/.test(key)) dress(axis);
     return {
       ...layout, width, height: high + margin.t + margin.b, margin, autosize: false,
-      legend: { orientation: "h", xref: "container", x: 0.5, xanchor: "center", yref: "container", y: 0, yanchor: "bottom",
-        font: { size: 12 }, entrywidth: entry - 42 },
+      showlegend: names.length > 0,
+      ...(names.length && {
+        legend: { orientation: "h", xref: "container", x: 0.5, xanchor: "center", yref: "container", y: 0,
+          yanchor: "bottom", font: { size: 12 }, entrywidth: entry - 42 },
+      }),
       font: { family: "system-ui, sans-serif", size: 12, color: "#1b2430" }, paper_bgcolor: "#fff", plot_bgcolor: "#fff",
       hovermode: "closest", dragmode: touch ? false : "zoom", hoverlabel: { namelength: -1 },
     };

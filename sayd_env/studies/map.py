@@ -172,7 +172,7 @@ class MapResult:
             ends = sorted(lowest, key=self._rank)
             low, high = self._verdict(*ends[0]), self._verdict(*ends[-1])
             words.append(
-                f"{policy}: critical speed {low}" + (f" to {high}" if low != high else "") + " km/h."
+                f"{policy}: critical speed " + (low if low == high else f"from {low} to {high}") + " km/h."
             )
         if self.constants is not None:
             words.append(self.constants.worth())

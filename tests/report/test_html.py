@@ -48,7 +48,7 @@ def test_every_text_is_escaped(read_page: Callable[[str], Any]):
     read = read_page(text)
     assert read.tags.count("script") == 3  # the figure's numbers, the library and what starts it
     assert read.links == []
-    assert read.text.count(NASTY) == 9  # two of them in the title, none of the alternative text
+    assert read.text.count(NASTY) == 10  # two of them in the title, none of the alternative text
     (content,) = re.findall(r'<script type="application/json">(.*?)</script>', text)
     assert json.loads(content) == live.live
 

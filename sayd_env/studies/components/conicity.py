@@ -255,15 +255,21 @@ def _draw_pair(axes: Axes, result: ConicityResult) -> None:
     offset = float(np.interp(0.0, contact.y, contact.s - contact.t))
     axes.plot(result.wheel.y * _MILLI, (lift - result.wheel.z) * _MILLI, BLUE, label=label(result.wheel.name))
     axes.plot((result.rail.y + offset) * _MILLI, result.rail.z * _MILLI, GREY, label=label(result.rail.name))
-    reach, named = min(_CONTACT_LINES_REACH, contact.y[-1]), np.inf
-    for y in np.arange(reach, -reach - 1e-6, -_CONTACT_LINES_EVERY):
+    wheel, named = result.wheel, np.array([])
+    steps = int(min(_CONTACT_LINES_REACH, contact.y[-1]) / _CONTACT_LINES_EVERY + 1e-6)
+    # The ends first, which always have their names.
+    for y in _CONTACT_LINES_EVERY * np.array(sorted(range(-steps, steps + 1), key=lambda k: (-abs(k), k))):
         s, t = np.interp(y, contact.y, contact.s), np.interp(y, contact.y, contact.t)
         ends = lift - np.interp(s, result.wheel.y, result.wheel.z), np.interp(t, result.rail.y, result.rail.z)
         axes.plot(np.array([s, t + offset]) * _MILLI, np.array(ends) * _MILLI, VERMILION, linewidth=0.7)
-        if abs(s - named) >= _NAMES_APART:
-            place = s * _MILLI, ends[0] * _MILLI + 1.0
-            axes.annotate(f"{y * _MILLI:+.0f}", place, fontsize=7, ha="center")
-            named = s
+        if np.all(np.abs(s - named) >= _NAMES_APART):
+            # Beside a flank, above what is flat.
+            steep = abs(np.interp(s, wheel.y, np.gradient(wheel.z, wheel.y))) > 1.0
+            aside, up = (-1.0, 0.0) if steep else (0.0, 1.0)
+            words = f"{y * _MILLI:+.0f}" if y else "0"
+            place = s * _MILLI + aside, ends[0] * _MILLI + up
+            axes.annotate(words, place, fontsize=7, ha="right" if steep else "center")
+            named = np.append(named, s)
     axes.set(
         title=f"{_label(result)} on {result.rail.name}: contact lines for y in mm",
         xlabel="distance from the tape circle (mm), field side positive",
