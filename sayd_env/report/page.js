@@ -23,7 +23,7 @@
     const layout = structuredClone(figure.layout), panels = figure.panels, narrow = width < NARROW;
     const columns = narrow ? 1 : Math.max(...panels.map((p) => p.columns));
     const right = Object.values(layout).some((axis) => axis && axis.overlaying) ? 62 : layout.coloraxis ? 84 : MARGIN.r;
-    const margin = { ...MARGIN, r: right };
+    const margin = { ...MARGIN, r: right, l: narrow ? 80 : MARGIN.l };
     const names = [...figure.data, ...layout.shapes].filter((t) => t.showlegend).map((t) => t.name.length);
     const entry = 52 + 6.6 * Math.max(0, ...names);
     const across = Math.max(1, Math.floor((width - 20) / entry));
@@ -86,7 +86,7 @@
       gridcolor: "#e3e7ec", zeroline: false, linecolor: "#8a94a0", showline: true, mirror: !axis.overlaying,
       ticks: "outside", ticklen: 4, hoverformat: ".4~g", exponentformat: "none", automargin: false,
     });
-    if (axis.title) axis.title = { ...axis.title, standoff: 6 };
+    if (axis.title) axis.title = { ...axis.title, standoff: 6 + 15 * (axis.title.text.split("<br>").length - 1) };
   }
 
   function show(element) {
