@@ -123,7 +123,7 @@ def name_rows(axes: Axes, names: Iterable[str]) -> None:
 
 def legend_below(figure: Figure, *axes: Axes, columns: int = 4) -> None:
     """Put one legend of some panels, each name once, below all of them."""
-    by_label = {}
+    by_label: dict[str, Any] = {}
     for panel in axes:
         handles, labels = panel.get_legend_handles_labels()
         by_label |= dict(zip(labels, handles, strict=True))

@@ -83,7 +83,7 @@
 
   function dress(axis) {
     Object.assign(axis, {
-      gridcolor: "#e3e7ec", zeroline: false, linecolor: "#8a94a0", showline: true, mirror: !axis.overlaying,
+      ...(axis.showgrid !== false && { gridcolor: "#e3e7ec" }), zeroline: false, linecolor: "#8a94a0", showline: true, mirror: !axis.overlaying,
       ticks: "outside", ticklen: 4, hoverformat: ".4~g", exponentformat: "none", automargin: false,
     });
     if (axis.title) axis.title = { ...axis.title, standoff: 6 + 15 * (axis.title.text.split("<br>").length - 1) };
