@@ -22,27 +22,37 @@
   function placed(figure, width) {
     const layout = structuredClone(figure.layout), panels = figure.panels, narrow = width < NARROW;
     const columns = narrow ? 1 : Math.max(...panels.map((p) => p.columns));
-    const right = Object.values(layout).some((axis) => axis && axis.overlaying) ? 62 : layout.coloraxis ? 84 : MARGIN.r;
-    const margin = { ...MARGIN, r: right, l: narrow ? 80 : MARGIN.l };
+    const right = Object.values(layout).some((axis) => axis && axis.overlaying) ? 76 : layout.coloraxis ? 84 : MARGIN.r;
+    // Room for rows with names, in the first column and in the others.
+    const room = (some) => Math.max(0, ...some.flatMap((p) => layout[axisKey(p.yaxis)].ticktext ?? [])
+      .map((text) => 24 + 6.4 * text.length));
+    const margin = { ...MARGIN, r: right, l: Math.max(narrow ? 80 : MARGIN.l, room(panels.filter((p) => narrow || !p.column))) };
+    const gapX = Math.max(GAP_X, room(panels.filter((p) => p.column)));
     const names = [...figure.data, ...layout.shapes].filter((t) => t.showlegend).map((t) => t.name.length);
     const entry = 52 + 6.6 * Math.max(0, ...names);
     const across = Math.max(1, Math.floor((width - 20) / entry));
     const legend = names.length ? 14 + 20 * Math.ceil(names.length / across) : 0;
     margin.b += legend;
-    const inner = width - margin.l - margin.r - (columns - 1) * GAP_X;
+    const inner = width - margin.l - margin.r - (columns - 1) * gapX;
     const cells = panels.map((p, k) => {
       const share = narrow ? 1 : p.share;
       const wide = inner * share, ratio = narrow && !p.equal ? Math.max(p.height, 0.55) : p.height;
       return { ...p, line: narrow ? k : p.row, wide, high: Math.min(Math.max(wide * ratio, 110), 460) };
     });
+    for (const note of layout.annotations) {
+      const cell = cells.find((c) => note.xref === `${c.xaxis} domain`);
+      if (cell) note.text = wrapped(note.text, cell.wide);
+    }
+    const gapY = GAP_Y + 15 * Math.max(0, ...layout.annotations
+      .filter((note) => note.xref.endsWith("domain")).map((note) => lineCount(note.text) - 1));
     const lines = [...new Set(cells.map((c) => c.line))].sort((a, b) => a - b);
     const highest = lines.map((line) => Math.max(...cells.filter((c) => c.line === line).map((c) => c.high)));
-    const high = highest.reduce((a, b) => a + b, 0) + (lines.length - 1) * GAP_Y;
+    const high = highest.reduce((a, b) => a + b, 0) + (lines.length - 1) * gapY;
     const full = width - margin.l - margin.r;
     let top = 0;
     lines.forEach((line, k) => {
       for (const c of cells.filter((each) => each.line === line)) {
-        const x = layout[axisKey(c.xaxis)], left = narrow ? 0 : inner * c.left + c.column * GAP_X;
+        const x = layout[axisKey(c.xaxis)], left = narrow ? 0 : inner * c.left + c.column * gapX;
         x.domain = [left / full, Math.min((left + c.wide) / full, 1)];
         if (!x.title && (narrow || line === lines.at(-1)) && c.name) x.title = { text: c.name };
         for (const [key, axis] of Object.entries(layout))
@@ -51,10 +61,8 @@
               domain: [1 - (top + c.high) / high, 1 - top / high].map((v) => Math.min(Math.max(v, 0), 1)),
               ...(axis.title && { title: { text: wrapped(axis.title.text, c.high) } }),
             });
-        for (const note of layout.annotations)
-          if (note.xref === `${c.xaxis} domain`) note.text = wrapped(note.text, c.wide);
       }
-      top += highest[k] + GAP_Y;
+      top += highest[k] + gapY;
     });
     for (const [key, axis] of Object.entries(layout)) if (/^[xy]axis/.test(key)) dress(axis);
     return {
@@ -72,21 +80,22 @@
   // A text in lines no longer than a width (px).
   function wrapped(text, width) {
     const most = Math.max(12, Math.floor(width / 6.6)), lines = [""];
-    for (const word of text.split(" ")) {
+    for (const word of text.split(/ |<br>/)) {
       if (lines.at(-1) && lines.at(-1).length + word.length >= most) lines.push(word);
       else lines.push([lines.pop(), word].filter(Boolean).join(" "));
     }
     return lines.join("<br>");
   }
 
+  const lineCount = (text) => text.split("<br>").length;
   const axisKey = (name) => `${name[0]}axis${name.slice(1)}`;
 
   function dress(axis) {
     Object.assign(axis, {
-      ...(axis.showgrid !== false && { gridcolor: "#e3e7ec" }), zeroline: false, linecolor: "#8a94a0", showline: true, mirror: !axis.overlaying,
+      ...(axis.overlaying && { tickmode: "auto" }), ...(axis.showgrid !== false && { gridcolor: "#e3e7ec" }), zeroline: false, linecolor: "#8a94a0", showline: true, mirror: !axis.overlaying,
       ticks: "outside", ticklen: 4, hoverformat: ".4~g", exponentformat: "none", automargin: false,
     });
-    if (axis.title) axis.title = { ...axis.title, standoff: 6 + 15 * (axis.title.text.split("<br>").length - 1) };
+    if (axis.title) axis.title = { ...axis.title, standoff: 6 + 15 * (lineCount(axis.title.text) - 1) };
   }
 
   function show(element) {

@@ -46,9 +46,7 @@ def verdict(standings: Sequence[Standing], where: str) -> Verdict:
     above = [each for each in standings if each not in within]
     lines = [f"{words}."]
     if within:
-        lines.append(
-            f"Within both limits of EN 14363 everywhere: {', '.join(each.policy for each in within)}."
-        )
+        lines.append(f"Within all limits of EN 14363: {', '.join(each.policy for each in within)}.")
     if above:
         lines.append(f"Not within them: {', '.join(map(_excess, above))}.")
     return Verdict(lines, None if within and above else bool(within))
