@@ -276,7 +276,8 @@ COMMANDS = ("evaluate", "map", "assess", "hindsight", "simulate", "line", "compa
 
 
 def shown(page: Any) -> None:
-    """Wait until the figures near the screen are live."""
+    """Go to the first figure, and wait until it is live, as all near the screen are."""
+    page.locator("figure").first.scroll_into_view_if_needed()
     page.wait_for_selector("figure.live .plot .main-svg", timeout=WAIT)
 
 
