@@ -314,6 +314,13 @@ def test_a_row_leads_to_its_figure_which_zooms_and_hovers(pages: Callable[[str],
         ".getBoundingClientRect().top) < 40"
     )
     plot = figure.locator(".plot")
+    point = plot.evaluate(
+        "(p) => { const a = p._fullLayout.xaxis, b = p._fullLayout.yaxis, t = p._fullData[0];"
+        " return [a._offset + a.d2p(350), b._offset + b.d2p(t.y[1])]; }"
+    )
+    corner = plot.bounding_box()
+    page.mouse.move(corner["x"] + point[0], corner["y"] + point[1])
+    figure.locator(".hoverlayer .hovertext").first.wait_for(timeout=WAIT)
     panel = figure.locator(".nsewdrag").first
     box = panel.bounding_box()
     before = plot.evaluate("(p) => p.layout.xaxis.range.slice()")
@@ -326,13 +333,6 @@ def test_a_row_leads_to_its_figure_which_zooms_and_hovers(pages: Callable[[str],
     )
     after = plot.evaluate("(p) => p.layout.xaxis2.range.slice()")
     assert before[0] < after[0] < after[1] < before[1]  # the panel beside it follows
-    point = plot.evaluate(
-        "(p) => { const a = p._fullLayout.xaxis, b = p._fullLayout.yaxis, t = p._fullData[0];"
-        " return [a._offset + a.d2p(350), b._offset + b.d2p(t.y[1])]; }"
-    )
-    corner = plot.bounding_box()
-    page.mouse.move(corner["x"] + point[0], corner["y"] + point[1])
-    figure.locator(".hoverlayer .hovertext").first.wait_for(timeout=WAIT)
 
 
 def test_a_printed_page_shows_every_picture(pages: Callable[[str], Path], visit: Any) -> None:
