@@ -149,9 +149,8 @@ _JUDGED = (
 
 def _verdict(claims: Sequence[Claim], seeds: int) -> Verdict:
     failed = [claim.id for claim in claims if not claim.holds]
-    words = (
-        f"{len(claims) - len(failed)} of {len(claims)} statements of the paper hold, on {seeds} track seeds."
-    )
+    tracks = f"{seeds} track seed{'s' * (seeds != 1)}"
+    words = f"{len(claims) - len(failed)} of {len(claims)} statements of the paper hold, on {tracks}."
     return Verdict([words, *([f"Not: {', '.join(failed)}."] if failed else [])], not failed)
 
 

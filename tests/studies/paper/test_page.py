@@ -26,7 +26,7 @@ def test_the_page_shows_claims_and_figures_side_by_side(
     text = page_html(page, drawings, {})
     read = read_page(text)
     assert read.pictures == [name.encode() for name in plots]
-    assert "16 of 16 statements of the paper hold, on 1 track seeds" in read.text
+    assert "16 of 16 statements of the paper hold, on 1 track seed." in read.text
     assert '<a href="#figure-figure_11_mppt1">M1</a>' in text
     assert "Figure 12: MPPT1 at 400 km/h over time" in read.text
     assert "Figure 10" not in read.text  # no picture of it
