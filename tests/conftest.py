@@ -261,7 +261,7 @@ VOID = {"meta", "img", "br", "link", "input", "hr"}
 
 
 class Page(HTMLParser):
-    """Checks that tags are closed in turn, and collects what is in the page."""
+    """Checks that tags are closed in turn, and collects what a reader sees and what leads elsewhere."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -281,14 +281,17 @@ class Page(HTMLParser):
         for name, value in attrs:
             if name == "src" and value is not None and value.startswith("data:image/png;base64,"):
                 self.pictures.append(base64.b64decode(value.partition(",")[2], validate=True))
-            elif name in ("src", "href", "srcset", "action") or name.startswith("on"):
+            elif (name in ("src", "href", "srcset", "action") or name.startswith("on")) and not (
+                name == "href" and value is not None and value.startswith("#")
+            ):
                 self.links.append(f"{name}={value}")
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        self.texts.append(data)
+        if not {"script", "style"} & set(self.open):
+            self.texts.append(data)
 
     @property
     def text(self) -> str:

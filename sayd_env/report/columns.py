@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -84,6 +84,22 @@ class Column:
         return " ".join(word for word, on in (("bold", bold or infinite), ("red", red)) if on)
 
 
+@dataclass(frozen=True)
+class Listing:
+    """A table that is printed and that stands on a page."""
+
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[Any]
+    """Mappings or objects that have the columns' values."""
+    section: str | None = None
+    """Where rows have what a section has in common."""
+
+    def print(self, console: Console, wide: bool = False) -> None:
+        """Print it, see `print_table`."""
+        print_table(console, self.title, self.columns, self.rows, wide=wide, section=self.section)
+
+
 def csv_table(columns: Sequence[Column], rows: Iterable[Any]) -> Table:
     """Stored values of all columns, as a CSV file has them."""
     return [column.name for column in columns], [[column.of(row) for column in columns] for row in rows]
@@ -137,17 +153,11 @@ def print_table(
         width=sum(widths) + gaps,
     )
     for column, width in zip(shown, widths, strict=True):
-        justify: Any = "right" if _is_numeric(column, rows) else "left"
+        justify: Any = "right" if is_numeric(column, rows) else "left"
         table.add_column(Text(column.heading), justify=justify, width=width, overflow="fold")
-    for group in _sections(rows, section):
-        lowest = [_lowest(column, group) for column in shown]
-        for row in group:
-            values = [column.of(row) for column in shown]
-            cells = [
-                Text.assemble((column.words(value), column.style(value, least)))
-                for column, value, least in zip(shown, values, lowest, strict=True)
-            ]
-            table.add_row(*cells, end_section=row is group[-1])
+    for group in styled(shown, rows, section):
+        for row, cells in group:
+            table.add_row(*map(Text.assemble, cells), end_section=row is group[-1][0])
     console.print(Text(title, "bold"))
     console.print(table, crop=False)
     hidden = sum(bool(column.header) for column in columns) - len(shown)
@@ -156,7 +166,36 @@ def print_table(
     console.print()
 
 
-def _is_numeric(column: Column, rows: Sequence[Any]) -> bool:
+def styled(
+    columns: Sequence[Column], rows: Sequence[Any], section: str | None = None
+) -> Iterator[list[tuple[Any, list[tuple[str, str]]]]]:
+    """Rows in their sections, each with what is shown of it: the words of every cell and how it stands out.
+
+    Parameters
+    ----------
+    columns : sequence of Column
+    rows : sequence
+        Mappings or objects that have the columns' values.
+    section : str, optional
+        As for `print_table`.
+    """
+    for group in _sections(rows, section):
+        lowest = [_lowest(column, group) for column in columns]
+        yield [
+            (
+                row,
+                [
+                    (column.words(value), column.style(value, least))
+                    for column, least in zip(columns, lowest, strict=True)
+                    for value in (column.of(row),)
+                ],
+            )
+            for row in group
+        ]
+
+
+def is_numeric(column: Column, rows: Sequence[Any]) -> bool:
+    """Whether a column holds numbers alone, which stand on the right."""
     return all(value is None or _is_number(value) for value in map(column.of, rows))
 
 

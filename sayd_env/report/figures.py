@@ -10,12 +10,13 @@ import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from sayd_env.config.palette import LIMIT, Style, plain_matplotlib
 from sayd_env.config.units import Array
+from sayd_env.report.live import live_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,8 +34,16 @@ UNKNOWN = "\ufffd"
 """Drawn for what the typeface does not have."""
 
 
-def png_bytes(draw: Plot, dpi: float = DPI) -> bytes:
-    """Draw into a fresh figure and return it as PNG."""
+class Drawing(NamedTuple):
+    """A figure as it is stored and shown."""
+
+    png: bytes
+    live: Mapping[str, Any]
+    """What a page needs to make it one to zoom and to hover, see `sayd_env.report.live.live_figure`."""
+
+
+def drawing(draw: Plot, dpi: float = DPI, *, live: bool = True) -> Drawing:
+    """Draw into a fresh figure and return it as PNG, and `live` what makes it live."""
     image = io.BytesIO()
     with plain_matplotlib():
         from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and --json needs none
@@ -43,7 +52,12 @@ def png_bytes(draw: Plot, dpi: float = DPI) -> bytes:
         draw(figure)
         _replace_unknown(figure)
         figure.savefig(image, format="png", dpi=dpi)
-    return image.getvalue()
+        return Drawing(image.getvalue(), live_figure(figure) if live else {})
+
+
+def png_bytes(draw: Plot, dpi: float = DPI) -> bytes:
+    """Draw into a fresh figure and return it as PNG."""
+    return drawing(draw, dpi, live=False).png
 
 
 def panels(
@@ -93,8 +107,8 @@ def log_axis(axes: Axes, which: str = "y") -> None:
 
     axes.set(**{f"{which}scale": "log"})
     axis = axes.yaxis if which == "y" else axes.xaxis
-    low, high = sorted(axes.dataLim.intervaly if which == "y" else axes.dataLim.intervalx)
-    near = 0.0 < low < math.inf and high < 30.0 * low
+    low, high = sorted(axes.get_ylim() if which == "y" else axes.get_xlim())
+    near = low > 0.0 and high < 100.0 * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if near else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -107,10 +121,12 @@ def name_rows(axes: Axes, names: Iterable[str]) -> None:
     axes.set_ylim(len(labels) - 0.5, -0.5)
 
 
-def legend_below(figure: Figure, axes: Axes, *, columns: int = 4) -> None:
-    """Put the legend of one panel, which holds for all, below them."""
-    handles, labels = axes.get_legend_handles_labels()
-    by_label = dict(zip(labels, handles, strict=True))
+def legend_below(figure: Figure, *axes: Axes, columns: int = 4) -> None:
+    """Put one legend of some panels, each name once, below all of them."""
+    by_label: dict[str, Any] = {}
+    for panel in axes:
+        handles, labels = panel.get_legend_handles_labels()
+        by_label |= dict(zip(labels, handles, strict=True))
     if by_label:
         place: Any = {"loc": "outside lower center", "ncols": min(columns, len(by_label))}
         figure.legend(by_label.values(), by_label, fontsize="small", **place)
@@ -120,7 +136,13 @@ def with_band(axes: Axes, x: Array, values: Array, style: Style, name: str) -> N
     """Draw the medians of several series, shape (x, series), in the band from the lowest to the highest."""
     axes.plot(x, np.median(values, axis=1), label=label(name), markersize=4, **style.drawn)
     axes.fill_between(
-        x, values.min(axis=1), values.max(axis=1), color=style.colour, alpha=0.12, linewidth=0.0
+        x,
+        values.min(axis=1),
+        values.max(axis=1),
+        color=style.colour,
+        alpha=0.12,
+        linewidth=0.0,
+        gid=label(name),
     )
 
 

@@ -17,12 +17,13 @@ from sayd_env.config.plain import jsonable
 from sayd_env.config.software import provenance
 from sayd_env.config.storage import try_to_write, write_files
 from sayd_env.report.columns import Table
-from sayd_env.report.figures import Plot, png_bytes
+from sayd_env.report.figures import Plot, drawing
+from sayd_env.report.html import Page, page_html
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-RECORD = "result.json"
+RECORD, PAGE = "result.json", "report.html"
 
 
 class Result(Protocol):
@@ -43,18 +44,10 @@ class Result(Protocol):
 
 @runtime_checkable
 class Paged(Protocol):
-    """What a result offers beyond `Result` if it has pages for a browser."""
+    """What a result offers beyond `Result` if it has a page for a browser, ``report.html``."""
 
-    def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> Mapping[str, str]:
-        """Return HTML by file name without suffix.
-
-        Parameters
-        ----------
-        images : mapping
-            The result's plots as PNG, by their names.
-        document : mapping
-            Content of ``result.json``.
-        """
+    def page(self) -> Page:
+        """Return what the page holds; its pictures have the names of the plots."""
 
 
 class ResultDirectory:
@@ -87,7 +80,7 @@ class ResultDirectory:
         self._refuse_folders([RECORD])
 
     def save(self, result: Result, document: Mapping[str, Any]) -> list[Path]:
-        """Write tables, plots, pages if there are any, and ``result.json``; return their paths in this order.
+        """Write tables, plots, a page if there is one, and ``result.json``; return their paths in this order.
 
         Parameters
         ----------
@@ -102,11 +95,11 @@ class ResultDirectory:
             When a file cannot be written (a full disk, a removed directory).
         """
         contents = {f"{name}.csv": csv_bytes(*table) for name, table in result.tables().items()}
-        images = {name: png_bytes(draw) for name, draw in result.plots().items()}
-        contents |= {f"{name}.png": image for name, image in images.items()}
+        paged = isinstance(result, Paged)
+        drawings = {name: drawing(draw, live=paged) for name, draw in result.plots().items()}
+        contents |= {f"{name}.png": each.png for name, each in drawings.items()}
         if isinstance(result, Paged):
-            pages = result.pages(images, document)
-            contents |= {f"{name}.html": text.encode() for name, text in pages.items()}
+            contents[PAGE] = page_html(result.page(), drawings, document).encode()
         contents[RECORD] = json_text(document).encode()
         return self.write(contents)
 

@@ -1,24 +1,34 @@
-"""A study's result as one HTML page that needs no other file: texts, tables and pictures in sections.
+"""A study's result as one HTML page that needs no other file: verdict, contents, texts, tables and figures.
 
-The page has no scripts and loads nothing: its style stands in the page, pictures are PNG in the page.
+A study says what the page holds; how it looks is said here, once for all. Every figure stands on the page as
+a picture, which a reader without scripts and a printer see, and with what makes it one to zoom and to hover.
+The page loads nothing: style, script, pictures and the library that draws (Plotly) are in it.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+import gzip
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from html import escape
+from importlib.resources import files
 from string import Template
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
-from sayd_env.report.columns import Column
+from sayd_env.report.columns import Listing, is_numeric, styled
+from sayd_env.report.figures import Drawing
+
+Drawings: TypeAlias = Mapping[str, Drawing]
+"""Figures by the names of a result's plots."""
 
 
 class Block(Protocol):
     """A part of a section."""
 
-    def html(self) -> str:
+    def html(self, drawings: Drawings) -> str:
         """Return the part as HTML; every text is escaped."""
 
 
@@ -28,7 +38,7 @@ class Text:
 
     text: str
 
-    def html(self) -> str:
+    def html(self, drawings: Drawings) -> str:
         """Return the paragraph."""
         return f"<p>{escape(self.text)}</p>"
 
@@ -40,9 +50,18 @@ class Code:
     heading: str
     text: str
 
-    def html(self) -> str:
+    def html(self, drawings: Drawings) -> str:
         """Return an element that opens on demand."""
         return f"<details><summary>{escape(self.heading)}</summary><pre>{escape(self.text)}</pre></details>"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table."""
+
+    text: str
+    style: str = ""
+    """``bold`` and ``red``, as on the console."""
 
 
 @dataclass(frozen=True)
@@ -50,56 +69,104 @@ class Grid:
     """A table."""
 
     header: Sequence[str]
-    rows: Sequence[Sequence[Any]]
-    marked: frozenset[int] = field(default=frozenset())
-    """Numbers of the rows that stand out."""
+    parts: Sequence[Sequence[Sequence[Cell]]]
+    """Rows, in parts that belong together."""
+    links: Mapping[tuple[int, int], str] = field(default_factory=dict)
+    """The figure in which a row is seen, by its part and place."""
+    right: frozenset[int] = frozenset()
+    """Columns of numbers."""
+    title: str = ""
 
     @classmethod
-    def of(cls, columns: Sequence[Column], rows: Sequence[Any], marked: frozenset[int] = frozenset()) -> Grid:
-        """Make the table of all columns that have a heading."""
-        shown = [column for column in columns if column.header]
-        cells = [[column.words(column.of(row)) for column in shown] for row in rows]
-        return cls([column.heading for column in shown], cells, marked)
+    def of(cls, listing: Listing, figure: Callable[[Any], str | None] | None = None) -> Grid:
+        """Make a table of all columns that have a heading.
 
-    def html(self) -> str:
-        """Return the table; numbers in their shortest form, nothing for None.
+        Parameters
+        ----------
+        listing : Listing
+        figure : callable, optional
+            Name of the figure in which a row is seen: its first cell leads there.
+        """
+        columns, rows = listing.columns, listing.rows
+        shown = [column for column in columns if column.header]
+        parts: list[list[list[Cell]]] = []
+        links: dict[tuple[int, int], str] = {}
+        for i, part in enumerate(styled(shown, rows, listing.section)):
+            parts.append([[Cell(*cell) for cell in cells] for _, cells in part])
+            named = {(i, k): figure(row) for k, (row, _) in enumerate(part)} if figure else {}
+            links |= {place: name for place, name in named.items() if name}
+        right = frozenset(k for k, column in enumerate(shown) if is_numeric(column, rows))
+        return cls([column.heading for column in shown], parts, links, right, listing.title)
+
+    @classmethod
+    def facts(cls, pairs: Mapping[str, Any]) -> Grid:
+        """Make a table of names and values, without those that are missing."""
+        return cls(
+            (), [[(Cell(name), Cell(_shown(value))) for name, value in pairs.items() if value is not None]]
+        )
+
+    def html(self, drawings: Drawings) -> str:
+        """Return the table; only figures that there are have links.
 
         Raises
         ------
         ValueError
             A row that is not as long as the header.
         """
-        head = "".join(f'<th scope="col">{escape(name)}</th>' for name in self.header)
-        body = "\n".join(self._row(number, row) for number, row in enumerate(self.rows))
-        return (
-            f'<div class="wide"><table>\n<thead><tr>{head}</tr></thead>\n'
-            f"<tbody>\n{body}\n</tbody>\n</table></div>"
+        head = "".join(
+            f'<th scope="col"{self._class(k)}>{escape(name)}</th>' for k, name in enumerate(self.header)
         )
+        parts = (
+            "".join(self._row((i, k), row, drawings) for k, row in enumerate(part))
+            for i, part in enumerate(self.parts)
+        )
+        body = "".join(f'<tbody class="part">\n{rows}</tbody>\n' for rows in parts)
+        above = f"<h3>{escape(self.title)}</h3>\n" if self.title else ""
+        top = f"<thead><tr>{head}</tr></thead>\n" if self.header else ""
+        return f'{above}<div class="wide"><table>\n{top}{body}</table></div>'
 
-    def _row(self, number: int, row: Sequence[Any]) -> str:
-        if len(row) != len(self.header):
+    def _row(self, place: tuple[int, int], row: Sequence[Cell], drawings: Drawings) -> str:
+        if self.header and len(row) != len(self.header):
             raise ValueError(f"a row of {len(row)} cells under a header of {len(self.header)}")
-        mark = ' class="marked"' if number in self.marked else ""
-        return f"<tr{mark}>{''.join(f'<td>{escape(_shown(cell))}</td>' for cell in row)}</tr>"
+        figure = self.links.get(place)
+        cells = [escape(cell.text) for cell in row]
+        if figure in drawings:
+            cells[0] = f'<a href="#{_anchor(str(figure))}">{cells[0] or "figure"}</a>'
+        texts = (
+            f"<td{self._class(k, cell.style)}>{text}</td>"
+            for k, (cell, text) in enumerate(zip(row, cells, strict=True))
+        )
+        mark = ' class="marked"' if any("red" in cell.style for cell in row) else ""
+        return f"<tr{mark}>{''.join(texts)}</tr>\n"
+
+    def _class(self, column: int, style: str = "") -> str:
+        names = " ".join(filter(None, (style, "number" if column in self.right else "")))
+        return f' class="{names}"' if names else ""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture with words beside it."""
+    """A figure with words below it."""
 
-    png: bytes
+    name: str
+    """Of the result's plot."""
     alternative: str
-    """What the picture shows, for those who do not see it."""
+    """What it shows, for those who do not see it."""
     words: Sequence[str] = ()
-    """Paragraphs beside it."""
+    """Paragraphs below it."""
 
-    def html(self) -> str:
-        """Return the figure; the picture is in the page."""
-        data = base64.b64encode(self.png).decode("ascii")
+    def html(self, drawings: Drawings) -> str:
+        """Return the figure: a picture, and what makes it live."""
+        png, live = drawings[self.name]
+        data = base64.b64encode(png).decode("ascii")
         words = "".join(f"<p>{escape(text)}</p>" for text in self.words)
+        # Nothing in a script may end it.
+        content = json.dumps(live, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
         return (
-            f'<figure><img alt="{escape(self.alternative)}" src="data:image/png;base64,{data}">'
-            f"<figcaption>{words}</figcaption></figure>"
+            f'<figure id="{_anchor(self.name)}">'
+            f'<img alt="{escape(self.alternative)}" src="data:image/png;base64,{data}">'
+            f'<h3 class="title"></h3><div class="plot"></div><figcaption>{words}</figcaption>'
+            f'<script type="application/json">{content}</script></figure>'
         )
 
 
@@ -110,40 +177,126 @@ class Section:
     heading: str
     blocks: Sequence[Block]
 
-    def html(self) -> str:
-        """Return the section."""
-        parts = "\n".join(block.html() for block in self.blocks)
-        return f"<section>\n<h2>{escape(self.heading)}</h2>\n{parts}\n</section>"
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a reader wants to know first."""
+
+    words: Sequence[str]
+    """Paragraphs."""
+    good: bool | None = None
+    """None where there is nothing to pass."""
 
 
-def report(title: str, sections: Iterable[Section]) -> str:
+@dataclass(frozen=True)
+class Page:
+    """What a study says of its result."""
+
+    title: str
+    verdict: Verdict
+    sections: Sequence[Section]
+
+
+def page_html(page: Page, drawings: Drawings, document: Mapping[str, Any]) -> str:
     """Return a whole page.
 
     Parameters
     ----------
-    title : str
-        Heading of the page.
-    sections : iterable of Section
+    page : Page
         Its content.
+    drawings : mapping
+        The result's figures.
+    document : mapping
+        Content of ``result.json``: where the numbers come from.
 
     Examples
     --------
-    >>> page = report("A sine", [Section("Values", [Grid(("x", "sin x"), [(0, 0.0)])])])
-    >>> "<td>0</td>" in page
+    >>> page = Page("A sine", Verdict(["It swings."]), [Section("Values", [Text("sin 0 = 0")])])
+    >>> "<p>sin 0 = 0</p>" in page_html(page, {}, {})
     True
     """
-    body = "\n".join(section.html() for section in sections)
-    return _PAGE.substitute(title=escape(title), style=_STYLE, body=body)
+    sections = [*page.sections, Section("How this was computed", list(_provenance(document)))]
+    body = "\n".join(
+        f'<section id="section-{k}">\n<h2>{escape(section.heading)}</h2>\n'
+        + "\n".join(block.html(drawings) for block in section.blocks)
+        + "\n</section>"
+        for k, section in enumerate(sections, start=1)
+    )
+    contents = "".join(
+        f'<li><a href="#section-{k}">{escape(section.heading)}</a></li>'
+        for k, section in enumerate(sections, start=1)
+    )
+    live = any(drawing.live for drawing in drawings.values())
+    return _PAGE.substitute(
+        title=escape(page.title),
+        style=_asset("page.css"),
+        verdict=_verdict(page.verdict, quick=bool(document.get("quick"))),
+        contents=contents,
+        body=body,
+        script=_SCRIPT.substitute(library=_plotly(), start=_asset("page.js")) if live else "",
+    )
 
 
-def _shown(cell: Any) -> str:
-    if cell is None:
-        return ""
-    if isinstance(cell, bool):
-        return "yes" if cell else "no"
-    return f"{cell:g}" if isinstance(cell, float) else str(cell)
+def _verdict(verdict: Verdict, *, quick: bool) -> str:
+    kind = {None: "", True: " good", False: " bad"}[verdict.good]
+    words = [*verdict.words, *(["With --quick: a look, not a result."] if quick else [])]
+    texts = "".join(f"<p>{escape(text)}</p>" for text in words)
+    return f'<section class="verdict{kind}" id="verdict"><h2>Verdict</h2>{texts}</section>'
 
 
+def _provenance(document: Mapping[str, Any]) -> Iterator[Block]:
+    """Where the numbers come from: command, versions, and every origin that the configuration names."""
+    yield Grid.facts(
+        {key: document.get(key) for key in ("command", "created", "seed", "git_commit", "git_modified")}
+    )
+    yield from (Text(str(note)) for note in document.get("notes") or ())
+    config = document.get("config") or {}
+    for path, origin in _origins(config):
+        yield Grid.facts({f"{path}: {key}": value for key, value in origin.items()})
+    versions = dict(sorted(dict(document.get("versions") or {}).items()))
+    yield Code(
+        "versions of the software", "\n".join(f"{name} {version}" for name, version in versions.items())
+    )
+    yield Code("configuration, in SI units", json.dumps(config, indent=1))
+
+
+def _origins(config: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Every non-empty section `provenance` of a configuration, with the key under which it stands."""
+    if not isinstance(config, Mapping):
+        return
+    for key, value in config.items():
+        if key == "provenance" and isinstance(value, Mapping) and value:
+            yield path or "scenario", value
+        else:
+            yield from _origins(value, f"{path}.{key}".lstrip("."))
+
+
+def _anchor(name: str) -> str:
+    """Id of a figure."""
+    return escape(f"figure-{name.replace(' ', '-')}")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+@cache
+def _asset(name: str) -> str:
+    return files("sayd_env.report").joinpath(name).read_text(encoding="utf-8")
+
+
+@cache
+def _plotly() -> str:
+    """The library that draws, packed: a third of its size."""
+    from plotly.offline import get_plotlyjs  # noqa: PLC0415 - slow to import, and only pages need it
+
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 6, mtime=0)).decode("ascii")
+
+
+_SCRIPT = Template("""<script type="text/plain" id="plotly">$library</script>
+<script>$start</script>""")
 _PAGE = Template("""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -153,26 +306,12 @@ _PAGE = Template("""<!DOCTYPE html>
 <style>$style</style>
 </head>
 <body>
-<h1>$title</h1>
+<header><h1>$title</h1></header>
+$verdict
+<nav><h2>Contents</h2><ul>$contents</ul></nav>
 $body
+<footer>Figures: drag to zoom, double-click to go back, click a name to hide its line.</footer>
+$script
 </body>
 </html>
 """)
-
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 76rem;
-  margin: 2rem auto; padding: 0 1rem; }
-h1, h2 { line-height: 1.2; }
-h2 { margin-top: 2.5rem; border-bottom: 1px solid #ccc; padding-bottom: 0.3rem; }
-figure { display: grid; grid-template-columns: 3fr 2fr; gap: 1.5rem; margin: 1.5rem 0; align-items: start; }
-figure img { width: 100%; height: auto; border: 1px solid #ddd; }
-figcaption p:first-child { margin-top: 0; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; }
-th, td { text-align: left; vertical-align: top; padding: 0.3rem 0.8rem 0.3rem 0;
-  border-bottom: 1px solid #ddd; }
-tr.marked td { background: #fbe9e7; }
-pre { overflow-x: auto; background: #f6f6f6; padding: 1rem; font-size: 0.85rem; }
-@media (max-width: 50rem) { figure { grid-template-columns: 1fr; } }
-@media print { body { max-width: none; } figure, tr { break-inside: avoid; } }
-"""

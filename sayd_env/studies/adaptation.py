@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,15 +19,12 @@ from sayd_env.config.units import KMH
 from sayd_env.envs.cost import charged
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.throttle import overlap
-from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, heat_maps
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import CostParts, cost_parts
 from sayd_env.runs.policies import constant_spec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 DIGITS = 6
 """Digits behind the point of a command."""
@@ -208,23 +205,26 @@ class ConstantMap:
             ),
         }
 
-    def summary(self, console: Console, wide: bool = False) -> None:
-        """Print what fixed commands cost, where the single one costs it, and the best commands."""
-        print_table(
-            console,
-            f"constant commands in {len(self.conditions)} conditions: geometric mean of J over the best",
-            ADAPTATION,
-            [self.adaptation(weight) for weight in self.costs],
-            wide=wide,
+    def worth(self) -> str:
+        """What a fixed command costs, in words."""
+        first = next(iter(self.costs))
+        loss = 100.0 * self.adaptation(first).loss
+        return (
+            f"The best constant command for all {len(self.conditions)} conditions costs {loss:.0f} % more "
+            f"than the best one of each (geometric mean of J, k_F {first:g})."
         )
+
+    def listings(self) -> Iterator[Listing]:
+        """What fixed commands cost, where the single one costs it, and the best commands."""
+        title = f"constant commands in {len(self.conditions)} conditions: geometric mean of J over the best"
+        yield Listing(title, ADAPTATION, [self.adaptation(weight) for weight in self.costs])
         columns = [Column("where", "where")]
         columns += [Column(f"loss_{w:g}", f"k_F {w:g}", **_PERCENT) for w in self.costs]
         where = [row | {"where": f"{WORDS[row['quantity']]} {row['value']}"} for row in self._where()]
-        print_table(console, "what the best for all costs", columns, where, section="quantity")
+        yield Listing("what the best for all costs", columns, where, "quantity")
         speeds = [Column(f"{kmh:g}", f"{kmh:g} km/h", digits=2) for kmh in self.config.speeds_kmh]
         first = next(iter(self.costs))
-        print_table(
-            console,
+        yield Listing(
             f"best constant command, k_F {first:g}, friction {self.config.friction[0]:g}",
             [Column("wheel", "wheels, gauge (mm)"), *speeds],
             [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
@@ -14,14 +14,14 @@ import numpy as np
 
 from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.config.palette import CYCLE, GREY, SKY, VERMILION
+from sayd_env.config.palette import GREY, SKY, VERMILION, cycled
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.multibody import assemble
-from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, panels
-from sayd_env.report.files import json_text
-from sayd_env.report.html import Block, Code, Grid, Picture, Section, Text, report
+from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
+from sayd_env.report.live import extremes
 from sayd_env.stability import (
     Assessment,
     Channel,
@@ -44,8 +44,6 @@ if TYPE_CHECKING:
 
 _PLOTS_PER_FIGURE = 4
 _LONGEST_NAME = 36
-_POINTS = 3000
-"""Of a drawn signal: its extremes in as many parts, so that a long recording loses no peak."""
 # EN 14363 takes these quantiles of a quantity in a section for its extremes.
 _QUANTILES = (0.0015, 0.9985)
 
@@ -340,17 +338,20 @@ class RecordingResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print one line for each channel, what was done to the data, and the verdict."""
-        rows = [channel.row() for channel in self.channels]
-        print_table(console, "largest sliding RMS by EN 14363", _SHOWN, rows, wide=wide)
+        self._listing().print(console, wide)
         for line in (*self._limit_words(), *self.recording.notes):
             console.print(_SHOWN[0].words(line), markup=False, highlight=False)
         distance = self.as_dict()["assessed_distance_m"]
         verdict = "stable" if self.stable else "unstable"
         console.print(f"{self.file}: {verdict} by EN 14363 over {distance:.0f} m", markup=False)
 
-    def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> dict[str, str]:
-        """Return the page that goes to others: verdict, pictures, sections, what was done to the data."""
-        return {"report": _page(self, images, document)}
+    def page(self) -> Page:
+        """The page that goes to others: verdict, pictures, sections, what was done to the data."""
+        return _page(self)
+
+    def _listing(self) -> Listing:
+        rows = [channel.row() for channel in self.channels]
+        return Listing("largest sliding RMS by EN 14363", _SHOWN, rows)
 
     def _limit_words(self) -> list[str]:
         words = []
@@ -372,9 +373,9 @@ class RecordingResult:
         axes = panels(figure, len(group), size=(8.0, 1.9), sharex=True)
         for axis, k in zip(axes, group, strict=True):
             unit = _UNITS[self.recording.channels[k].quantity]
-            x, measured = _extremes(self.distance[part], self.recording.signals[part, k] * unit.scale)
+            x, measured = extremes(self.distance[part], self.recording.signals[part, k] * unit.scale)
             axis.plot(x, measured, color=GREY, alpha=0.5, linewidth=0.5, label="measured signal")
-            x, filtered = _extremes(self.distance[part], self.filtered[part, k] * unit.scale)
+            x, filtered = extremes(self.distance[part], self.filtered[part, k] * unit.scale)
             axis.plot(x, filtered, color=SKY, linewidth=0.5, label="band-passed signal")
             self._head(axis, k)
         axes[-1].set_xlabel("distance (m)")
@@ -388,8 +389,7 @@ class RecordingResult:
                 axis.plot(
                     self.assessment.position,
                     self.assessment.rms[:, k] * unit.scale,
-                    color=CYCLE[number % len(CYCLE)],
-                    linestyle=_line(number),
+                    **cycled(number).plain,
                     linewidth=1.0,
                     label=_short(self.recording.channels[k].name),
                 )
@@ -414,8 +414,7 @@ class RecordingResult:
                 axis.plot(
                     frequency,
                     np.sqrt(spectra[k]) * unit.scale,
-                    color=CYCLE[number % len(CYCLE)],
-                    linestyle=_line(number),
+                    **cycled(number).plain,
                     linewidth=1.0,
                     label=f"{_short(found.channels[k].name)}: f0 = {f0:.2f} Hz",
                 )
@@ -447,20 +446,6 @@ def _legend_beside(axis: Axes) -> None:
     axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
 
 
-def _line(number: int) -> str:
-    return ("-", "--", ":", "-.")[number // len(CYCLE) % 4]
-
-
-def _extremes(x: Array, y: Array) -> tuple[Array, Array]:
-    """Least and largest value in each of `_POINTS` parts of a long signal, at the part's place."""
-    size = len(x) // _POINTS
-    if size < 3:
-        return x, y
-    count = len(x) // size
-    parts = y[: count * size].reshape(count, size)
-    return np.repeat(x[: count * size : size], 2), np.column_stack([parts.min(1), parts.max(1)]).ravel()
-
-
 def draw_assessed(axis: Axes, x: Array, filtered: Array, position: Array, rms: Array, limit: float) -> None:
     """Draw a band-passed signal, its sliding RMS at other places and the limit of this."""
     axis.plot(x, filtered, color=SKY, linewidth=0.5, label="band-passed signal")
@@ -468,54 +453,47 @@ def draw_assessed(axis: Axes, x: Array, filtered: Array, position: Array, rms: A
     limit_line(axis, limit, "limit")
 
 
-def _page(result: RecordingResult, images: Mapping[str, bytes], document: Mapping[str, Any]) -> str:
-    about = result.as_dict()
-    rows = [channel.row() for channel in result.channels]
-    exceeded = frozenset(k for k, row in enumerate(rows) if not row["stable"])
-    sections = result.sections()
-    above = frozenset(k for k, row in enumerate(sections) if row["ratio"] > 1.0)
-    speed = about["speed_kmh"]
+def _page(result: RecordingResult) -> Page:
+    about, settings = result.as_dict(), result.settings
+    speed, metres = about["speed_kmh"], about["assessed_distance_m"]
     verdict = "stable" if result.stable else "unstable"
-    facts = [
-        ("file", result.file),
-        (
-            "assessed distance",
-            f"{about['assessed_distance_m']:.0f} m, behind {result.settings.run_in:g} m left out",
-        ),
-        ("speed", f"{speed['min']:.0f} to {speed['max']:.0f} km/h, mean {speed['mean']:.0f} km/h"),
-        ("sampling rate", f"{about['sample_rate_hz']:g} Hz"),
+    facts = {
+        "file": result.file,
+        "assessed distance": f"{metres:.0f} m, behind {settings.run_in:g} m left out",
+        "speed": f"{speed['min']:.0f} to {speed['max']:.0f} km/h, mean {speed['mean']:.0f} km/h",
+        "sampling rate": f"{about['sample_rate_hz']:g} Hz",
+    }
+    names = [name for name in result.plots() if name.startswith("signals")]
+    signals = [
+        Picture(name, f"Measured and band-passed signals, {name}", [_SIGNALS] if name == names[-1] else [])
+        for name in names
     ]
-    drawn: list[Block] = [
-        Picture(images[name], f"Measured and band-passed signals, {name}", [_SIGNALS] if k == 0 else [])
-        for k, name in enumerate(name for name in images if name.startswith("signals"))
-    ]
-    config = document.get("config") or {}
-    how = [(key, str(document.get(key) or "")) for key in ("command", "created", "git_commit")]
-    length = result.settings.segment_length
-    return report(
+    shown = {
+        channel.name: names[k // _PLOTS_PER_FIGURE] for k, channel in enumerate(result.recording.channels)
+    }
+
+    def figure(row: dict[str, Any]) -> str:
+        return shown[row["name"]]
+
+    sections = Listing("", SECTION_COLUMNS, result.sections(), "start_m")
+    channels = result._listing()
+    above = [channel.channel.name for channel in result.channels if not channel.stable]
+    words = [f"The ride is {verdict} by EN 14363 over {metres:.0f} m."]
+    words += [f"Above the limit: {', '.join(above)}."] if above else []
+    return Page(
         f"Running stability of {Path(result.file).name}",
+        Verdict(words, result.stable),
         [
-            Section(
-                "Verdict",
-                [
-                    Text(f"The ride is {verdict} by EN 14363 over {about['assessed_distance_m']:.0f} m."),
-                    Grid.of(_SHOWN, rows, exceeded),
-                    *map(Text, result._limit_words()),
-                ],
-            ),
-            Section("Recording", [Grid(("", ""), facts), *map(Text, result.recording.notes)]),
+            Section("Channels", [Grid.of(channels, figure), *map(Text, result._limit_words())]),
+            Section("Recording", [Grid.facts(facts), *map(Text, result.recording.notes)]),
             Section(
                 "Sliding RMS and limits",
-                [Picture(images["sliding_rms"], "Sliding RMS over the distance, with limits", [_SLIDING])],
+                [Picture("sliding_rms", "Sliding RMS over the distance, with limits", [_SLIDING])],
             ),
-            Section("Signals", drawn),
-            Section("Spectra", [Picture(images["spectra"], "Spectra of the signals", [_SPECTRA])]),
+            Section("Signals", signals),
+            Section("Spectra", [Picture("spectra", "Spectra of the signals", [_SPECTRA])]),
             Section(
-                f"Sections of {length:g} m", [Text(_SECTIONS), Grid.of(SECTION_COLUMNS, sections, above)]
-            ),
-            Section(
-                "How this was computed",
-                [Grid(("", ""), how), Code("Settings of the assessment, in SI units", json_text(config))],
+                f"Sections of {settings.segment_length:g} m", [Text(_SECTIONS), Grid.of(sections, figure)]
             ),
         ],
     )

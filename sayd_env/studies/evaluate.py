@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,12 +15,14 @@ from sayd_env.config.palette import policy_style
 from sayd_env.config.reward import REPORTED, reported_costs
 from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.units import Array
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
+from sayd_env.report.html import Grid, Page, Picture, Section
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.runs.rollouts import conditions, own_policy, policy_runs
+from sayd_env.studies.standing import Standing, verdict
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,6 +100,7 @@ _PANELS = {
     "comfort": "comfort index N_MV",
 }
 """Of the pictures: what is drawn, and how its axis is called."""
+_PICTURE_WORDS = "Lines: medians over the seeds; points: the seeds. Dashed: limits of EN 14363."
 
 
 @dataclass(frozen=True)
@@ -162,31 +165,45 @@ class EvaluateResult:
 
     def plots(self) -> dict[str, Plot]:
         """Cost, ratios, force and comfort over speed by policy, one picture for each wear and friction."""
-        pairs = list(dict.fromkeys((c.wear, c.friction) for c in self.conditions))
         return {
-            "evaluate" if len(pairs) == 1 else f"evaluate_wear_{wear:g}_friction_{friction:g}": partial(
-                self._draw, wear=wear, friction=friction
-            )
-            for wear, friction in pairs
+            self._figure(wear, friction): partial(self._draw, wear=wear, friction=friction)
+            for wear, friction in self._pairs
         }
+
+    def page(self) -> Page:
+        """Which policy is best, tables of all conditions, and the pictures."""
+        costs, dampers, policies = (
+            Grid.of(each, lambda row: self._figure(row["wear"], row["friction"]) if "wear" in row else None)
+            for each in self._listings()
+        )
+        standings = [
+            Standing(name, found["J"], found["largest_ratio"], int(found["derailed"]))
+            for name in self.policies
+            for found in (self._summary(name),)
+        ]
+        where = f"{len(self.conditions)} condition{'s' * (len(self.conditions) > 1)}"
+        pictures = [
+            Picture(
+                self._figure(*pair),
+                f"Policies over speed at wear {pair[0]:g} and friction {pair[1]:g}",
+                [_PICTURE_WORDS],
+            )
+            for pair in self._pairs
+        ]
+        return Page(
+            f"Policies beside each other: {self.scenario.vehicle.name}",
+            verdict(standings, where),
+            [
+                Section("Policies over all conditions", [policies]),
+                Section("Over speed", pictures),
+                Section("Conditions", [costs, dampers]),
+            ],
+        )
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the medians over the seeds of each condition and policy, then each policy as a whole."""
-        about = f"{self.scenario.vehicle.name}, medians of {len({row.seed for row in self.rows})} seeds"
-        who = self._who()
-        for title, columns in (
-            ("cost (its terms unweighted), limits, comfort", _COST_COLUMNS),
-            ("dampers and valves", _DAMPER_COLUMNS),
-        ):
-            found = [*who, *(column for column in columns if self._has(column))]
-            print_table(console, f"{about}: {title}", found, self.medians, wide=wide, section="condition")
-        policies = [
-            {"policy": policy, "runs": len(self.runs(policy)), **self._summary(policy)}
-            for policy in self.policies
-        ]
-        title = f"all {len(self.conditions)} conditions: means over the runs"
-        shown = [column for column in _POLICY_COLUMNS if self._has(column)]
-        print_table(console, title, shown, policies, wide=wide)
+        for listing in self._listings():
+            listing.print(console, wide)
         for row in self.medians:
             if row["derailed"]:
                 console.print(
@@ -196,6 +213,31 @@ class EvaluateResult:
                     markup=False,
                     style="red",
                 )
+
+    def _listings(self) -> Iterator[Listing]:
+        """Costs and limits, dampers and valves, policies as a whole."""
+        about = f"{self.scenario.vehicle.name}, medians of {len({row.seed for row in self.rows})} seeds"
+        for title, columns in (
+            ("cost (its terms unweighted), limits, comfort", _COST_COLUMNS),
+            ("dampers and valves", _DAMPER_COLUMNS),
+        ):
+            found = [*self._who(), *(column for column in columns if self._has(column))]
+            yield Listing(f"{about}: {title}", found, self.medians, "condition")
+        policies = [
+            {"policy": policy, "runs": len(self.runs(policy)), **self._summary(policy)}
+            for policy in self.policies
+        ]
+        title = f"all {len(self.conditions)} conditions: means over the runs"
+        yield Listing(title, [column for column in _POLICY_COLUMNS if self._has(column)], policies)
+
+    @cached_property
+    def _pairs(self) -> list[tuple[float, float]]:
+        """Wear and friction of the pictures."""
+        return list(dict.fromkeys((c.wear, c.friction) for c in self.conditions))
+
+    def _figure(self, wear: float, friction: float) -> str:
+        one = len(self._pairs) == 1
+        return "evaluate" if one else f"evaluate_wear_{wear:g}_friction_{friction:g}"
 
     def overview(self) -> tuple[Sequence[Column], list[dict[str, Any]]]:
         """Medians over the seeds, as one of many results is shown."""
@@ -234,10 +276,10 @@ class EvaluateResult:
             axis.set_ylabel(title)
             if column.name in COSTS:  # a hunting vehicle costs a hundred times as much
                 log_axis(axis)
-            else:
-                axis.set_ylim(bottom=0.0)
+                continue
             if column.name in RATIOS:
                 limit_line(axis, 1.0)
+            axis.set_ylim(bottom=0.0)
         for axis in axes[-2:]:
             axis.set_xlabel("speed (km/h)")
         legend_below(figure, axes[0])

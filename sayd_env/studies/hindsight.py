@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,13 +15,14 @@ from sayd_env.config.conditions import Line
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.hindsight import HindsightConfig
-from sayd_env.config.palette import policy_style
+from sayd_env.config.palette import BLACK, policy_style
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.draw import draw_episode
 from sayd_env.physics.throttle import overlap
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, label, name_rows, reference_line
+from sayd_env.report.html import Grid, Page, Picture, Section, Verdict
 from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved, schedule_spec
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec, constant_spec, for_policy
@@ -37,6 +38,7 @@ SINGLE = "best for the line"
 """The best constant command of each line."""
 FOR_ALL = "best for all lines"
 """The one constant command with the lowest geometric mean of J over the lines."""
+_PICTURE_WORDS = "Points: lines; bar: geometric mean over the lines."
 _PERCENT: dict[str, Any] = {"unit": "%", "scale": 100.0, "digits": 0}
 
 
@@ -163,8 +165,28 @@ class HindsightResult:
         """J of each rule over that of the best commands by section, line by line."""
         return {"hindsight": partial(self._draw)}
 
+    def page(self) -> Page:
+        """What adaptation is worth, by rule and by line."""
+        gaps = self.gaps()
+        words = [
+            f"{gap.rule}: {100.0 * gap.gap:.0f} % more than the best command of each section"
+            f" (geometric mean of {len(self.lines)} lines, at most {100.0 * gap.worst:.0f} %)."
+            for gap in gaps
+            if gap.rule != HINDSIGHT
+        ]
+        picture = Picture(
+            "hindsight", "J of each rule over that of the best commands by section", [_PICTURE_WORDS]
+        )
+        tables = [Grid.of(each, lambda _: "hindsight") for each in self._listings()]
+        sections = [Section("Lines", [picture]), Section("In numbers", tables)]
+        return Page("What adaptation is worth along lines", Verdict(words), sections)
+
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the gaps, J by line, and the best commands."""
+        for listing in self._listings():
+            listing.print(console, wide)
+
+    def _listings(self) -> Iterator[Listing]:
         columns = (
             Column("rule", "commands"),
             Column("gap", "costs more", **_PERCENT),
@@ -173,13 +195,13 @@ class HindsightResult:
             Column("derailed", "derailed", limit=0.0),
         )
         title = f"J over that of the best commands by section: geometric mean of {len(self.lines)} lines"
-        print_table(console, title, columns, self.gaps(), wide=wide)
+        yield Listing(title, columns, self.gaps())
         of_line = [Column(f"J_{k}", line.name, digits=4, best=True) for k, line in enumerate(self.lines)]
         rows = [
             {"rule": rule} | {f"J_{k}": line.costs[rule] for k, line in enumerate(self.lines)}
             for rule in self.rules
         ]
-        print_table(console, "J", [Column("rule", "commands"), *of_line], rows, wide=wide)
+        yield Listing("J", [Column("rule", "commands"), *of_line], rows)
         best = [
             {
                 "line": line.name,
@@ -195,8 +217,7 @@ class HindsightResult:
             Column("sections", "best by section"),
             Column("composed", "J, composed", digits=4, wide=True),
         )
-        about = f"best constant commands; for all lines {self.current:.2f}"
-        print_table(console, about, names, best, wide=wide)
+        yield Listing(f"best constant commands; for all lines {self.current:.2f}", names, best)
 
     def _draw(self, figure: Figure) -> None:
         rules = self.rules[1:]
@@ -206,7 +227,7 @@ class HindsightResult:
         gaps = {gap.rule: gap.gap for gap in self.gaps()}
         for k, rule in enumerate(rules):
             ratios = [line.costs[rule] / line.costs[HINDSIGHT] for line in self.lines]
-            colour = policy_style(rule).colour if rule in self.policies else "0.1"
+            colour = policy_style(rule).colour if rule in self.policies else BLACK
             axes.plot(ratios, [k] * len(ratios), "o", color=colour, markersize=4, alpha=0.6)
             axes.plot([1.0 + gaps[rule]], [k], "|", color=colour, markersize=18, markeredgewidth=2.5)
         name_rows(axes, [label(rule) for rule in rules])

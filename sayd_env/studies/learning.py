@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sayd_env.agents.pretrained.curves import draw_gains
 from sayd_env.config import ConfigError
-from sayd_env.config.palette import policy_style
 from sayd_env.config.software import provenance
 from sayd_env.report.columns import Column, Table, print_table
-from sayd_env.report.figures import Plot, label, panels
+from sayd_env.report.figures import Plot, label, legend_below, panels
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.executors import ExecutorChoice, KeptExecutor
 
@@ -66,15 +66,11 @@ class TrainResult:
     def _draw(self, figure: Figure) -> None:
         done = self.trained
         (axes,) = panels(figure, 1, size=(8.0, 4.5))
-        steps = [row["steps"] for row in done.evaluations]
-        costs = [row["J"] for row in done.evaluations]
-        algorithm = done.config.learning.algorithm
-        axes.plot(steps, costs, label="policy", markersize=4, **policy_style(algorithm).drawn)
-        for row in done.references:
-            axes.axhline(row["J"], label=label(row["policy"]), **policy_style(row["policy"]).plain)
-        axes.set(xlabel="steps", ylabel="mean J of the scenarios", ylim=(0.0, None))
-        axes.set_title(f"{algorithm}, seed {done.config.seed}")
-        axes.legend()
+        course = [row["steps"] for row in done.evaluations], [row["J"] for row in done.evaluations]
+        name = f"{done.config.learning.algorithm}-s{done.config.seed}"
+        draw_gains(axes, {name: course}, {label(row["policy"]): row["J"] for row in done.references})
+        axes.set_title(name)
+        legend_below(figure, axes)
 
 
 @dataclass(frozen=True)

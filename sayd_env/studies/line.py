@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,17 +14,19 @@ from sayd_env.config import ConfigError
 from sayd_env.config.conditions import CANT_BASE, Line
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.line import LineConfig
-from sayd_env.config.palette import policy_style
+from sayd_env.config.palette import BLACK, SHADE, VERMILION, policy_style
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import GRAVITY, KMH, Array
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
+from sayd_env.report.html import Grid, Page, Picture, Section
 from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, own_speed
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.runs.rollouts import Run, conditions, own_policy
+from sayd_env.studies.standing import Standing, verdict
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,9 +82,12 @@ class SectionRow:
     """1 where the run ended early in this section or before, else 0."""
 
 
-VALUES = (
-    *("J", "J_acceleration", "J_force", "J_curve", "acceleration_ratio", "track_shift_ratio"),
-    *("quotient_ratio", "mean_shift_ratio", "unloading"),
+_LIMITED = ("acceleration_ratio", "track_shift_ratio", "quotient_ratio", "mean_shift_ratio")
+VALUES = ("J", "J_acceleration", "J_force", "J_curve", *_LIMITED, "unloading")
+_PICTURE_WORDS = (
+    "Above: speed, curve and cant, gauge and friction along the line, the value of a dashed line on the "
+    "right. Below: command, J and running values over their limits, one line for each policy, on the first "
+    "track. Every second section is shaded."
 )
 _LIMIT: dict[str, Any] = {"digits": 2, "best": True, "limit": 1.0, "infinite": DERAILED}
 COLUMNS = (
@@ -182,24 +187,37 @@ class LineResult:
 
     def plots(self) -> dict[str, Plot]:
         """What lies along the line and what policies make of it, over distance: runs of the first seed."""
-        many = len(self.places) > 1
-        return {
-            "line" + "".join(f"_{each:g}" for each in place) * many: partial(self._draw, place=place)
-            for place in self.places
-        }
+        return {self._figure(place): partial(self._draw, place=place) for place in self.places}
+
+    def page(self) -> Page:
+        """Which policy is best, what lies along the line, what policies make of it by section."""
+        whole = [row for row in self.medians if row["section"] == WHOLE]
+        standings = [
+            Standing(
+                policy,
+                float(np.mean([row["J"] for row in own])),
+                max(_most(np.array([row[name] for name in _LIMITED])) for row in own),
+                sum(row["derailed"] for row in own),
+            )
+            for policy in self.policies
+            for own in ([row for row in whole if row["policy"] == policy],)
+        ]
+        parts = []
+        for place in self.places:
+            name = self._figure(place)
+            tables = [Grid.of(each, lambda _, name=name: name) for each in self._listings(place)]  # type: ignore[misc]
+            heading = f"Wear {place.wear:g}, friction {place.friction:g}, {place.speed_kmh:g} km/h"
+            about = (
+                f"Line '{self.name}' at wear {place.wear:g}: what lies along it, and what policies make of it"
+            )
+            parts.append(Section(heading, [Picture(name, about, [_PICTURE_WORDS]), *tables]))
+        return Page(f"Policies along line '{self.name}'", verdict(standings, "the whole line"), parts)
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print what lies along the line, then policies by section."""
         for place in self.places:
-            about = f"line '{self.name}', {self.scenario.vehicle.name}, wear {place.wear:g}"
-            sections = self._sections(place)
-            shown = [c for c in SECTIONS if c.name in ("section", "to_m") or _varied(sections, c)]
-            print_table(console, about, shown, sections, wide=wide)
-            count = len({row.seed for row in self.rows})
-            tracks = f"{count} track{'s' * (count > 1)}"
-            title = f"J and its part that the curve needs; ratios to limits: medians of {tracks}"
-            rows = [row for row in self.medians if all(row[k] == v for k, v in place._asdict().items())]
-            print_table(console, title, COLUMNS, _named_once(rows), wide=wide, section="part")
+            for listing in self._listings(place):
+                listing.print(console, wide)
         for run, record in zip(self.runs, self.records, strict=True):
             if record.ending is not None:
                 where = int(np.argmax(record.lost > 0.0))
@@ -210,6 +228,23 @@ class LineResult:
                     markup=False,
                     style="red",
                 )
+
+    def _listings(self, place: Place) -> Iterator[Listing]:
+        """What lies along the line, and the policies by section."""
+        sections = self._sections(place)
+        shown = [c for c in SECTIONS if c.name in ("section", "to_m") or _varied(sections, c)]
+        about = f"line '{self.name}', {self.scenario.vehicle.name}, wear {place.wear:g}"
+        yield Listing(about, shown, sections)
+        count = len({row.seed for row in self.rows})
+        title = (
+            "J and its part that the curve needs; ratios to limits: "
+            f"medians of {count} track{'s' * (count > 1)}"
+        )
+        rows = [row for row in self.medians if all(row[k] == v for k, v in place._asdict().items())]
+        yield Listing(title, COLUMNS, _named_once(rows), "part")
+
+    def _figure(self, place: Place) -> str:
+        return "line" + "".join(f"_{each:g}" for each in place) * (len(self.places) > 1)
 
     def overview(self) -> tuple[Sequence[Column], list[dict[str, Any]]]:
         """Medians over the seeds on the whole line, as one of many results is shown."""
@@ -252,8 +287,8 @@ class LineResult:
         axes[3].set_ylim(-0.05, 1.05)
         log_axis(axes[4])
         for axis in axes[5:]:
-            axis.set_ylim(bottom=0.0)
             limit_line(axis, 1.0)
+            axis.set_ylim(bottom=0.0)
         axes[-1].set_xlabel("distance (km)")
         axes[-1].set_xlim(0.0, 1e-3 * trip.line.length)
         legend_below(figure, axes[4])
@@ -413,14 +448,14 @@ def _described(trip: Trip, k: int, gauge: float, friction: float) -> dict[str, A
 def _shade(axis: Axes, line: Line) -> None:
     """Every second section in grey."""
     for section in line.sections[1::2]:
-        axis.axvspan(1e-3 * section.start, 1e-3 * section.end, color="0.93", linewidth=0.0, zorder=0)
+        axis.axvspan(1e-3 * section.start, 1e-3 * section.end, color=SHADE, linewidth=0.0, zorder=0)
 
 
 def _draw_line(axes: Sequence[Axes], trip: Trip, gauge: float, friction: float) -> None:
     """Speed; curvature and cant; gauge and friction."""
     line = trip.line
     s = np.union1d(np.arange(0.0, line.length, _STEP), line.length)
-    km, (first, second) = 1e-3 * s, ("0.1", "#D55E00")
+    km, first, second = 1e-3 * s, BLACK, VERMILION
     axes[0].plot(km, KMH * trip.speed_at(s), color=first)
     axes[0].set_ylabel("km/h")
     pairs = (
@@ -440,7 +475,7 @@ def _draw_line(axes: Sequence[Axes], trip: Trip, gauge: float, friction: float) 
         twin.plot(km, others, color=second, linestyle="--")
         twin.set_ylabel(other_name, color=second)
         low, high = twin.get_ylim()
-        twin.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))  # apart where both change alike
+        twin.set_ylim(low - 0.1 * (high - low), high + 0.5 * (high - low))  # apart where both change alike
     top = axes[0].get_ylim()[1]
     for section in line.sections:
         axes[0].text(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -17,8 +17,9 @@ from sayd_env.config.map import MapConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, heat_maps
+from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PAPER, PASSIVE, PolicySpec, for_policy
@@ -35,8 +36,13 @@ DERAILED = 10.0
 RATIO = {"acceleration": "acceleration_ratio", "track_shift_force": "track_shift_ratio"}
 """Column of each criterion."""
 CRITERIA = tuple(RATIO)
+_CONSTANT_MAPS = {
+    "map_best_constant": "Best constant command over speed, wheels and gauge, by weight of the force",
+    "map_single": "What the best single command costs beside the best one of each condition",
+}
 LEAST_SEEDS = 5
 """Track realisations that a median needs."""
+_FEW = f"medians of fewer than {LEAST_SEEDS} seeds: a look, not a verdict"
 DIGITS = 6
 """Digits behind the point of a speed in km/h."""
 
@@ -144,8 +150,48 @@ class MapResult:
         plots = {"map_critical_speed": self._critical_map()}
         return plots | ({} if self.constants is None else self.constants.plots())
 
+    def page(self) -> Page:
+        """Critical speeds and best commands, as maps and as tables."""
+        table, *constants = self._listings()
+        note = [Text(_FEW)] if len(self.seeds) < LEAST_SEEDS else []
+        picture = Picture(
+            "map_critical_speed", "Critical speed over wear and friction, a map for each policy"
+        )
+        sections = [Section("Critical speed", [picture, Grid.of(table, lambda _: picture.name), *note])]
+        if self.constants is not None:
+            pictures = [Picture(name, words) for name, words in _CONSTANT_MAPS.items()]
+            tables = [Grid.of(each, lambda _: pictures[0].name) for each in constants]
+            sections.append(Section("Best constant command", [*pictures, *tables]))
+        return Page("Where the vehicle is stable", self._judged(), sections)
+
+    def _judged(self) -> Verdict:
+        """Critical speed of each policy where it is lowest and highest, and what a fixed command costs."""
+        words = []
+        for policy in self.policies:
+            lowest = [cell.lowest for cell in self.cells if cell.policy == policy]
+            ends = sorted(lowest, key=self._rank)
+            low, high = self._verdict(*ends[0]), self._verdict(*ends[-1])
+            words.append(
+                f"{policy}: critical speed " + (low if low == high else f"from {low} to {high}") + " km/h."
+            )
+        if self.constants is not None:
+            words.append(self.constants.worth())
+        return Verdict(words)
+
+    @staticmethod
+    def _rank(found: tuple[float | None, Crossing]) -> float:
+        if found[1] is Crossing.NOT_REACHED:
+            return math.inf
+        return -math.inf if found[0] is None else found[0]
+
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the critical speeds of all policies, then the best commands."""
+        for listing in self._listings():
+            listing.print(console, wide)
+        if len(self.seeds) < LEAST_SEEDS:
+            console.print(_FEW)
+
+    def _listings(self) -> Iterator[Listing]:
         count = len(self.seeds)
         seeds = f"{count} seed{'s' if count > 1 else ''}"
         places = [("wear", "wear"), ("friction", "friction"), *((name, name) for name in self.policies)]
@@ -155,11 +201,9 @@ class MapResult:
             for wear, mu in product(self.grid.wear, self.grid.friction)
         ]
         title = f"critical speed (km/h), either limit: medians of {seeds}"
-        print_table(console, title, [Column(*place) for place in places], rows, wide=wide)
+        yield Listing(title, [Column(*place) for place in places], rows)
         if self.constants is not None:
-            self.constants.summary(console, wide)
-        if count < LEAST_SEEDS:
-            console.print(f"medians of fewer than {LEAST_SEEDS} seeds: a look, not a verdict")
+            yield from self.constants.listings()
 
     def _verdict(self, kmh: float | None, crossing: Crossing) -> str:
         if crossing is Crossing.NOT_REACHED:

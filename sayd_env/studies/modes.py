@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.config.palette import cycled
+from sayd_env.config.palette import SHADE, cycled
 from sayd_env.config.units import KMH
 from sayd_env.physics.linear import HUNTING_BAND, RootLocus, linear_critical_speed, root_locus
 from sayd_env.physics.simulator import VehicleModel
@@ -127,7 +127,7 @@ class ModesResult:
         values, frequency = self.locus.eigenvalues, self.locus.frequency_hz
         shown = self._least_damped()
         for b in shown:
-            left.plot(values[:, b].real, frequency[:, b], color="0.8", linewidth=0.7, zorder=1)
+            left.plot(values[:, b].real, frequency[:, b], color=SHADE, linewidth=0.7, zorder=1)
             dots = left.scatter(
                 values[:, b].real, frequency[:, b], c=speeds, s=8, vmin=speeds[0], vmax=speeds[-1], zorder=2
             )

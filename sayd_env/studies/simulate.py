@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,9 +21,10 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.rollout import assessed_steps
 from sayd_env.report import histories as files
-from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows, print_table
 from sayd_env.report.figures import Plot, label, panels, reference_line
-from sayd_env.report.html import Code, Grid, Picture, Section, Text, report
+from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
+from sayd_env.report.live import extremes
 from sayd_env.runs.along import line_runs
 from sayd_env.runs.histories import QUANTITIES, History, HistorySignal, chosen, history, signals_of
 from sayd_env.runs.policies import PolicySpec
@@ -149,22 +149,25 @@ class SimulateResult:
         """One picture for each quantity."""
         return {quantity: partial(self._draw, rows) for quantity, rows in self._quantities.items()}
 
-    def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> Mapping[str, str]:
-        """The run on one page: what it was, all quantities over time, all signals in numbers."""
-        pictures = [
-            Picture(images[quantity], f"{quantity} over time", self._words(quantity))
-            for quantity in self._quantities
-        ]
-        known = [(key, value) for key, value in self.as_dict().items() if key not in ("signals", "time_s")]
+    def page(self) -> Page:
+        """The run: what it was, all quantities over time, all signals in numbers."""
         first, last = self.time.tolist()
-        span = f"{first:g} to {last:g} s; at 0 s the policy begins to act, before it is the run-in."
-        sections = [
-            Section("Run", [Grid(("", ""), known), Text(f"Time: {span}")]),
-            Section("Signals over time", pictures),
-            Section("Signals in numbers, from 0 s on", [Grid.of(COLUMNS, self.rows)]),
-            Section("Origin", [Code("configuration and versions", json.dumps(document, indent=1))]),
+        ended = "to its end" if self.ending is None else f"and ended early: {self.ending}"
+        words = f"{self._title}: {last:g} s {ended}."
+        known = {
+            key: value for key, value in self.as_dict().items() if key not in ("signals", "time_s", "ending")
+        }
+        span = f"Time: {first:g} to {last:g} s; at 0 s the policy begins to act, before it is the run-in."
+        pictures = [
+            Picture(quantity, f"{quantity} over time", self._words(quantity)) for quantity in self._quantities
         ]
-        return {"simulate": report(self._title, sections)}
+        numbers = Grid.of(Listing("", COLUMNS, self.rows), lambda row: str(row["name"]).partition(".")[0])
+        sections = [
+            Section("Run", [Grid.facts(known), Text(span)]),
+            Section("Signals over time", pictures),
+            Section("Signals in numbers, from 0 s on", [numbers]),
+        ]
+        return Page(self._title, Verdict([words], None if self.ending is None else False), sections)
 
     def overview(self) -> tuple[Sequence[Column], list[dict[str, Any]]]:
         """The run as one of many."""
@@ -296,7 +299,7 @@ def simulate(
         sample_rate=found.sample_rate,
         rows=tuple(_statistics(found)),
         curves={
-            signal.name: _thinned(found.time, values)
+            signal.name: extremes(found.time, values, DRAWN)
             for signal, values in zip(found.signals, found.values, strict=True)
         },
         close={
@@ -395,17 +398,6 @@ def _statistics(found: History) -> Iterator[dict[str, Any]]:
             "mean": float(these.mean()),
             "rms": float(np.sqrt(np.mean(these**2))),
         }
-
-
-def _thinned(time: Array, values: Array) -> tuple[Array, Array]:
-    """Least and largest value of each of many short spans: what a picture shows of a long signal."""
-    width = max(1, -(-2 * len(time) // DRAWN))
-    if width == 1:
-        return time, values
-    whole = len(time) // width * width
-    spans = values[:whole].reshape(-1, width)
-    centres = time[:whole].reshape(-1, width)[:, width // 2]
-    return np.repeat(centres, 2), np.stack([spans.min(axis=1), spans.max(axis=1)], axis=1).ravel()
 
 
 def _panels(rows: Sequence[Mapping[str, Any]]) -> Iterator[list[Mapping[str, Any]]]:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from sayd_env.agents import pretrained
+from sayd_env.agents.pretrained.curves import draw_gains
 from sayd_env.config import ConfigError
 
 
@@ -42,3 +45,24 @@ def test_nothing_there_is_no_error(tmp_path: Path):
         pretrained.path("ppo", tmp_path)
     for files in pretrained.groups().values():  # the package's own
         assert all(file.is_file() for file in files)
+
+
+def test_a_learning_curve_shows_the_gain():
+    """3 % below the best controller take a good part of the axis; one at 22 % above is named, not drawn."""
+    axes = Figure().subplots()
+    draw_gains(
+        axes, {"ppo-s0": ([0, 10, 20, 30], [0.05, 0.0303, 0.0294, 0.0291])}, {"a": 0.03, "mppt2": 0.0366}
+    )
+    np.testing.assert_allclose(axes.lines[0].get_ydata()[1:], [-1.0, 2.0, 3.0])
+    low, high = axes.get_ylim()
+    assert low < 0.0
+    assert high > 3.0
+    assert 0.5 * (high - low) < 3.0
+    assert axes.get_legend_handles_labels()[1] == ["ppo-s0", "a (0.0 %)", "mppt2 (-22.0 %)"]
+
+
+def test_a_learning_curve_without_controllers_begins_at_its_first_evaluation():
+    axes = Figure().subplots()
+    draw_gains(axes, {"ppo-s0": ([0, 10], [0.05, 0.04])}, {})
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), [0.0, 20.0])
+    draw_gains(axes, {"ppo-s1": ([], [])}, {})

@@ -25,9 +25,10 @@ from sayd_env.report.files import (
     csv_bytes,
     document,
 )
+from sayd_env.report.html import Page, Picture, Section, Verdict
 
 
-class Section(Model):
+class Settings(Model):
     speed: float = 80.0
 
 
@@ -71,7 +72,7 @@ def test_csv_refuses_a_row_of_another_length():
 
 
 def test_a_result_is_saved_with_tables_plots_and_provenance(tmp_path: Path):
-    content = document(RESULT, Section(), 7, "sayd sine --seed 7")
+    content = document(RESULT, Settings(), 7, "sayd sine --seed 7")
     files = ResultDirectory(tmp_path / "deep" / "er").save(RESULT, content)
     assert [path.name for path in files] == ["sine.csv", "sine.png", "result.json"]
     assert sorted(path.name for path in files[0].parent.iterdir()) == ["result.json", "sine.csv", "sine.png"]
@@ -86,16 +87,17 @@ def test_a_result_is_saved_with_tables_plots_and_provenance(tmp_path: Path):
     assert files[1].read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
 
 
-def test_a_page_gets_the_stored_pictures_and_the_record(tmp_path: Path):
+def test_a_page_gets_the_stored_pictures_and_the_record(tmp_path: Path, read_page: Callable[[str], Any]):
     class Paged(Sine):
-        def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> Mapping[str, str]:
-            return {"report": f"<p>seed {document['seed']}: {sorted(images)}, {len(images['sine'])}</p>"}
+        def page(self) -> Page:
+            return Page("A sine", Verdict(["It swings."]), [Section("Values", [Picture("sine", "a sine")])])
 
     paged = Paged(RESULT.values)
     files = ResultDirectory(tmp_path).save(paged, document(paged, None, seed=7))
     assert [path.name for path in files] == ["sine.csv", "sine.png", "report.html", "result.json"]
-    size = (tmp_path / "sine.png").stat().st_size
-    assert (tmp_path / "report.html").read_text() == f"<p>seed 7: ['sine'], {size}</p>"
+    read = read_page((tmp_path / "report.html").read_text())
+    assert read.pictures == [(tmp_path / "sine.png").read_bytes()]
+    assert "seed 7" in read.text
 
 
 def test_keys_of_the_record_cannot_be_overwritten_by_a_result():

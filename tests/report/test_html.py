@@ -2,51 +2,92 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from sayd_env.report.columns import Column
-from sayd_env.report.html import Code, Grid, Picture, Section, Text, report
+from sayd_env.report.columns import Column, Listing
+from sayd_env.report.figures import Drawing
+from sayd_env.report.html import Cell, Code, Grid, Page, Picture, Section, Text, Verdict, page_html
 
 PNG = b"\x89PNG\r\n\x1a\n"
 NASTY = "<script>alert('x')</script> & \"quotes\" $title"
 
 
+def page(*blocks: Any, title: str = "Title", words: str = "It holds.", **drawings: Drawing) -> str:
+    return page_html(Page(title, Verdict([words], True), [Section("One", blocks)]), drawings, {})
+
+
 def test_a_page_holds_all_that_it_shows(read_page: Callable[[str], Any]):
-    blocks = [
-        Text("words"),
-        Grid(("a", "b"), [(1.5, True), (None, False), ("x", 3)], frozenset({1})),
-        Picture(PNG, "a picture", ("first", "second")),
-        Code("folded", "x: 1\n"),
-    ]
-    page = report("Title", [Section("One", blocks), Section("Two", [])])
-    read = read_page(page)
+    picture = Picture("a", "a picture", ("first", "second"))
+    text = page(Text("words"), picture, Code("folded", "x: 1\n"), a=Drawing(PNG, {"data": []}))
+    read = read_page(text)
     assert read.links == []
     assert read.pictures == [PNG]
-    assert "script" not in read.tags
-    assert "@import" not in page
-    assert "url(" not in page
-    assert page.count('<tr class="marked"><td></td><td>no</td></tr>') == 1
-    for words in ("Title", "One", "Two", "words", "1.5 yes", "x 3", "first second", "folded x: 1"):
+    assert "@import" not in text
+    assert "url(" not in text
+    for words in ("Title", "One", "words", "first second", "folded x: 1"):
         assert words in read.text
+    assert read.text.index("Verdict It holds.") < read.text.index("Contents") < read.text.index("words")
+
+
+def test_the_library_that_draws_is_there_once_and_only_where_it_is_needed():
+    live = {name: Drawing(PNG, {"data": []}) for name in "ab"}
+    assert page(Picture("a", ""), Picture("b", ""), **live).count('id="plotly"') == 1
+    assert "plotly" not in page(Text("words"))
 
 
 def test_every_text_is_escaped(read_page: Callable[[str], Any]):
-    blocks = [Text(NASTY), Grid((NASTY,), [(NASTY,)]), Picture(PNG, NASTY, (NASTY,)), Code(NASTY, NASTY)]
-    read = read_page(report(NASTY, [Section(NASTY, blocks)]))
-    assert "script" not in read.tags
+    grid = Grid((NASTY,), [[[Cell(NASTY)]]], title=NASTY)
+    live = Drawing(PNG, {"data": [{"name": "</script><script>alert('y')</script>"}]})
+    picture = Picture("a", NASTY, (NASTY,))
+    text = page(Text(NASTY), grid, picture, Code(NASTY, NASTY), title=NASTY, words=NASTY, a=live)
+    read = read_page(text)
+    assert read.tags.count("script") == 3  # the figure's numbers, the library and what starts it
     assert read.links == []
-    assert read.text.count(NASTY) == 9  # two of them in the title, none of the alternative text
+    assert read.text.count(NASTY) == 10  # two of them in the title, none of the alternative text
+    (content,) = re.findall(r'<script type="application/json">(.*?)</script>', text)
+    assert json.loads(content) == live.live
 
 
 def test_a_row_of_another_length_is_refused():
     with pytest.raises(ValueError, match="a row of 1 cells under a header of 2"):
-        Grid(("a", "b"), [(1,)]).html()
+        Grid(("a", "b"), [[[Cell("1")]]]).html({})
 
 
-def test_a_grid_of_columns_has_their_headings_and_words(read_page: Callable[[str], Any]):
-    columns = (Column("share", "share", "%", 100.0, 0), Column("hidden"), Column("holds", "holds"))
-    grid = Grid.of(columns, [{"share": 0.85, "hidden": 7, "holds": False}])
-    assert read_page(report("", [Section("", [grid])])).text.endswith("share (%) holds 85 no")
+def test_a_grid_has_what_the_console_has_and_leads_to_figures(read_page: Callable[[str], Any]):
+    columns = (
+        Column("share", "share", "%", 100.0, 0, best=True),
+        Column("hidden"),
+        Column("holds", "holds", bad=lambda holds: not holds),
+    )
+    rows = [{"share": 0.85, "hidden": 7, "holds": False}, {"share": 0.5, "hidden": 8, "holds": True}]
+    names = {7: "seen", 8: "not drawn"}
+    grid = Grid.of(Listing("", columns, rows), lambda row: names[row["hidden"]])
+    text = grid.html({"seen": Drawing(PNG, {})})
+    assert read_page(text).text == "share (%) holds 85 no 50 yes"
+    assert '<tr class="marked"><td class="number"><a href="#figure-seen">85</a></td>' in text
+    assert '<td class="red">no</td>' in text
+    assert '<td class="bold number">50</td>' in text
+    assert text.count("<a ") == 1
+
+
+def test_a_page_says_where_its_numbers_come_from(read_page: Callable[[str], Any]):
+    document = {
+        "command": "sayd reproduce",
+        "seed": 0,
+        "quick": True,
+        "versions": {"numpy": "2.0"},
+        "git_commit": None,
+        "config": {"friction": 0.4, "damper": {"provenance": {"track_seeds": "1000 to 1009"}}},
+    }
+    read = read_page(page_html(Page("T", Verdict(["w"]), []), {}, document))
+    for words in ("sayd reproduce", "numpy 2.0", "damper: track_seeds 1000 to 1009", '"friction": 0.4'):
+        assert words in read.text
+    assert "git_commit" not in read.text
+    assert "a look, not a result" in read.text
+    for empty in ({}, {"config": None, "versions": None}):
+        assert "T" in read_page(page_html(Page("T", Verdict(["w"]), []), {}, empty)).text

@@ -93,7 +93,8 @@ def test_json_keeps_its_keys_and_tells_all_weights(found: ConstantMap):
     assert set(found.tables()) == {"best_constant", "adaptation", "adaptation_by_condition"}
     assert set(found.plots()) == {"map_best_constant", "map_single"}
     console = Console(file=io.StringIO(), width=80)
-    found.summary(console)
+    for listing in found.listings():
+        listing.print(console)
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert "km/h 200" in text
     assert "worn, 1435" in text

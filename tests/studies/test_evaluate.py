@@ -287,6 +287,6 @@ def test_the_command_runs_policies_wear_speeds_and_seeds(tmp_path: Path, capsys:
         for seed in (4, 5)
     ]
     assert [row["valve_mean"] for row in rows] == [None] * 8 + [pytest.approx(0.3)] * 8
-    names = {"result.json", "runs.csv", "medians.csv", "runs"}
+    names = {"result.json", "runs.csv", "medians.csv", "report.html", "runs"}
     pictures = {f"evaluate_wear_{wear}_friction_0.35.png" for wear in ("0.5", "1")}
     assert {path.name for path in tmp_path.iterdir()} == names | pictures

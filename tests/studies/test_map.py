@@ -125,4 +125,4 @@ def test_the_command_writes_maps(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert len(kmh) == len(kmh[0]) == len(status) == 1
     assert (kmh[0][0] is not None) == (status[0][0] == "found")
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"runs", "result.json", "critical_speed.csv", "map_critical_speed.png"}
+    assert names == {"runs", "result.json", "critical_speed.csv", "map_critical_speed.png", "report.html"}

@@ -45,18 +45,25 @@ def draw(result: Comparison, figure: Figure) -> None:
 
 
 def _speeds(result: Comparison, axes: Axes) -> None:
+    conditions = result.grid.conditions
     # A line has no speed: NaN, which is none of the grid's.
-    speeds = np.array([condition.speed_kmh for condition in result.grid.conditions], dtype=float)
+    speeds = np.array([condition.speed_kmh for condition in conditions], dtype=float)
     grid = np.unique(speeds[np.isfinite(speeds)])
+    # Means of other tracks or wheels at each speed are no course over speed: points alone show them.
+    others = [
+        {str(each.as_dict() | {"speed_kmh": None}) for each in conditions if each.speed_kmh == speed}
+        for speed in grid
+    ]
+    unrelated: dict[str, Any] = {} if all(each == others[0] for each in others) else {"linestyle": "none"}
 
     def plot(costs: Array, name: str, **style: Any) -> None:
         means = [costs[speeds == speed].mean() for speed in grid]
-        axes.plot(grid, means, label=name, **style)
+        axes.plot(grid, means, label=name, **style | unrelated)
 
     for name, found in result.scores[OWN].items():
         plot(found.J_by_condition, label(name), markersize=5, **policy_style(name).drawn)
     bound = result.bounds[OWN].costs[0].mean(axis=1)
-    plot(bound, "best constant of each condition", color=LIMIT, linestyle="--")
+    plot(bound, "best constant of each condition", color=LIMIT, linestyle="--", marker="_", markersize=9)
     axes.set(title="mean J over speed", xlabel="speed (km/h)", ylabel="J")
     log_axis(axes)
 

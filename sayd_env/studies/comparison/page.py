@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sayd_env.config.reward import REPORTED
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot
+from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
 from sayd_env.studies.comparison.figures import draw
 from sayd_env.studies.comparison.grid import OFFLINE, OWN, RATIOS, TOGETHER, Variant
 from sayd_env.studies.comparison.result import MATRIX, Comparison
 from sayd_env.studies.comparison.scores import Stability
 from sayd_env.studies.comparison.statistics import Estimate
 from sayd_env.studies.map import RATIO
+from sayd_env.studies.standing import Standing, verdict
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -114,26 +117,61 @@ class CompareResult(Comparison):
         """One page."""
         return {"compare": lambda figure: draw(self, figure)}
 
+    def page(self) -> Page:
+        """What was asked and reached, the scores, and the figure."""
+        scores, relative, *others = (Grid.of(each, lambda _: "compare") for each in _listings(self))
+        notes = map(Text, _notes(self))
+        picture = Picture(
+            "compare", "J over speed, distribution, intervals, training seeds, bound, reductions"
+        )
+        sections = [
+            Section("Scores", [scores, *notes, relative]),
+            Section("Figures", [picture]),
+            *([Section("Learned policies", others)] if others else []),
+        ]
+        return Page("Policies compared on held-out conditions", _verdict(self), sections)
+
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the scores, the targets, and what a reader has to know about them."""
-        count = f"{_count(self)} x {len(self.config.seeds)} seeds"
-        title = f"{count}: J on line, and IQM of its ratio to MPPT2's (95 %)"
-        lines = _lines(self)
-        columns = [column for column in (*_COSTS, *_BESIDE) if column.name in lines[0]]
-        print_table(console, title, columns, lines, wide=wide, section="bound")
+        scores, *others = _listings(self)
+        scores.print(console, wide)
         for line in _notes(self):
             console.print(line, markup=False, highlight=False)
-        title = "J over that of the best constant command of each condition: geometric mean (95 %)"
-        print_table(console, title, _RELATIVE, _relative(self), wide=wide, section="part")
-        learned = {each.name for each in self.entrants if each.learned}
-        gains = [row for row in _own(_gains(self)) if row["policy"] in learned]
-        for part in self.by_part if gains else ():
-            rows = [row for row in gains if row["part"] == part]
-            title = f"{part}: geometric and plain mean of J of learned policies below the controllers' (95 %)"
-            print_table(console, title, _GAINS, rows, wide=wide, section="policy")
-        if self.targets:
-            title = "learned policies: what was asked"
-            print_table(console, title, _TARGETS, self.targets, wide=wide, section="policy")
+        for listing in others:
+            listing.print(console, wide)
+
+
+def _listings(result: CompareResult) -> Iterator[Listing]:
+    """Scores, J over the best constant's; gains of learned policies and what was asked, where there are any."""
+    count = f"{_count(result)} x {len(result.config.seeds)} seeds"
+    title = f"{count}: J on line, and IQM of its ratio to MPPT2's (95 %)"
+    lines = _lines(result)
+    columns = [column for column in (*_COSTS, *_BESIDE) if column.name in lines[0]]
+    yield Listing(title, columns, lines, "bound")
+    title = "J over that of the best constant command of each condition: geometric mean (95 %)"
+    yield Listing(title, _RELATIVE, _relative(result), "part")
+    learned = {each.name for each in result.entrants if each.learned}
+    gains = [row for row in _own(_gains(result)) if row["policy"] in learned]
+    for part in result.by_part if gains else ():
+        rows = [row for row in gains if row["part"] == part]
+        title = f"{part}: geometric and plain mean of J of learned policies below the controllers' (95 %)"
+        yield Listing(title, _GAINS, rows, "policy")
+    if result.targets:
+        yield Listing("learned policies: what was asked", _TARGETS, result.targets, "policy")
+
+
+def _verdict(result: CompareResult) -> Verdict:
+    """The best policy and who keeps the limits; how many targets hold, where there are any."""
+    lines = {row["policy"]: row for row in _lines(result) if not row["bound"]}
+    standings = [
+        Standing(name, row["J"], row["largest_ratio"], row["derailed"]) for name, row in lines.items()
+    ]
+    found = verdict(standings, f"{_count(result)} of the held-out list")
+    if not result.targets:
+        return found
+    held = sum(target.holds for target in result.targets)
+    words = f"{held} of {len(result.targets)} targets of the learned policies hold."
+    return Verdict([words, *found.words], held == len(result.targets))
 
 
 def _count(result: Comparison) -> str:

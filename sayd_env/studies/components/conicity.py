@@ -23,7 +23,7 @@ from sayd_env.physics.multibody import assemble
 from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
 from sayd_env.physics.simulator import table_load
 from sayd_env.report.columns import Column, Table, csv_table, print_table
-from sayd_env.report.figures import Plot, label
+from sayd_env.report.figures import Plot, label, legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +39,7 @@ _MILLI = 1e3
 _SHOWN_AMPLITUDES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 _CONTACT_LINES_EVERY = 1e-3
 _CONTACT_LINES_REACH = 8e-3
-_NAMES_APART = 2e-3  # m on the wheel between contact lines whose positions are written beside them
+_NAMES_APART = 4e-3  # m on the wheel between contact lines whose positions are written beside them
 
 CURVE = (
     Column("amplitude_mm", "amplitude", "mm"),
@@ -224,10 +224,16 @@ def plot_conicity(figure: Figure, results: Sequence[ConicityResult]) -> None:
     pairs = [pair for result in results for pair in _pairs(result)]
     figure.set_size_inches(10.0, 3.2 * (1 + len(pairs)))
     grid = figure.add_gridspec(1 + len(pairs), 2)
+    first: Any = None
     for row, pair in enumerate(pairs):
-        _draw_pair(figure.add_subplot(grid[row, :]), pair)
-    _draw_curves(figure.add_subplot(grid[-1, 0]), results)
-    _draw_radii(figure.add_subplot(grid[-1, 1]), results)
+        # All to the same scale, one below the other.
+        axes = figure.add_subplot(grid[row, :], sharex=first, sharey=first)
+        first = first or axes
+        _draw_pair(axes, pair)
+    curves, radii = figure.add_subplot(grid[-1, 0]), figure.add_subplot(grid[-1, 1])
+    _draw_curves(curves, results)
+    _draw_radii(radii, results)
+    legend_below(figure, curves, columns=3)
 
 
 def _pairs(result: ConicityResult) -> list[ConicityResult]:
@@ -249,14 +255,21 @@ def _draw_pair(axes: Axes, result: ConicityResult) -> None:
     offset = float(np.interp(0.0, contact.y, contact.s - contact.t))
     axes.plot(result.wheel.y * _MILLI, (lift - result.wheel.z) * _MILLI, BLUE, label=label(result.wheel.name))
     axes.plot((result.rail.y + offset) * _MILLI, result.rail.z * _MILLI, GREY, label=label(result.rail.name))
-    reach, named = min(_CONTACT_LINES_REACH, contact.y[-1]), -np.inf
-    for y in np.arange(-reach, reach + 1e-6, _CONTACT_LINES_EVERY):
+    wheel, named = result.wheel, np.array([])
+    steps = int(min(_CONTACT_LINES_REACH, contact.y[-1]) / _CONTACT_LINES_EVERY + 1e-6)
+    # The ends first, which always have their names.
+    for y in _CONTACT_LINES_EVERY * np.array(sorted(range(-steps, steps + 1), key=lambda k: (-abs(k), k))):
         s, t = np.interp(y, contact.y, contact.s), np.interp(y, contact.y, contact.t)
         ends = lift - np.interp(s, result.wheel.y, result.wheel.z), np.interp(t, result.rail.y, result.rail.z)
         axes.plot(np.array([s, t + offset]) * _MILLI, np.array(ends) * _MILLI, VERMILION, linewidth=0.7)
-        if abs(s - named) >= _NAMES_APART:
-            axes.annotate(f"{y * _MILLI:.0f}", (s * _MILLI, ends[0] * _MILLI + 0.5), fontsize=6, ha="center")
-            named = s
+        if np.all(np.abs(s - named) >= _NAMES_APART):
+            # Beside a flank, above what is flat.
+            steep = abs(np.interp(s, wheel.y, np.gradient(wheel.z, wheel.y))) > 1.0
+            aside, up = (-1.0, 0.0) if steep else (0.0, 1.0)
+            words = f"{y * _MILLI:+.0f}" if y else "0"
+            place = s * _MILLI + aside, ends[0] * _MILLI + up
+            axes.annotate(words, place, fontsize=7, ha="right" if steep else "center")
+            named = np.append(named, s)
     axes.set(
         title=f"{_label(result)} on {result.rail.name}: contact lines for y in mm",
         xlabel="distance from the tape circle (mm), field side positive",
@@ -274,7 +287,7 @@ def _draw_curves(axes: Axes, results: Sequence[ConicityResult]) -> None:
     for i, each in enumerate(results):
         curves = (each.tan_gamma_e, each.tan_gamma_e_table, each.harmonic)
         _draw_ways(axes, i, each, each.amplitude, curves)
-    axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)", title="by EN 15302")
+    axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)", title="equivalent conicity, EN 15302")
 
 
 def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
@@ -282,7 +295,11 @@ def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
         y, *radii = each.delta_r()
         near = np.abs(y) <= _CONTACT_LINES_REACH
         _draw_ways(axes, i, each, y[near], [radius[near] * _MILLI for radius in radii])
-    axes.set(xlabel="lateral position (mm)", ylabel="difference of rolling radii (mm)")
+    axes.set(
+        xlabel="lateral position (mm)",
+        ylabel="difference (mm)",
+        title="difference of rolling radii",
+    )
 
 
 def _draw_ways(axes: Axes, number: int, result: ConicityResult, x: Array, curves: Sequence[Array]) -> None:
@@ -291,4 +308,3 @@ def _draw_ways(axes: Axes, number: int, result: ConicityResult, x: Array, curves
         named = f"{_label(result)}: {way}"
         axes.plot(x * _MILLI, values, CYCLE[number % len(CYCLE)], linestyle=line, label=named)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=7)

@@ -37,6 +37,7 @@ CURRENTS = (0.0, 0.25, 0.5, 1.0)
 
 _FIELD_VELOCITIES = np.linspace(0.0, 0.3, 61)  # m/s, beyond the fastest of the paper's loops
 _POINTS = 2000  # time steps in a cycle: the trapezoidal rule is then good to (pi / 1000)^2 / 3
+_ACROSS = 4  # panels side by side
 _KILO, _MILLI = 1e-3, 1e3
 
 
@@ -183,13 +184,13 @@ class HysteresisResult:
         return [loop.row() for loop in self.loops]
 
     def _draw_loops(self, figure: Figure) -> None:
-        """Draw a panel for each amplitude and current: currents side by side, amplitudes below each other."""
+        """Draw a panel for each amplitude and current, in a grid of the same width for any of them."""
         currents, amplitudes, frequencies = (
             list(dict.fromkeys(getattr(loop, name) for loop in self.loops))
             for name in ("current", "amplitude", "frequency")
         )
         places = list(product(amplitudes, currents))
-        across = len(currents) if len(currents) > 1 else min(3, len(amplitudes))
+        across = len(currents) * max(1, _ACROSS // len(currents)) if len(currents) <= _ACROSS else _ACROSS
         axes = panels(figure, len(places), across, (3.6, 3.0), sharey=True)
         for panel, (amplitude, current) in zip(axes, places, strict=True):
             for loop in self.loops:
@@ -204,7 +205,7 @@ class HysteresisResult:
             panel.set_title(f"{amplitude * _MILLI:g} mm{valve}", fontsize="small")
         for panel in axes[::across]:
             panel.set_ylabel("force (kN)")
-        for panel in axes[-across:]:
+        for panel in axes[-min(across, len(axes)) :]:
             panel.set_xlabel("displacement (mm)")
         legend_below(figure, axes[0], columns=7)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sayd_env.config.palette import BLUE, GREY, VERMILION
+from sayd_env.config.palette import BLACK, BLUE, GREY, VERMILION
 from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.controlled import REAR, ControlledRun, ControlledRuns
 from sayd_env.stability import Limits
@@ -76,18 +76,26 @@ def draw_starts(figure: Figure, runs: Sequence[ControlledRun], title: str) -> No
 
 
 def draw_switching(figure: Figure, run: ControlledRun, title: str) -> None:
-    """Draw rear command and force of one rear damper, the whole and a second of them (figure 16)."""
+    """Draw rear command and force of one rear damper, the whole and a second of them (figure 16).
+
+    A command that switches all the time would be one block of colour over the whole run: its mean over each
+    second stands before it.
+    """
     axes = panels(figure, 4, 2, (5.0, 3.0), sharex="col", sharey="row", width_ratios=(3, 2))
     for command, force, span in zip(axes[:2], axes[2:], ((0.0, _SHOWN), ZOOM), strict=True):
-        _draw_command(command, run)
+        whole = span != ZOOM
+        _draw_command(command, run, alpha=0.25 if whole else 1.0, label="command")
+        if whole:
+            _draw_means(command, run)
         _draw_force(force, run)
         force.set(xlabel=_TIME, xlim=span)
-    for whole in axes[::2]:
-        whole.axvspan(*ZOOM, color=GREY, alpha=0.5, linewidth=0.0, zorder=3)
+    for panel in axes[::2]:
+        panel.axvspan(*ZOOM, color=GREY, alpha=0.5, linewidth=0.0, zorder=3)
     axes[0].set(title=f"{title}, seed {run.seed}: rear bogie", ylabel="command (%)", ylim=(-5, 105))
     axes[1].set_title(f"detail from {ZOOM[0]:g} to {ZOOM[1]:g} s")
-    axes[3].locator_params(axis="x", nbins=4)
+    axes[3].locator_params(axis="x", nbins=5, prune="both")  # the panel beside it has a number there
     axes[2].set_ylabel(_FORCE)
+    legend_below(figure, axes[0])
 
 
 def _draw_command(axes: Axes, run: ControlledRun, **line: Any) -> None:
@@ -95,6 +103,14 @@ def _draw_command(axes: Axes, run: ControlledRun, **line: Any) -> None:
     shown = np.r_[run.initial_current, run.command[: round(_SHOWN / run.control_period), REAR]]
     time = np.r_[0.0, np.arange(len(shown) - 1) * run.control_period]
     axes.plot(time, 100 * shown, color=_colour(run), linewidth=0.8, drawstyle="steps-post", **line)
+
+
+def _draw_means(axes: Axes, run: ControlledRun) -> None:
+    """Draw the mean of the command over each second."""
+    second = round(1.0 / run.control_period)
+    whole = run.command[: int(_SHOWN) * second, REAR]
+    means = whole[: len(whole) // second * second].reshape(-1, second).mean(axis=1)
+    axes.plot(np.arange(len(means)) + 0.5, 100 * means, color=BLACK, linewidth=1.2, label="mean of a second")
 
 
 def _draw_force(axes: Axes, run: ControlledRun) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import MappingProxyType
 
-from sayd_env.report.files import json_text
-from sayd_env.report.html import Block, Code, Grid, Picture, Section, Text, report
+from sayd_env.report.columns import Listing
+from sayd_env.report.html import Block, Grid, Page, Picture, Section, Text, Verdict
 from sayd_env.studies.paper.assumptions import CRITICAL_SPEEDS, ByAssumption, side_by_side, speed_rows
 from sayd_env.studies.paper.claims import Claim, claim_columns, claim_rows
 
@@ -118,92 +118,62 @@ FIGURES = {
 
 
 def reproduce_page(
-    claims: Sequence[Claim],
-    images: Mapping[str, bytes],
-    document: Mapping[str, Any],
-    seeds: int,
-    assumptions: ByAssumption | None = None,
-) -> str:
-    """Return the page of all claims, PNG pictures whose names start with ``figure_NN``, ``result.json``.
+    claims: Sequence[Claim], plots: Iterable[str], seeds: int, by_assumption: ByAssumption | None = None
+) -> Page:
+    """Return the page of all claims, and of plots whose names start with ``figure_NN``.
 
     The rows under several assumptions stand on it where there are more than the study's own.
     """
     verdicts = {claim.id: claim for claim in claims}
+    names = {number: sorted(n for n in plots if n.startswith(f"figure_{number:02d}")) for number in FIGURES}
+    first = {row: names[number][0] for number, of in FIGURES.items() if names[number] for row in of.rows}
     figures = [
-        Section(f"Figure {number}: {figure.heading}", _figure_blocks(number, images, verdicts))
-        for number, figure in FIGURES.items()
-        if _names(number, images)
+        Section(f"Figure {number}: {FIGURES[number].heading}", _figure_blocks(number, found, verdicts))
+        for number, found in names.items()
+        if found
     ]
-    beside = _assumption_sections(assumptions or {})
-    return report(TITLE, [_claims_section(claims, seeds), *beside, *figures, *_provenance(document)])
+    beside = _assumption_sections(by_assumption or {})
+    statements = Section("Statements", [Text(_JUDGED), _claims_grid(claims, first)])
+    return Page(TITLE, _verdict(claims, seeds), [statements, *beside, *figures])
+
+
+_JUDGED = (
+    "The paper: Wang, Liu, Di Gialleonardo, Kovacic and Bruni, Vehicle System Dynamics 60(8), 2608-2633 "
+    "(2022). A row judged by seed holds if at least 80 % of the seeds pass it; one judged by median, if the "
+    "median over the seeds passes and at least 80 % of 1,000 bootstraps over the seeds do; one judged once "
+    "has no randomness. What the paper's figures show is taken from its text. Columns named after a fixed "
+    "command say whether it passes as well, in the place of the row's controller; rows about the motion of "
+    "the command and about passive dampers do not apply to it. The name of a row leads to its figure."
+)
+
+
+def _verdict(claims: Sequence[Claim], seeds: int) -> Verdict:
+    failed = [claim.id for claim in claims if not claim.holds]
+    tracks = f"{seeds} track seed{'s' * (seeds != 1)}"
+    words = f"{len(claims) - len(failed)} of {len(claims)} statements of the paper hold, on {tracks}."
+    return Verdict([words, *([f"Not: {', '.join(failed)}."] if failed else [])], not failed)
 
 
 def _assumption_sections(found: ByAssumption) -> list[Section]:
     """Critical speeds, and the rows where there is more than one assumption."""
     if not found:
         return []
-    speeds = Section("Critical speeds of the passive vehicle", [Grid.of(CRITICAL_SPEEDS, speed_rows(found))])
+    grid = Grid.of(Listing("", CRITICAL_SPEEDS, speed_rows(found), "assumption"))
+    speeds = Section("Critical speeds of the passive vehicle", [grid])
     words = "Whether each row holds, and its share of seeds or bootstraps, with one assumption changed."
-    rows = Section("What each assumption carries", [Text(words), Grid.of(*side_by_side(found))])
+    rows = Section("What each assumption carries", [Text(words), Grid.of(Listing("", *side_by_side(found)))])
     return [rows, speeds] if len(found) > 1 else [speeds]
 
 
-def _claims_section(claims: Sequence[Claim], seeds: int) -> Section:
-    held = sum(claim.holds for claim in claims)
-    words = (
-        f"{held} of {len(claims)} rows hold, on {seeds} track seeds. The paper: Wang, Liu, Di Gialleonardo, "
-        "Kovacic and Bruni, Vehicle System Dynamics 60(8), 2608-2633 (2022). A row judged by seed holds if "
-        "at least 80 % of the seeds pass it; one judged by median, if the median over the seeds passes and "
-        "at least 80 % of 1,000 bootstraps over the seeds do; one judged once has no randomness. What "
-        "the paper's figures show is taken from its text. Columns named after a fixed command say whether "
-        "it passes as well, in the place of the row's controller; rows about the motion of the command and "
-        "about passive dampers do not apply to it."
-    )
-    return Section("Statements", [Text(words), _claims_grid(claims)])
+def _claims_grid(claims: Sequence[Claim], figures: Mapping[str, str] = MappingProxyType({})) -> Grid:
+    listing = Listing("", claim_columns(claims), claim_rows(claims))
+    return Grid.of(listing, lambda row: figures.get(row["id"]))
 
 
-def _claims_grid(claims: Sequence[Claim]) -> Grid:
-    failed = frozenset(i for i, c in enumerate(claims) if not c.holds)
-    return Grid.of(claim_columns(claims), claim_rows(claims), failed)
-
-
-def _names(number: int, images: Mapping[str, bytes]) -> list[str]:
-    """Names of the pictures of a figure."""
-    return sorted(name for name in images if name.startswith(f"figure_{number:02d}"))
-
-
-def _figure_blocks(number: int, images: Mapping[str, bytes], verdicts: Mapping[str, Claim]) -> list[Block]:
+def _figure_blocks(number: int, names: Sequence[str], verdicts: Mapping[str, Claim]) -> list[Block]:
     figure = FIGURES[number]
     words = (f"In the paper: {figure.shows}", f"To compare: {figure.compare}")
     title = f"Counterpart of figure {number}: {figure.heading}"
-    blocks: list[Block] = [
-        Picture(images[name], title, words if i == 0 else ()) for i, name in enumerate(_names(number, images))
-    ]
+    blocks: list[Block] = [Picture(name, title, words if name == names[-1] else ()) for name in names]
     measured = [verdicts[row] for row in figure.rows if row in verdicts]
     return [*blocks, _claims_grid(measured)] if measured else blocks
-
-
-def _provenance(document: Mapping[str, Any]) -> list[Section]:
-    """Where the numbers come from: command, versions, and every origin that the configuration names."""
-    about = [(key, document.get(key)) for key in ("command", "created", "seed", "git_commit", "git_modified")]
-    versions = sorted(dict(document.get("versions") or {}).items())
-    config = document.get("config") or {}
-    origins: list[Block] = [
-        Grid(("calibrated part", "what", "value"), [(path, key, str(value)) for key, value in origin.items()])
-        for path, origin in _origins(config)
-    ]
-    return [
-        Section("How this was computed", [Grid(("", ""), about), Grid(("software", "version"), versions)]),
-        Section("Configuration", [*origins, Code("All values, in SI units", json_text(config))]),
-    ]
-
-
-def _origins(config: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Every non-empty section `provenance` of a configuration, with the key under which it stands."""
-    if not isinstance(config, Mapping):
-        return
-    for key, value in config.items():
-        if key == "provenance" and isinstance(value, Mapping) and value:
-            yield path or "scenario", value
-        else:
-            yield from _origins(value, f"{path}.{key}".lstrip("."))

@@ -16,6 +16,7 @@ from sayd_env.config.reproduction import ReproductionConfig, load_reproduction
 from sayd_env.config.scenario import Scenario
 from sayd_env.report.columns import Table, csv_table, json_rows, print_table
 from sayd_env.report.figures import Plot
+from sayd_env.report.html import Page
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.passive import Sweep, runs_table
 from sayd_env.runs.policies import PAPER, PolicySpec, policy_spec
@@ -114,10 +115,9 @@ class ReproduceResult(Judged):
             **controlled_plots(self.controlled, self.limits, self.wheelsets),
         }
 
-    def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> dict[str, str]:
-        """Claims and figures on one page, beside what the paper shows."""
-        seeds = len(self.new.seeds)
-        return {"report": reproduce_page(self.claims, images, document, seeds, self._by_assumption)}
+    def page(self) -> Page:
+        """Claims and figures, beside what the paper shows."""
+        return reproduce_page(self.claims, list(self.plots()), len(self.new.seeds), self._by_assumption)
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the table of claims."""

@@ -28,7 +28,7 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, csv_table, print_table
-from sayd_env.report.figures import Plot, panels
+from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.context import RunContext, silent
 from sayd_env.runs.controlled import ControlledRun, ControlledRuns, assessed_controlled, assessed_or_derailed
 from sayd_env.runs.passive import Assessed, PassiveRun, assessed, gathered
@@ -196,7 +196,7 @@ class CalibrationResult:
             draw_costs(axes, trials)
             axes.set(ylabel="cost", title=name.replace("_", "-"), yscale="symlog")
             axes.yaxis.set_major_formatter("{x:g}")
-            axes.legend()
+        legend_below(figure, *each)
 
 
 PARAMETERS = (

@@ -52,8 +52,9 @@ def draw_costs(axes: Axes, evaluations: Sequence[Tried]) -> None:
         costs = [evaluations[i].cost for i in places]
         style = cycled(number)
         axes.plot(places, costs, style.marker, color=style.colour, markersize=3, label=label(stage))
+        step: dict[str, Any] = {"linewidth": 1.0, "drawstyle": "steps-post"}
         best: dict[str, Any] = {} if number else {"label": "best of the stage"}
-        axes.plot(places, np.minimum.accumulate(costs), color=BLACK, linewidth=1.0, **best)
+        axes.plot(places, np.minimum.accumulate(costs), color=BLACK, **step, **best)
     axes.set_xlabel("evaluation")
 
 

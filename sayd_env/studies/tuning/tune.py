@@ -19,7 +19,7 @@ from sayd_env.config.tuning import Gains, TuningConfig, TuningScenario
 from sayd_env.config.units import Array
 from sayd_env.envs.interface import BOGIES
 from sayd_env.report.columns import Column, Table, print_table
-from sayd_env.report.figures import Plot, label, log_axis, panels
+from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.cache import fingerprint
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.evaluator import Costs, PolicyEvaluator
@@ -227,7 +227,7 @@ class TuneResult:
             )
         right.set(xlabel="speed (km/h)", ylabel="J of a scenario")
         log_axis(right)
-        right.legend(fontsize="small")
+        legend_below(figure, left, right)
 
     def _draw_search(self, axes: Axes) -> None:
         names = list(self.best.gains)
@@ -242,7 +242,6 @@ class TuneResult:
                 axes.axhline(e.cost, linewidth=1.0, label=label(name), **policy_style(name).plain)
         axes.set(ylabel=f"{self.settings.mean} mean of J", title=self.title)
         log_axis(axes)
-        axes.legend(fontsize="small")
 
 
 HEAD = """\

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.integrate import solve_ivp
 from sayd_env.cli import main
 from sayd_env.config.damper import EqualPercentageThrottle, PassiveDamperConfig, SaydDamperConfig
 from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.report.figures import DPI
 from sayd_env.studies.components.hysteresis import (
     AMPLITUDES,
     FREQUENCIES,
@@ -113,6 +115,23 @@ def test_figure_3_goes_beyond_the_knee_of_figure_2(result: HysteresisResult) -> 
     assert whole.lines[0].get_xdata()[-1] == pytest.approx(1e3 * CURVE[-1][0])
     points = [line for line in detail.lines if line.get_linestyle() == "None"]
     assert [len(line.get_xdata()) for line in points] == [len(FREQUENCIES)] * len(AMPLITUDES)
+
+
+@pytest.mark.parametrize(("amplitudes", "currents"), [(20, 1), (11, 2), (1, 12), (3, 4), (7, 3)])
+def test_many_loops_fill_a_grid(result: HysteresisResult, amplitudes: int, currents: int) -> None:
+    """No picture is more than twice as high as wide, or wide as high, and none has 5,000 pixels."""
+    one = result.loops[0]
+    loops = [
+        replace(one, amplitude=1e-3 * (i + 1), current=k / 12)
+        for i in range(amplitudes)
+        for k in range(currents)
+    ]
+    figure = Figure()
+    replace(result, loops=tuple(loops)).plots()["loops"](figure)
+    width, height = figure.get_size_inches()
+    assert len(figure.axes) >= amplitudes * currents
+    assert 0.5 <= width / height <= 2.0
+    assert DPI * max(width, height) < 5000
 
 
 def test_limit_is_the_curve_at_the_peak_velocity() -> None:
