@@ -292,9 +292,7 @@ class _Study:
 
     def chosen(self, name: str) -> list[float]:
         """Best command of each section."""
-        currents = sorted(self._records[name])
-        costs = np.array([self._by_section(name, current) for current in currents])
-        return [currents[k] for k in np.argmin(costs, axis=0)]
+        return best_by_section({current: self._by_section(name, current) for current in self._records[name]})
 
     def cost(self, name: str, current: float) -> float:
         """J of a constant command on a line."""
@@ -369,6 +367,12 @@ def _lines(config: HindsightConfig, scenario: Scenario) -> Iterable[tuple[str, L
         line = draw_episode(environment, seed, 0).line
         assert isinstance(line, Line)  # it has been drawn
         yield f"drawn {seed}", line
+
+
+def best_by_section(costs: Mapping[float, Array]) -> list[float]:
+    """Command with the lowest J in each section, of the J of the sections by command, each of shape (s,)."""
+    currents = sorted(costs)
+    return [currents[k] for k in np.argmin([costs[current] for current in currents], axis=0)]
 
 
 def _mean_ratio(ratios: Sequence[float] | Array) -> float:

@@ -32,6 +32,7 @@ OFFERED = {
     "evaluate": {*GRID, *RUNS, *SHOWN, "line", "initial-current", "seed", "seeds"},
     "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"},
     "hindsight": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick"},
+    "bound": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "conditions", "quick", "convergence"},
     "compare": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick", "seed"},
     "render": {*VEHICLE, *SHOWN, *FOREIGN, "policy", "speed", "environment", "seconds", "fps", "file"}
     | {"exaggeration", "seed", "line"},
