@@ -160,11 +160,8 @@ class SequenceSearcher:
     """
 
     def __init__(self, config: EnvironmentConfig, scenario: Scenario, settings: SequenceSearch) -> None:
-        period = config.control_period
-        for name in ("replan_s", "horizon_s"):
-            if not is_multiple(value := getattr(settings, name), period):
-                raise ConfigError(f"search.{name}: found {value:g} s; expected a multiple of {period:g} s")
-        self._settings, self._period, self._seconds = settings, period, config.episode_s
+        check_times(settings, config.control_period)
+        self._settings, self._period, self._seconds = settings, config.control_period, config.episode_s
         self._replays = Replays(config, scenario, settings.samples)
         self._one = Replays(config, scenario, 1)
 
@@ -263,3 +260,16 @@ class SequenceSearcher:
         return np.stack(
             [np.interp(np.arange(periods), places, unit) for unit in np.eye(count + 1)[:-1]], axis=1
         )
+
+
+def check_times(settings: SequenceSearch, period: float) -> None:
+    """Refuse times of a search that are no whole numbers of control periods (s).
+
+    Raises
+    ------
+    ConfigError
+        There is one; the message names it.
+    """
+    for name in ("replan_s", "horizon_s"):
+        if not is_multiple(value := getattr(settings, name), period):
+            raise ConfigError(f"search.{name}: found {value:g} s; expected a multiple of {period:g} s")

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from sayd_env.config.bound import BoundConfig, SequenceSearch
+from sayd_env.runs.clairvoyant import check_times
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.bound.cases import (
@@ -53,6 +54,8 @@ def bound(
     specs = (*([policy_spec(FROM)] if absent else []), *policies)
     runs = [CandidateRun(Case.of(config, each), specs, config.constant) for each in config.conditions]
     others = _others(config) if convergence else []
+    for settings, run in product((config.search, *others), runs):  # refused before any work
+        check_times(settings, run.case.semi_active.config.control_period)
     few = config.convergence.conditions
     context, count = context or RunContext(), len(runs)
     whole = 2 * count + len(others) * len(runs[:few])
@@ -102,7 +105,8 @@ def _reached(run: CandidateRun, found: Candidates, searched: Searched) -> Reache
         changes=searched.changes,
         decisions=searched.decisions,
         seconds=searched.seconds,
-        commands=tuple(searched.commands.mean(axis=0, dtype=np.float64).tolist()),
+        period=run.case.semi_active.config.control_period,
+        commands=searched.commands,
     )
 
 

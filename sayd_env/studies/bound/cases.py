@@ -325,5 +325,5 @@ def _searched(run: SearchRun) -> Searched:
         changes=found.changes,
         decisions=found.decisions,
         seconds=found.seconds,
-        commands=found.commands.astype(np.float32),
+        commands=found.commands,
     )

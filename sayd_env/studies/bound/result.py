@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,6 +27,8 @@ REFERENCE = "reference"
 """The lowest J of all in each condition."""
 FROM = "mppt2"
 """From where the way to the reference is counted."""
+ROUNDING = 1e-9
+"""Costs that differ by less, relatively, are the same: sums of the same numbers in another order."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,10 @@ class Reached:
     decisions: int
     seconds: float
     """Simulated time of the search, s."""
-    commands: tuple[float, ...]
-    """Mean commands of the search, as the environment's valves are: of the bogies, front and rear."""
+    period: float
+    """Control period, s."""
+    commands: Array
+    """(n, A) commands of the search, as the environment's valves are: of the bogies, front and rear."""
 
     @property
     def reference(self) -> float:
@@ -121,7 +125,7 @@ class BoundResult:
     @property
     def won(self) -> int:
         """Conditions in which the search itself has the lowest J."""
-        return sum(each.J[CLAIRVOYANT] < each.without_search for each in self.reached)
+        return sum(each.J[CLAIRVOYANT] < (1.0 - ROUNDING) * each.without_search for each in self.reached)
 
     def shares(self) -> list[Share]:
         """How far each rule is on the way from MPPT2 to the reference."""
@@ -158,7 +162,7 @@ class BoundResult:
                     "best_constant": each.current,
                     "best_by_section": each.section_currents,
                     **{name: getattr(each, name) for name in _SEARCH},
-                    "mean_command": each.commands,
+                    "mean_command": each.commands.mean(axis=0),
                 }
                 for each in self.reached
             ],
@@ -166,7 +170,7 @@ class BoundResult:
         }
 
     def tables(self) -> dict[str, Table]:
-        """Shares; J by condition and rule; the searches; convergence."""
+        """Shares; J by condition and rule; the searches and their commands; convergence."""
         conditions = [
             {"condition": each.condition, "rule": rule, "J": each.cost(rule)}
             | {"derailed": each.derailed.get(rule, False)}
@@ -177,10 +181,18 @@ class BoundResult:
             "shares": csv_table(_SHARES, self.shares()),
             "conditions": csv_table([Column(name) for name in conditions[0]], conditions),
             "searches": csv_table(_CONDITIONS, self.reached),
+            "commands": (("condition", "time_s", "valve", "command"), self._commands()),
         }
         if self.convergence:
             found["convergence"] = csv_table(_CONVERGENCE, self.convergence)
         return found
+
+    def _commands(self) -> Iterator[tuple[str, float, int, float]]:
+        """Commands of the search, at the start of each control period."""
+        for each in self.reached:
+            for n, row in enumerate(each.commands):
+                for valve, command in enumerate(row):
+                    yield each.condition, round(n * each.period, 9), valve, float(command)
 
     def plots(self) -> dict[str, Plot]:
         """J of each rule over the reference, condition by condition."""
