@@ -199,17 +199,17 @@ class SequenceSearcher:
         self, state: EpisodeState, plan: Array, guesses: Sequence[Array], random: np.random.Generator
     ) -> tuple[float, int, int]:
         """Improve a plan in place, decision by decision; returns its cost, changes and decisions."""
-        horizon, step = (round(self._settings.horizon_s / self._period), self._replan)
-        cost, changes, starts = 0.0, 0, range(0, len(plan), self._replan)
+        horizon, step = round(self._settings.horizon_s / self._period), self._replan
+        costs, changes, starts = np.empty(len(plan)), 0, range(0, len(plan), step)
         for p in starts:
             ahead = slice(p, p + horizon)
             others = [guess[ahead] for guess in guesses]
             better = self._decide(state, plan[ahead], others, random)
             changes += not np.array_equal(better, plan[ahead])
             plan[ahead] = better
-            cost += float(self._one.costs(state, plan[None, p : p + step]).sum())
+            costs[p : p + step] = self._one.costs(state, plan[None, p : p + step])[0]
             state = self._one.state(0)
-        return cost, changes, len(starts)
+        return float(costs.sum()), changes, len(starts)
 
     @property
     def _replan(self) -> int:

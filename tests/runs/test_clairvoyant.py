@@ -22,7 +22,7 @@ ENVIRONMENT = "base: {base}\nstudy: {study}\nrun_in: 20.0\nepisode_s: 1.0\n"
 LINE = """
 sections:
   - {name: straight, length: 30.0, speed_kmh: 250.0}
-  - {name: curve, length: 300.0, speed_kmh: 250.0, radius: 3000.0, turn: left, transition: 40.0, friction: 0.2}
+  - {name: curve, length: 300.0, speed_kmh: 250.0, radius: 3000.0, turn: left, transition: 40.0}
 """
 SETTINGS: dict[str, Any] = {
     "samples": 6,

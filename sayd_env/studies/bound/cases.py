@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sayd_env.config.bound import BoundCondition, BoundConfig, ConstantSearch, SequenceSearch
 from sayd_env.config.control import load_online
@@ -132,9 +133,7 @@ class Candidates:
         The places are those of the policies, then those of the best constant command and the schedule.
         """
         shape = self.actions.shape[1:]
-        known = [
-            (i, float(self.J[i]), np.asarray(own, dtype=np.float64)) for i, own in enumerate(self.actions)
-        ]
+        known = [(i, float(self.J[i]), own) for i, own in enumerate(self.actions)]
         usable = [each for each in known if np.all(np.isfinite(each[2]))]
         constant = np.full(shape, self.currents[self.best])
         schedule = np.broadcast_to(self.schedule[:, None], shape).copy()
@@ -197,7 +196,7 @@ def _rolled_out(case: Case, policy: PolicySpec) -> Rollout:
 
 def _commands(rollout: Rollout, setup: Setup, shape: tuple[int, int], case: Case) -> Array:
     """Commands of a policy, NaN where they are not those of the search's valves and clock."""
-    own, found = case.semi_active.config, np.full(shape, np.nan, dtype=np.float32)
+    own, found = case.semi_active.config, np.full(shape, np.nan)
     same = all(
         getattr(setup.config, key) == getattr(own, key) for key in ("damper", "valves", "control_period")
     )
@@ -253,10 +252,11 @@ class _Constants:
                 [new for each in set(self.by_section()[0]) for new in halfway(each, tried, self._closed)]
             )
 
-    def by_section(self) -> tuple[list[float], Array]:
+    def by_section(self) -> tuple[list[float], npt.NDArray[np.int64]]:
         """The best command of each section, and the section of each control period."""
         sections = {
-            current: np.bincount(self._place, costs, self._sections) for current, costs in self.costs.items()
+            current: np.asarray(np.bincount(self._place, costs, self._sections), dtype=np.float64)
+            for current, costs in self.costs.items()
         }
         return best_by_section(sections), self._place
 
