@@ -223,7 +223,7 @@ class _Constants:
             if line is None
             else Trip(line, episode.speed).sections(times)
         )
-        self._sections = 1 if line is None else len(line.sections)
+        self._sections = int(self._place.max()) + 1  # those that the episode reaches
         self.costs: dict[float, Array] = {}
         """(n,) what each control period of a command adds to J times the episode's length, s."""
 
