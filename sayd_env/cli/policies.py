@@ -215,7 +215,7 @@ def bound(
     of each section of its line, and a search over command sequences on the true simulator with its future
     track: model-predictive control that cannot be built. It starts from the best of the others. The reference
     is the lowest J of all; the way to it is counted from MPPT2. Weights, conditions and the size of the
-    search are those of the configuration; a condition of 20 s takes about a minute. Finished conditions are
+    search are those of the configuration; a condition of 20 s takes a minute or two. Finished conditions are
     kept in the output directory: an interrupted study goes on where it stopped.
     """
     from sayd_env.config.bound import load_bound, load_conditions  # noqa: PLC0415 - keeps --help fast

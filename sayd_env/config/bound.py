@@ -84,8 +84,8 @@ class SequenceSearch(Model):
     iterations: int = quantity("-", "Iterations at each decision", ge=1, le=100)
     passes: int = quantity("-", "Passes over the episode, each from what the last one found", ge=1, le=20)
     replan_s: float = quantity("s", "Time between decisions", gt=0.0, le=10.0)
+    window_s: float = quantity("s", "Over which a decision may change the plan", gt=0.0, le=60.0)
     horizon_s: float = quantity("s", "How far each decision looks ahead", gt=0.0, le=60.0)
-    tail_s: float = quantity("s", "Last part of the horizon, over which the plan stays as it is", ge=0.0)
     knots_s: tuple[Annotated[Number, Field(gt=0.0)], ...] = Field(
         min_length=1,
         description="Distances of the knots of a change (s), in turn from iteration to iteration",
@@ -96,10 +96,10 @@ class SequenceSearch(Model):
 
     @model_validator(mode="after")
     def _looks_ahead(self) -> SequenceSearch:
-        if self.horizon_s - self.tail_s < self.replan_s:
+        if not self.replan_s <= self.window_s <= self.horizon_s:
             raise ValueError(
-                f"horizon_s ({self.horizon_s:g} s) less tail_s ({self.tail_s:g} s) must be replan_s "
-                f"({self.replan_s:g} s) or more"
+                f"replan_s ({self.replan_s:g} s), window_s ({self.window_s:g} s) and horizon_s "
+                f"({self.horizon_s:g} s) must not fall in this order"
             )
         return self
 
@@ -144,7 +144,7 @@ class BoundConfig(BoundConditions):
 
     @model_validator(mode="after")
     def _horizons_reach(self) -> BoundConfig:
-        least = self.search.tail_s + self.search.replan_s
+        least = self.search.window_s
         for horizon in self.convergence.horizons_s:
             if horizon < least:
                 raise ValueError(f"convergence.horizons_s: found {horizon:g} s; expected {least:g} s or more")

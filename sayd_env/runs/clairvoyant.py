@@ -142,8 +142,8 @@ class SequenceSearcher:
     """Cross-entropy method on sequences of commands, with a receding horizon.
 
     At each decision the simulator runs sequences from the present state over the horizon. A sequence is the
-    plan with a change: straight lines between knots, for each command one, that end where the tail of the
-    horizon begins. Over the tail the plan goes on as it is, so that what a change excites, above all hunting,
+    plan with a change: straight lines between knots, for each command one, over the window with which the
+    horizon begins. Behind it the plan goes on as it is, so that what a change excites, above all hunting,
     which grows more slowly than the force falls, has time to cost. The best sequence becomes the plan, never
     a worse one; the spread of the changes is that of the best ones of the iteration before.
 
@@ -245,14 +245,13 @@ class SequenceSearcher:
         return best
 
     def _window(self, periods: int) -> int:
-        """Control periods of a horizon over which the plan may change: all, where the episode ends in it."""
-        whole = round(self._settings.horizon_s / self._period)
-        return periods - (round(self._settings.tail_s / self._period) if periods == whole else 0)
+        """Control periods over which the plan may change, of so many to the end of horizon or episode."""
+        return min(round(self._settings.window_s / self._period), periods)
 
     def _basis(self, knots: float, periods: int) -> Array:
         """Changes of each control period by unit changes at the knots, shape (periods, knots).
 
-        They end, with zero, where the tail begins.
+        They end, with zero, at the end of the window.
         """
         window = self._window(periods)
         count = max(1, math.ceil(window * self._period / knots - 1e-9))
@@ -270,6 +269,6 @@ def check_times(settings: SequenceSearch, period: float) -> None:
     ConfigError
         There is one; the message names it.
     """
-    for name in ("replan_s", "horizon_s"):
+    for name in ("replan_s", "window_s", "horizon_s"):
         if not is_multiple(value := getattr(settings, name), period):
             raise ConfigError(f"search.{name}: found {value:g} s; expected a multiple of {period:g} s")

@@ -29,8 +29,8 @@ SETTINGS: dict[str, Any] = {
     "iterations": 2,
     "passes": 1,
     "replan_s": 0.2,
+    "window_s": 0.2,
     "horizon_s": 0.4,
-    "tail_s": 0.2,
     "knots_s": (0.1, 0.05),
     "spread": 0.3,
     "elite": 0.5,
@@ -108,6 +108,6 @@ def test_it_is_never_worse_than_its_plan_and_draws_from_its_seed(toy: str) -> No
 
 def test_times_are_whole_control_periods(toy: str) -> None:
     with pytest.raises(ConfigError, match=r"search.replan_s: found 0.205 s; expected a multiple of 0.01 s"):
-        searched(toy, 0.5, replan_s=0.205, tail_s=0.1)
-    with pytest.raises(ValueError, match=r"horizon_s \(0.3 s\) less tail_s \(0.2 s\) must be replan_s"):
-        SequenceSearch.model_validate(SETTINGS | {"horizon_s": 0.3})
+        searched(toy, 0.5, replan_s=0.205, window_s=0.3)
+    with pytest.raises(ValueError, match=r"window_s \(0.2 s\) and horizon_s \(0.1 s\) must not fall"):
+        SequenceSearch.model_validate(SETTINGS | {"horizon_s": 0.1})

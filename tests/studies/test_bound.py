@@ -27,7 +27,7 @@ CHANGES = (
     "search.samples=6",
     "search.iterations=1",
     "search.horizon_s=1.0",
-    "search.tail_s=0.5",
+    "search.window_s=0.5",
     "convergence={conditions: 1, samples: [6, 8], horizons_s: [1.0]}",
 )
 
@@ -127,8 +127,8 @@ def test_what_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture
         (["--conditions", str(tmp_path / "none.yaml")], "none.yaml"),
         (["--set", "conditions=[{seed: 1, speed_kmh: 5000.0}]"], "5000"),
         (["--set", "search.replan_s=0.123"], "search.replan_s"),
-        (["--set", "search.tail_s=2.4"], "horizon_s"),
-        (["--set", "convergence.horizons_s=[1.0]"], "convergence.horizons_s"),
+        (["--set", "search.window_s=0.4"], "window_s"),
+        (["--set", "convergence.horizons_s=[0.2]"], "convergence.horizons_s"),
     ):
         assert main(["bound", *arguments, "--json"]) == 2
         assert said in capsys.readouterr().err
