@@ -223,7 +223,7 @@ def bound(
     from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
     from sayd_env.studies.bound.bound import bound as study  # noqa: PLC0415
 
-    settings = load_bound(config or "bound", assignments or ())
+    settings = load_bound("bound" if config is None else config, assignments or ())
     settings = settings if conditions is None else settings.of(load_conditions(conditions))
     settings = settings.shortened() if quick else settings
     specs = policy_specs(
