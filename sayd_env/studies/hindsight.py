@@ -21,7 +21,7 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.envs.draw import draw_episode
 from sayd_env.physics.throttle import overlap
 from sayd_env.report.columns import Column, Table, csv_table, print_table
-from sayd_env.report.figures import Plot, label, name_rows, reference_line
+from sayd_env.report.figures import Plot, ratio_rows
 from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved, schedule_spec
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec, constant_spec, for_policy
@@ -199,20 +199,12 @@ class HindsightResult:
         print_table(console, about, names, best, wide=wide)
 
     def _draw(self, figure: Figure) -> None:
-        rules = self.rules[1:]
-        figure.set_size_inches(8.0, 0.4 * len(rules) + 1.5)
-        axes = figure.subplots()
-        axes.grid(alpha=0.3)
-        gaps = {gap.rule: gap.gap for gap in self.gaps()}
-        for k, rule in enumerate(rules):
-            ratios = [line.costs[rule] / line.costs[HINDSIGHT] for line in self.lines]
-            colour = policy_style(rule).colour if rule in self.policies else "0.1"
-            axes.plot(ratios, [k] * len(ratios), "o", color=colour, markersize=4, alpha=0.6)
-            axes.plot([1.0 + gaps[rule]], [k], "|", color=colour, markersize=18, markeredgewidth=2.5)
-        name_rows(axes, [label(rule) for rule in rules])
-        axes.set_xscale("log")
-        reference_line(axes, 1.0, vertical=True)
-        axes.set_xlabel("J over that of the best commands by section; points: lines, bar: geometric mean")
+        ratios = {
+            rule: [line.costs[rule] / line.costs[HINDSIGHT] for line in self.lines] for rule in self.rules[1:]
+        }
+        colours = {rule: policy_style(rule).colour if rule in self.policies else "0.1" for rule in ratios}
+        about = "J over that of the best commands by section; points: lines, bar: geometric mean"
+        ratio_rows(figure, ratios, colours, about)
 
 
 def hindsight(

@@ -14,7 +14,7 @@ from sayd_env.config.bound import BoundConfig
 from sayd_env.config.palette import policy_style
 from sayd_env.config.units import Array
 from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
-from sayd_env.report.figures import Plot, label, name_rows, reference_line
+from sayd_env.report.figures import Plot, ratio_rows
 from sayd_env.studies.bound.cases import CONSTANT, SCHEDULE
 
 if TYPE_CHECKING:
@@ -211,20 +211,10 @@ class BoundResult:
             print_table(console, about, _CONVERGENCE, self.convergence, wide=wide)
 
     def _draw(self, figure: Figure) -> None:
-        rules = self.rules[:-1]
-        figure.set_size_inches(8.0, 0.4 * len(rules) + 1.5)
-        axes = figure.subplots()
-        axes.grid(alpha=0.3)
-        gaps = {share.rule: share.gap for share in self.shares()}
-        for k, rule in enumerate(rules):
-            ratios = [each.J[rule] / each.reference for each in self.reached]
-            colour = policy_style(rule).colour if rule in self.policies else "0.1"
-            axes.plot(ratios, [k] * len(ratios), "o", color=colour, markersize=4, alpha=0.6)
-            axes.plot([1.0 + gaps[rule]], [k], "|", color=colour, markersize=18, markeredgewidth=2.5)
-        name_rows(axes, [label(rule) for rule in rules])
-        axes.set_xscale("log")
-        reference_line(axes, 1.0, vertical=True)
-        axes.set_xlabel("J over the reference's; points: conditions, bar: geometric mean")
+        ratios = {rule: [each.J[rule] / each.reference for each in self.reached] for rule in self.rules[:-1]}
+        colours = {rule: policy_style(rule).colour if rule in self.policies else "0.1" for rule in ratios}
+        about = "J over the reference's; points: conditions, bar: geometric mean"
+        ratio_rows(figure, ratios, colours, about)
 
 
 def _part(way: Array, whole: Array) -> float:
