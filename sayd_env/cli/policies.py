@@ -188,6 +188,55 @@ def hindsight(
     return Plan(lambda run: study(settings, specs, context=run), settings, settings.seeds[0])
 
 
+@command(GROUP, "--quick", runs=True)
+def bound(
+    foreign: options.ForeignOptions,
+    *,
+    policies: Names | None = options.policies(
+        f"Who is compared beside mppt2 ({options.WHICH}). Default: the controllers of the configuration."
+    ),
+    config: str | None = scenario(
+        "--config NAME|FILE", "Conditions and searches: a YAML file. Default: configs/study/bound.yaml."
+    ),
+    conditions: str | None = scenario(
+        "--conditions FILE",
+        "Conditions in place of the configuration's: a YAML file with the key conditions.",
+    ),
+    assignments: options.Set = None,
+    quick: options.Quick = False,
+    convergence: bool = option(
+        "--convergence",
+        "Search some conditions with other numbers of samples and horizons, too.",
+        default=False,
+    ),
+) -> Plan:
+    """Find what the best possible controller could reach, and how far policies are on the way to it.
+
+    In each condition run the policies, the best constant command, found by a bounded search, the best command
+    of each section of its line, and a search over command sequences on the true simulator with its future
+    track: model-predictive control that cannot be built. It starts from the best of the others. The reference
+    is the lowest J of all; the way to it is counted from MPPT2. Weights, conditions and the size of the
+    search are those of the configuration; a condition of 20 s takes a minute or two. Finished conditions are
+    kept in the output directory: an interrupted study goes on where it stopped.
+    """
+    from sayd_env.config.bound import load_bound, load_conditions  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.environment import load_environment  # noqa: PLC0415
+    from sayd_env.runs.policies import policy_specs  # noqa: PLC0415
+    from sayd_env.studies.bound.bound import bound as study  # noqa: PLC0415
+
+    settings = load_bound("bound" if config is None else config, assignments or ())
+    settings = settings if conditions is None else settings.of(load_conditions(conditions))
+    settings = settings.shortened() if quick else settings
+    specs = policy_specs(
+        policies or settings.policies, foreign.reader(load_environment(settings.environment))
+    )
+    return Plan(
+        lambda run: study(settings, specs, convergence=convergence, context=run),
+        settings,
+        settings.conditions[0].seed,
+    )
+
+
 @command(GROUP, "--quick --policies mppt2,safe:mppt2", runs=True)
 def robustness(
     foreign: options.ForeignOptions,

@@ -121,6 +121,23 @@ def name_rows(axes: Axes, names: Iterable[str]) -> None:
     axes.set_ylim(len(labels) - 0.5, -0.5)
 
 
+def ratio_rows(
+    figure: Figure, ratios: Mapping[str, Sequence[float]], colours: Mapping[str, str], about: str
+) -> None:
+    """Draw ratios, each name's in a row: points, and a bar at their geometric mean; `about` is the label."""
+    figure.set_size_inches(8.0, 0.4 * len(ratios) + 1.5)
+    axes = figure.subplots()
+    axes.grid(alpha=0.3)
+    for k, (name, values) in enumerate(ratios.items()):
+        mean, colour = float(np.exp(np.mean(np.log(values)))), colours[name]
+        axes.plot(values, [k] * len(values), "o", color=colour, markersize=4, alpha=0.6)
+        axes.plot([mean], [k], "|", color=colour, markersize=18, markeredgewidth=2.5)
+    name_rows(axes, ratios)
+    log_axis(axes, "x")
+    reference_line(axes, 1.0, vertical=True)
+    axes.set_xlabel(about)
+
+
 def legend_below(figure: Figure, *axes: Axes, columns: int = 4) -> None:
     """Put one legend of some panels, each name once, below all of them."""
     by_label: dict[str, Any] = {}

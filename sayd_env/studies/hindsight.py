@@ -21,7 +21,7 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.envs.draw import draw_episode
 from sayd_env.physics.throttle import overlap
 from sayd_env.report.columns import Column, Listing, Table, csv_table
-from sayd_env.report.figures import Plot, label, name_rows, reference_line
+from sayd_env.report.figures import Plot, ratio_rows
 from sayd_env.report.html import Grid, Page, Picture, Section, Verdict
 from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved, schedule_spec
 from sayd_env.runs.context import RunContext
@@ -220,20 +220,12 @@ class HindsightResult:
         yield Listing(f"best constant commands; for all lines {self.current:.2f}", names, best)
 
     def _draw(self, figure: Figure) -> None:
-        rules = self.rules[1:]
-        figure.set_size_inches(8.0, 0.4 * len(rules) + 1.5)
-        axes = figure.subplots()
-        axes.grid(alpha=0.3)
-        gaps = {gap.rule: gap.gap for gap in self.gaps()}
-        for k, rule in enumerate(rules):
-            ratios = [line.costs[rule] / line.costs[HINDSIGHT] for line in self.lines]
-            colour = policy_style(rule).colour if rule in self.policies else BLACK
-            axes.plot(ratios, [k] * len(ratios), "o", color=colour, markersize=4, alpha=0.6)
-            axes.plot([1.0 + gaps[rule]], [k], "|", color=colour, markersize=18, markeredgewidth=2.5)
-        name_rows(axes, [label(rule) for rule in rules])
-        axes.set_xscale("log")
-        reference_line(axes, 1.0, vertical=True)
-        axes.set_xlabel("J over that of the best commands by section; points: lines, bar: geometric mean")
+        ratios = {
+            rule: [line.costs[rule] / line.costs[HINDSIGHT] for line in self.lines] for rule in self.rules[1:]
+        }
+        colours = {rule: policy_style(rule).colour if rule in self.policies else BLACK for rule in ratios}
+        about = "J over that of the best commands by section; points: lines, bar: geometric mean"
+        ratio_rows(figure, ratios, colours, about)
 
 
 def hindsight(
@@ -313,9 +305,7 @@ class _Study:
 
     def chosen(self, name: str) -> list[float]:
         """Best command of each section."""
-        currents = sorted(self._records[name])
-        costs = np.array([self._by_section(name, current) for current in currents])
-        return [currents[k] for k in np.argmin(costs, axis=0)]
+        return best_by_section({current: self._by_section(name, current) for current in self._records[name]})
 
     def cost(self, name: str, current: float) -> float:
         """J of a constant command on a line."""
@@ -390,6 +380,12 @@ def _lines(config: HindsightConfig, scenario: Scenario) -> Iterable[tuple[str, L
         line = draw_episode(environment, seed, 0).line
         assert isinstance(line, Line)  # it has been drawn
         yield f"drawn {seed}", line
+
+
+def best_by_section(costs: Mapping[float, Array]) -> list[float]:
+    """Command with the lowest J in each section, of the J of the sections by command, each of shape (s,)."""
+    currents = sorted(costs)
+    return [currents[k] for k in np.argmin([costs[current] for current in currents], axis=0)]
 
 
 def _mean_ratio(ratios: Sequence[float] | Array) -> float:

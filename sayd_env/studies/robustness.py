@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,10 +21,9 @@ from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.track import read_irregularity
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, name_rows, panels
-from sayd_env.report.files import json_text
-from sayd_env.report.html import Code, Grid, Picture, Section, Text, report
+from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PASSIVE, PolicySpec, constant_spec, for_policy
@@ -142,6 +141,24 @@ _VERDICTS = (
     Column("worst_other", "worst of them", wide=True),
     Column("derailed", "derailed", limit=0.0),
 )
+_PICTURES = (
+    (
+        "robustness_axes",
+        "J over each quantity",
+        (
+            "Largest J over the passive vehicle's with the same disturbance. Below the dashed line the policy is "
+            "better than passive dampers in every condition.",
+        ),
+    ),
+    (
+        "robustness_faults",
+        "J with each fault",
+        (
+            "The same with each single fault; the dashed line is what is asked, unless the best constant command "
+            "is no better.",
+        ),
+    ),
+)
 _RUNS = ("J", "acceleration_ratio", "valve_mean", "fallback_share", "ending")
 
 
@@ -214,19 +231,46 @@ class RobustnessResult:
             found["robustness_axes"] = self._draw_axes
         return found
 
-    def pages(self, images: Mapping[str, bytes], document: Mapping[str, Any]) -> dict[str, str]:
-        """One page: what is met, pictures, and all outcomes."""
-        return {"robustness": robustness_page(self, images, document)}
+    def page(self) -> Page:
+        """What is asked and met, the pictures, and all outcomes."""
+        conditions = "; ".join(each.text for each in self.config.conditions)
+        words = (
+            f"Every policy, the passive vehicle and constant commands meet the same conditions ({conditions}; "
+            f"{len(self.config.seeds)} seeds each) with one thing changed at a time. {self._asked}"
+        )
+        verdicts, *missed = self._listings()
+        met = sum(each.holds for each in self.outcomes)
+        verdict = Verdict(
+            [f"{met} of {len(self.outcomes)} outcomes are as asked."], met == len(self.outcomes)
+        )
+        everything = Listing("all outcomes", OUTCOMES, self.outcomes, "policy")
+        pictures = [Picture(*each) for each in _PICTURES if each[0] in self.plots()]
+        sections = [
+            Section("What is asked, and met", [Text(words), *map(Grid.of, (verdicts, *missed))]),
+            Section("Pictures", pictures),
+            Section("All outcomes", [Grid.of(everything, _picture_of)]),
+        ]
+        return Page(TITLE, verdict, sections)
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print what each policy meets, and what it misses."""
-        asked, conditions = self.config.asked, self.config.conditions
-        title = f"{len(conditions)} conditions x {len(self.config.seeds)} seeds: what is asked, and met"
-        print_table(console, title, _VERDICTS, self.verdicts, wide=wide)
-        console.print(asked_text(asked.to_passive, asked.to_best_constant, asked.worse_than_passive))
+        verdicts, *missed = self._listings()
+        verdicts.print(console, wide)
+        console.print(self._asked)
+        for listing in missed:
+            listing.print(console, wide)
+
+    @property
+    def _asked(self) -> str:
+        asked = self.config.asked
+        return asked_text(asked.to_passive, asked.to_best_constant, asked.worse_than_passive)
+
+    def _listings(self) -> Iterator[Listing]:
+        count = f"{len(self.config.conditions)} conditions x {len(self.config.seeds)} seeds"
+        yield Listing(f"{count}: what is asked, and met", _VERDICTS, self.verdicts)
         missed = [each for each in self.outcomes if not each.holds]
         if missed:
-            print_table(console, "missed: largest ratios of J", OUTCOMES, missed, wide=wide, section="policy")
+            yield Listing("missed: largest ratios of J", OUTCOMES, missed, "policy")
 
     def _conditions(self) -> list[OperatingCondition]:
         return [each for each in self.config.conditions for _ in self.config.seeds]
@@ -313,49 +357,9 @@ class RobustnessResult:
         log_axis(axes, which)
 
 
-def robustness_page(
-    result: RobustnessResult, images: Mapping[str, bytes], document: Mapping[str, Any]
-) -> str:
-    """Page of a result from its pictures and the content of ``result.json``."""
-    asked = result.config.asked
-    conditions = "; ".join(each.text for each in result.config.conditions)
-    words = (
-        f"Every policy, the passive vehicle and constant commands meet the same conditions ({conditions}; "
-        f"{len(result.config.seeds)} seeds each) with one thing changed at a time. "
-        + asked_text(asked.to_passive, asked.to_best_constant, asked.worse_than_passive)
-    )
-    missed = frozenset(i for i, each in enumerate(result.outcomes) if not each.holds)
-    pictures = [
-        Picture(images[name], alternative, (text,))
-        for name, alternative, text in (
-            (
-                "robustness_axes",
-                "J over each quantity",
-                "Largest J over the passive vehicle's with the same disturbance. Below the dashed line the "
-                "policy is better than passive dampers in every condition.",
-            ),
-            (
-                "robustness_faults",
-                "J with each fault",
-                "The same with each single fault; the dashed line is what is asked, unless the best "
-                "constant command is no better.",
-            ),
-        )
-        if name in images
-    ]
-    about = [(key, document.get(key)) for key in ("command", "created", "git_commit", "git_modified")]
-    return report(
-        TITLE,
-        [
-            Section("What is asked, and met", [Text(words), Grid.of(_VERDICTS, result.verdicts)]),
-            Section("Pictures", pictures),
-            Section("All outcomes", [Grid.of(OUTCOMES, result.outcomes, missed)]),
-            Section(
-                "How this was computed",
-                [Grid(("", ""), about), Code("All values", json_text(document.get("config")))],
-            ),
-        ],
-    )
+def _picture_of(outcome: Outcome) -> str | None:
+    """The figure in which an outcome is seen."""
+    return {FAULT: "robustness_faults", UNDISTURBED: None}.get(outcome.axis, "robustness_axes")
 
 
 def asked_text(to_passive: float, to_best_constant: float, worse_than_passive: float) -> str:

@@ -25,6 +25,7 @@ COMMANDS = (
     "linearise",
     "calibrate",
     "hindsight",
+    "bound",
     "bench",
 )
 RUNS = ("critical-speed", "evaluate", "modes")

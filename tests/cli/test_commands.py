@@ -34,6 +34,7 @@ OFFERED = {
     "evaluate": {*GRID, *RUNS, *SHOWN, "line", "initial-current", "seed", "seeds"},
     "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"},
     "hindsight": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick"},
+    "bound": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "conditions", "quick", "convergence"},
     "robustness": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick"},
     "compare": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick", "seed"},
     "render": {*VEHICLE, *SHOWN, *FOREIGN, "policies", "speed", "environment", "seconds", "fps", "file"}

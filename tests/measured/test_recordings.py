@@ -21,7 +21,9 @@ from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.scenario import load_scenario
 from sayd_env.measured import formats, recordings
+from sayd_env.report.figures import Drawing
 from sayd_env.report.files import csv_bytes, json_text
+from sayd_env.report.html import page_html
 from sayd_env.stability import Quantity, Recording, read_recording
 from sayd_env.studies.assess import Stated, Train, assess_file
 
@@ -90,8 +92,8 @@ def test_the_page_has_verdict_pictures_sections_and_what_was_done(ride: Path) ->
     assert rows[0]["rms"] == pytest.approx(4 / np.sqrt(2) * np.sqrt(1 - np.sin(angle) / angle), rel=3e-4)
     assert rows[2]["band_rms"] == pytest.approx(rows[2]["rms"], rel=1e-3)
     assert rows[0]["high"] == pytest.approx(4 * np.cos(np.pi * 0.0015), rel=1e-3)
-    images = dict.fromkeys(result.plots(), b"picture")
-    page = result.pages(images, {"config": {}, "command": "sayd assess <ride>"})["report"]
+    drawings = dict.fromkeys(result.plots(), Drawing(b"picture", {}))
+    page = page_html(result.page(), drawings, {"config": {}, "command": "sayd assess <ride>"})
     for words in (
         "The ride is unstable",
         "bogie of 5,600 kg",

@@ -19,7 +19,8 @@ from sayd_env.config.fault import Fault
 from sayd_env.config.robustness import Axis, RobustnessConfig, load_robustness, single_faults
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.sensors import KINDS, SIGNALS
-from sayd_env.report.figures import png_bytes
+from sayd_env.report.figures import drawing
+from sayd_env.report.html import page_html
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import policy_spec
@@ -168,10 +169,9 @@ def test_a_result_is_shown(read_page: Callable[[str], Any]) -> None:
     result.summary(Console(file=text, width=80))
     assert max(map(len, text.getvalue().splitlines())) <= 80
     assert result.as_dict()["verdicts"][0]["faults_met"] == 1
-    images = {name: png_bytes(draw, dpi=40) for name, draw in result.plots().items()}
-    page = read_page(result.pages(images, {"config": {}})["robustness"])
-    assert page.links == []
-    assert page.pictures == [images["robustness_axes"], images["robustness_faults"]]
+    drawings = {name: drawing(draw, dpi=40) for name, draw in result.plots().items()}
+    page = read_page(page_html(result.page(), drawings, {"config": {}}))
+    assert page.pictures == [drawings["robustness_axes"].png, drawings["robustness_faults"].png]
     assert "power lost" in page.text
     assert len(result.tables()["runs"][1]) == 5 * 3 * 2  # type: ignore[arg-type]
 

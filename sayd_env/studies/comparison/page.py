@@ -142,7 +142,7 @@ class CompareResult(Comparison):
 
 
 def _listings(result: CompareResult) -> Iterator[Listing]:
-    """Scores, J over the best constant's; gains of learned policies and what was asked, where there are any."""
+    """Scores, J over the best constant's; gains of learned policies and what was asked of them, if any."""
     count = f"{_count(result)} x {len(result.config.seeds)} seeds"
     title = f"{count}: J on line, and IQM of its ratio to MPPT2's (95 %)"
     lines = _lines(result)

@@ -17,6 +17,8 @@ from sayd_env.config.reproduction import load_reproduction
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.track import read_track
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.report.figures import Drawing
+from sayd_env.report.html import page_html
 from sayd_env.runs import passive
 from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import RunContext
@@ -274,7 +276,8 @@ def test_rows_under_other_assumptions(short_scenario: Scenario):
     assert {row["assumption"] for row in keys["assumptions"]} == {"study", "p", "c"}
     assert len(keys["assumptions"]) == 3 * len(ROWS)
     assert len(keys["critical_speeds"]) == 3 * 4
-    page = found.pages({}, {})["report"]
+    drawings = dict.fromkeys(found.plots(), Drawing(b"", {}))
+    page = page_html(found.page(), drawings, {})
     assert "What each assumption carries" in page
     assert "p, 1 seeds" in page
 

@@ -1,0 +1,1 @@
+"""What the best possible controller could reach."""
