@@ -32,11 +32,19 @@ from typing import Any
 import numpy as np
 import torch
 import yaml
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 
 from sayd_env.agents.config import TrainConfig, load_train
-from sayd_env.agents.learner import Progress, load_model, make_model, policy_layers, save_model
+from sayd_env.agents.learner import (
+    Progress,
+    estimator_layers,
+    load_model,
+    make_model,
+    policy_layers,
+    save_model,
+)
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env, seed_environments
 from sayd_env.agents.policy_file import StoredPolicy, describe, read_policy, save_policy
 from sayd_env.agents.table import Table
@@ -54,6 +62,8 @@ LIBRARIES = ("torch", "stable_baselines3", "gymnasium", "numpy")
 REPORT_SECONDS = 0.5
 LOGS = 10
 """Entries of the log from one checkpoint to the next."""
+MEANS = {"mean": "J", "geometric": "J_geometric"}
+"""Columns of the means of J over the scenarios."""
 MAY_CHANGE = {"total_steps"}
 """Keys that a resumed run may have otherwise."""
 
@@ -71,7 +81,7 @@ class Trained:
     steps: int
     seconds: float
     best: float
-    """Mean J of the best policy over the scenarios."""
+    """J of the best policy over the scenarios, in the mean by which it is judged."""
     evaluations: list[dict[str, Any]]
     references: list[dict[str, Any]]
 
@@ -128,7 +138,8 @@ def train(
 
 def environment_digest(config: TrainConfig) -> str:
     """Hash of environment and scenario, with all numbers that stand behind their names, and their version."""
-    parts = [part.model_dump(mode="json") for part in configured(**environment_keywords(config))]
+    every = [environment_keywords(config, beside) for beside in (None, *config.environment.beside)]
+    parts = [part.model_dump(mode="json") for keywords in every for part in configured(**keywords)]
     return hashlib.sha256(json.dumps([VERSION, *parts], sort_keys=True).encode()).hexdigest()
 
 
@@ -202,10 +213,12 @@ class _Run:
         costs = self.evaluator(policy)
         row = {"steps": now.steps, "seconds": round(now.seconds, 1)} | self._row(costs)
         self.evaluations.add(row)
-        self.model.logger.record("evaluation/J", row["J"])
-        if row["J"] < self.best:
-            save_policy(self.folder / BEST, self._policy(row["J"]))
-            self.best = row["J"]
+        for name in MEANS.values():
+            self.model.logger.record(f"evaluation/{name}", row[name])
+        judged = row[MEANS[self.config.evaluation.criterion]]
+        if judged < self.best:
+            save_policy(self.folder / BEST, self._policy(judged))
+            self.best = judged
         self.evaluations.save()
 
     def keep(self) -> None:
@@ -233,9 +246,13 @@ class _Run:
         )
 
     def _row(self, costs: Array) -> dict[str, float]:
-        cases = self.config.evaluation.cases
-        names = [f"J_{c['speed_kmh']:g}_kmh_wear_{c['wear']:g}_seed_{c['seed']}" for c in cases]
-        return {"J": float(np.mean(costs))} | dict(zip(names, map(float, costs), strict=True))
+        settings = self.config.evaluation
+        names = [f"J_{c['speed_kmh']:g}_kmh_wear_{c['wear']:g}_seed_{c['seed']}" for c in settings.cases]
+        for each in self.config.environment.beside:
+            names += [f"J_{Path(each.name).stem}_seed_{seed}" for seed in settings.beside_seeds]
+        geometric = float(np.exp(np.mean(np.log(costs))))
+        means = {MEANS["mean"]: float(np.mean(costs)), MEANS["geometric"]: geometric}
+        return means | dict(zip(names, map(float, costs), strict=True))
 
     def _policy(self, cost: float | None) -> StoredPolicy:
         layers, squash = policy_layers(self.model)
@@ -254,13 +271,15 @@ class _Run:
             name=f"{config.learning.algorithm}-s{config.seed}",
             view=config.view,
             inputs=config.inputs,
+            memory=config.memory,
             clip=config.clip,
             output=config.output,
             network=config.network,
+            estimate=config.estimator,
             squash=squash,
             made=made,
         )
-        return StoredPolicy(description, layers)
+        return StoredPolicy(description, layers, estimator_layers(self.model))
 
 
 class _Callback(BaseCallback):
@@ -273,6 +292,7 @@ class _Callback(BaseCallback):
         self._every = (max(checkpoint // LOGS, 1), run.config.evaluation.every, checkpoint)
         self._next = [(run.steps // each + 1) * each for each in self._every]
         self._fresh, self._reported = True, 0.0
+        self._rollout: Any = None
 
     def _on_rollout_start(self) -> None:
         run = self._run
@@ -280,7 +300,28 @@ class _Callback(BaseCallback):
         if self._fresh and not run.evaluations.rows:  # what it is worth before it has learned anything
             run.evaluate()
         self._fresh = False
+        self._estimate()
         self._due()
+
+    def _on_rollout_end(self) -> None:
+        if self.model.estimating is not None and isinstance(self.model, PPO):
+            self._rollout = self.model.rollout_buffer.observations  # the next rollout gets arrays of its own
+
+    def _estimate(self) -> None:
+        """Let the estimator learn between rollouts, where it changes no probability that was noted."""
+        model: Any = self.model
+        if model.estimating is None:
+            return
+        if self._rollout is not None:
+            errors = model.estimating.pass_over(self._rollout.reshape(-1, self._rollout.shape[-1]))
+            self._rollout = None
+        elif isinstance(model, SAC) and model.num_timesteps > model.learning_starts:
+            every = [model.replay_buffer.sample(model.batch_size) for _ in range(model.gradient_steps)]
+            errors = model.estimating.named([model.estimating.update(each.observations) for each in every])
+        else:
+            return
+        for name, error in errors.items():
+            model.logger.record_mean(name, error)
 
     def _on_training_end(self) -> None:
         self._run.steps = self.model.num_timesteps

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sayd_env.config import ConfigError
 from sayd_env.config.palette import policy_style
 from sayd_env.config.software import provenance
@@ -163,19 +165,26 @@ def policy_evaluator(config: TrainConfig, kept: KeptExecutor | None = None) -> E
     from sayd_env.runs.evaluator import PolicyEvaluator  # noqa: PLC0415 - keeps the import of studies light
     from sayd_env.runs.policies import learned_spec, policy_spec  # noqa: PLC0415
 
-    settings = config.evaluation
-    found = PolicyEvaluator(
-        config.environment.name,
-        settings.cases,
-        episode_s=settings.episode_s,
-        reward=config.environment.reward,
-        initial_current=settings.initial_current,
-        executor=None if kept is None else kept.choice,
-        kept=kept,
-    )
+    settings, environment = config.evaluation, config.environment
+    lists = [(environment.name, settings.episode_s, settings.cases)]
+    along = [{"seed": seed} for seed in settings.beside_seeds]
+    lists += [(each.name, each.episode_s, along) for each in environment.beside if along]
+    evaluators = [
+        PolicyEvaluator(
+            name,
+            cases,
+            episode_s=seconds,
+            reward=environment.reward,
+            initial_current=settings.initial_current,
+            executor=None if kept is None else kept.choice,
+            kept=kept,
+        )
+        for name, seconds, cases in lists
+    ]
 
     def evaluate(policy: StoredPolicy | str) -> Array:
-        return found.costs(policy_spec(policy) if isinstance(policy, str) else learned_spec(policy)).costs
+        spec = policy_spec(policy) if isinstance(policy, str) else learned_spec(policy)
+        return np.concatenate([each.costs(spec).costs for each in evaluators])
 
     return evaluate
 
