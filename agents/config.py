@@ -154,6 +154,10 @@ class SacConfig(Model):
     )
 
 
+MEANS = {"mean": "J", "geometric": "J_geometric"}
+"""Columns of a run's evaluations with the means of J over the scenarios."""
+
+
 class EvaluationConfig(Model):
     """The scenarios on which a policy is evaluated while it learns: all combinations."""
 
@@ -224,7 +228,12 @@ class TrainConfig(Model):
     @property
     def gamma(self) -> float:
         """Discount of one step."""
-        return math.exp(-self.environment.control_period * self.output.hold / self.discount_s)
+        return math.exp(-self.decision_period / self.discount_s)
+
+    @property
+    def decision_period(self) -> float:
+        """Time for which an output of the network holds (s)."""
+        return self.environment.control_period * self.output.hold
 
     @property
     def networks(self) -> int:

@@ -26,7 +26,6 @@ from sayd_env.agents.products import columns, times
 from sayd_env.config.learner import InputConfig
 from sayd_env.config.units import Array
 from sayd_env.envs.scaled import FLOOR, Observation, Scaling
-from sayd_env.physics.kernel import kernel
 
 AVERAGED = ("yaw_force", "lateral", "yawing", "yaw_stroke", "yaw_rate", "current", "force_level")
 """Quantities of a bogie of which averages are kept, with those of their squares, in this order."""
@@ -111,10 +110,10 @@ class Memory:
 
     def remember(self, state: Array, seen: Array) -> Array:
         """State after a control period, a new array, of that before and a flat observation, (N, signals)."""
-        values = self.values(seen)
-        after = np.empty((len(state) * self.units, len(self.keep), WIDTH))
-        _average(np.ascontiguousarray(state).reshape(after.shape), values, self.keep, after)
-        return after.reshape(len(state), self.width)
+        values, keep = self.values(seen), self.keep[:, None]
+        newest = np.concatenate([np.ones((len(values), 1)), values, values * values], axis=1)
+        before = state.reshape(len(values), len(keep), WIDTH)
+        return (keep * before + (1.0 - keep) * newest[:, None]).reshape(len(state), self.width)
 
     def values(self, seen: Array) -> Array:
         """The newest `AVERAGED` of each bogie, shape (N units, AVERAGED)."""
@@ -145,17 +144,3 @@ def _number(how: Remembered, mean: Array, variance: Array) -> Array:
         return np.sqrt(variance[:, :, place])
     rate = variance[:, :, AVERAGED.index("yaw_rate")]
     return np.sqrt(rate / np.maximum(variance[:, :, place], STILL)) / (2.0 * math.pi)
-
-
-@kernel(distinct=True, allocates=False)
-def _average(before: Array, values: Array, keep: Array, after: Array) -> None:
-    """Exponential averages of one, values and squares, each with a share `1 - keep` of the newest."""
-    count = values.shape[1]
-    for i in range(values.shape[0]):
-        for t in range(keep.shape[0]):
-            a, b = keep[t], 1.0 - keep[t]
-            after[i, t, 0] = a * before[i, t, 0] + b
-            for j in range(count):
-                x = values[i, j]
-                after[i, t, 1 + j] = a * before[i, t, 1 + j] + b * x
-                after[i, t, 1 + count + j] = a * before[i, t, 1 + count + j] + b * x * x

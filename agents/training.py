@@ -36,7 +36,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 
-from sayd_env.agents.config import TrainConfig, load_train
+from sayd_env.agents.config import MEANS, TrainConfig, load_train
 from sayd_env.agents.learner import (
     Progress,
     estimator_layers,
@@ -48,6 +48,7 @@ from sayd_env.agents.learner import (
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env, seed_environments
 from sayd_env.agents.policy_file import StoredPolicy, describe, read_policy, save_policy
 from sayd_env.agents.table import Table
+from sayd_env.agents.wandb_log import WandbWriter, service
 from sayd_env.config import ConfigError, DataError, parse_yaml, read_text
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.explain import shown
@@ -62,12 +63,12 @@ LIBRARIES = ("torch", "stable_baselines3", "gymnasium", "numpy")
 REPORT_SECONDS = 0.5
 LOGS = 10
 """Entries of the log from one checkpoint to the next."""
-MEANS = {"mean": "J", "geometric": "J_geometric"}
-"""Columns of the means of J over the scenarios."""
 MAY_CHANGE = {"total_steps"}
 """Keys that a resumed run may have otherwise."""
 
 Report = Callable[[float, float, str], None]
+Judge = Callable[[int, float], bool]
+"""Hears steps and J of each evaluation, and says whether to stop there."""
 Evaluator = Callable[[StoredPolicy | str], Array]
 """Gives J of a policy, or of that of a name, in each of `EvaluationConfig.cases`."""
 
@@ -94,6 +95,8 @@ def train(
     resume: bool = False,
     about: Mapping[str, Any] | None = None,
     progress: Report | None = None,
+    judge: Judge | None = None,
+    wandb: bool = False,
 ) -> Trained:
     """Train a policy.
 
@@ -110,6 +113,11 @@ def train(
         Command line, versions and the like, to be written into the run.
     progress : callable, optional
         Gets the steps done, the steps in all, and how things go.
+    judge : callable, optional
+        Hears steps and J of each evaluation, in the mean by which policies are judged; the training stops
+        where it returns True.
+    wandb : bool
+        Log at Weights & Biases as well.
 
     Raises
     ------
@@ -123,11 +131,14 @@ def train(
     Interrupted
         By Ctrl-C or SIGTERM, after all was saved.
     """
+    if wandb:
+        service()  # refused before there is a folder
     torch.set_num_threads(config.torch_threads)
     with reserved(folder, "trains"):
         run = _Run(config, folder, evaluator, resume=resume, about=dict(about or {}))
+        run.judge = judge
         try:
-            run.learn(progress or _silent)
+            run.learn(progress or _silent, wandb=wandb)
         except KeyboardInterrupt:
             run.keep()
             raise Interrupted(
@@ -179,20 +190,26 @@ class _Run:
         self.best = _cost_of(folder / BEST)
         self.about = about | {"libraries": {name: metadata.version(name) for name in LIBRARIES}}
         start = {"begun": datetime.now(UTC).isoformat(timespec="seconds"), "step": self.steps} | self.about
-        text = {"environment_sha256": self.digest, "starts": [*starts, start]}
+        self.starts = [*starts, start]
+        self.judge: Judge | None = None
+        self.stopped = False
+        text = {"environment_sha256": self.digest, "starts": self.starts}
         write_files(folder, {CONFIG: _yaml(config.model_dump(mode="json")), RUN: _yaml(text)})
 
-    def learn(self, report: Report) -> None:
+    def learn(self, report: Report, *, wandb: bool) -> None:
         """Run what is left of the training."""
+        writers: list[KVWriter] = [_Writer(self.log)]
+        if find_spec("tensorboard"):
+            writers.append(TensorBoardOutputFormat(str(self.folder / "tensorboard")))
+        if wandb:
+            content = self.config.model_dump(mode="json")
+            writers.append(WandbWriter(self.folder, str(self.starts[0].get("begun")), content))
+        self.model.set_logger(Logger(str(self.folder), writers))
         if not self.references.rows:
             for name in self.config.evaluation.references:
                 report(self.steps, self.config.total_steps, f"evaluating {name}")
                 self.references.add({"policy": name} | self._row(self.evaluator(name)))
             self.references.save()
-        writers: list[KVWriter] = [_Writer(self.log)]
-        if find_spec("tensorboard"):
-            writers.append(TensorBoardOutputFormat(str(self.folder / "tensorboard")))
-        self.model.set_logger(Logger(str(self.folder), writers))
         try:
             left = self.config.total_steps - self.steps
             if left > 0:
@@ -220,6 +237,7 @@ class _Run:
             save_policy(self.folder / BEST, self._policy(judged))
             self.best = judged
         self.evaluations.save()
+        self.stopped = self.judge is not None and self.judge(now.steps, judged)
 
     def keep(self) -> None:
         """Write a checkpoint, unless there is one of this step."""
@@ -344,7 +362,7 @@ class _Callback(BaseCallback):
             self._reported = now
             best = f"best J {self._run.best:.4f}" if np.isfinite(self._run.best) else ""
             self._report(self.model.num_timesteps, self._run.config.total_steps, best)
-        return True
+        return not self._run.stopped
 
 
 class _Writer(KVWriter):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from sayd_env.cli import options, parsers
 from sayd_env.cli.command import Plan, command, result_folder
+from sayd_env.cli.learning import tune_training
 from sayd_env.cli.options import argument, one_of, option, output, policy, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import SPEED, Names, positive
@@ -312,7 +313,9 @@ def policies() -> Plan:
 
 @command(GROUP, "mppt2 --quick", runs=True, without=("wide",))
 def tune(
-    controller: Literal["mppt2", "constant"] = argument("CONTROLLER", "mppt2 or constant."),
+    controller: Literal["mppt2", "constant", "ppo", "sac"] = argument(
+        "CONTROLLER", "mppt2, constant, or a training: ppo, sac."
+    ),
     *,
     config: options.Config = None,
     assignments: options.Set = None,
@@ -324,7 +327,7 @@ def tune(
     out: Path | None = output("--out DIR", options.out_text("tune-CONTROLLER", quick=True)),
     as_json: options.Json = False,
 ) -> Plan:
-    """Find the gains of a controller with the smallest mean J over a list of scenarios.
+    """Find the gains of a controller, or the settings of a training, with the smallest J over scenarios.
 
     The list, the ranges and the budget are those of configs/study/tuning.yaml (--config, --set); J has the
     weights of MPPT2 (--set reward=low-force). mppt2: differential evolution, then COBYQA, about ten minutes;
@@ -333,7 +336,14 @@ def tune(
     The result is a file of parameters that --policies takes like a name, for example
     results/tune-mppt2/mppt2-tuned.yaml; the packaged mppt2-tuned and constant-tuned were found so.
     Evaluations are kept in the output directory: an interrupted tuning goes on where it stopped.
+
+    ppo, sac: settings of the training, by Optuna over short trainings (configs/search/); hours. The result,
+    results/tune-ppo/ppo-tuned.yaml, is what 'sayd train --config' takes.
     """
+    if controller in ("ppo", "sac"):
+        if file is not None:
+            raise ConfigError("-o: is of controllers; a training's settings go to --out")
+        return tune_training(controller, config, assignments or (), seed, out, quick=quick)
     from sayd_env.config.storage import write_file  # noqa: PLC0415 - keeps --help fast
     from sayd_env.config.tuning import load_tuning  # noqa: PLC0415
     from sayd_env.report.files import ResultDirectory  # noqa: PLC0415

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from sayd_env.agents.config import TrainConfig
     from sayd_env.agents.policy_file import StoredPolicy
-    from sayd_env.agents.training import Evaluator, Trained
+    from sayd_env.agents.training import Evaluator, Judge, Trained
     from sayd_env.config.units import Array
     from sayd_env.runs.policies import ForeignReader
 
@@ -106,6 +107,19 @@ class ExportResult:
             console.print(str(file), markup=False, highlight=False, soft_wrap=True)
 
 
+def require_training() -> None:
+    """Refuse to train where torch or Stable-Baselines3 are missing.
+
+    Raises
+    ------
+    ConfigError
+        The message says how to install them.
+    """
+    for module in ("torch", "stable_baselines3"):
+        if find_spec(module) is None:
+            raise ConfigError(f"train {EXTRA} (no module '{module}')")
+
+
 def train(
     config: TrainConfig,
     folder: Path,
@@ -114,6 +128,8 @@ def train(
     command: str | None = None,
     executor: ExecutorChoice | None = None,
     progress: Progress = silent,
+    judge: Judge | None = None,
+    wandb: bool = False,
 ) -> TrainResult:
     """Train a policy.
 
@@ -130,6 +146,8 @@ def train(
         Makes the runs of the evaluations; by default threads on all cores.
     progress : Progress
         Told the steps.
+    judge, wandb
+        As `agents.training.train`.
 
     Raises
     ------
@@ -145,7 +163,8 @@ def train(
     about = provenance(command)
     with KeptExecutor(executor or ExecutorChoice()) as kept:
         evaluator = policy_evaluator(config, kept)
-        return TrainResult(learn(config, folder, evaluator, resume=resume, about=about, progress=progress))
+        told: dict[str, Any] = {"about": about, "progress": progress, "judge": judge, "wandb": wandb}
+        return TrainResult(learn(config, folder, evaluator, resume=resume, **told))
 
 
 def policy_evaluator(config: TrainConfig, kept: KeptExecutor | None = None) -> Evaluator:
