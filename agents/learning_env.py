@@ -286,7 +286,12 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
     every = [(settings.vehicles, None), *((each.vehicles, each) for each in settings.beside)]
     vehicles = JoinedVecEnv(
         [
-            SaydVecEnv(num_envs=count, num_threads=settings.threads, **environment_keywords(config, beside))
+            SaydVecEnv(
+                num_envs=count,
+                num_threads=settings.threads,
+                info="none",  # nobody reads it, and it takes its time
+                **environment_keywords(config, beside),
+            )
             for count, beside in every
         ]
     )

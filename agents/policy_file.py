@@ -102,12 +102,12 @@ class StoredPolicy:
     description: PolicyDescription
     layers: Layers
     """Weights (out, in) and biases (out) of each layer."""
-    estimator: Layers = ()
-    """The same of the network that estimates conditions, if there is one."""
     where: str = "policy"
     """Where it was read, for messages."""
     normalisation: tuple[Array, Array] | None = None
     """Middle and half of each number of an observation, in place of those of its quantity."""
+    estimator: Layers = ()
+    """Layers of the network that estimates conditions, if there is one."""
 
     @property
     def needs(self) -> dict[str, Any]:
@@ -257,7 +257,7 @@ def read_policy(path: Path | str) -> StoredPolicy:
     estimator = _layers(arrays, _ESTIMATOR)
     middle, half = (arrays.get(name) for name in _NORMALISATION)
     normalisation = None if middle is None or half is None else (middle, half)
-    return StoredPolicy(description, layers, estimator, where, normalisation)
+    return StoredPolicy(description, layers, where, normalisation, estimator)
 
 
 def _shapes(of: str, widths: list[int]) -> dict[str, tuple[tuple[int, ...], str]]:

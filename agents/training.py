@@ -297,7 +297,7 @@ class _Run:
             squash=squash,
             made=made,
         )
-        return StoredPolicy(description, layers, estimator_layers(self.model))
+        return StoredPolicy(description, layers, estimator=estimator_layers(self.model))
 
 
 class _Callback(BaseCallback):

@@ -107,7 +107,8 @@ class Environment:
     ) -> None:
         """Make the vehicles from an environment's keywords, of which it may have `more`."""
         refuse_unknown(f"{type(self).__name__}.__init__", keywords, (*KEYWORDS, *more))
-        self._full = checked_choice("info", info, INFOS) == "full"
+        level = checked_choice("info", info, INFOS)
+        self._full, self._silent = level == "full", level == "none"
         self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
         scales = checked_flag("scaled", scaled)
         config, scenario = configured(environment, **keywords)
@@ -255,6 +256,8 @@ class Environment:
 
     def _info(self, i: int) -> dict[str, Any]:
         """Info of one vehicle, after a reset as after a step."""
+        if self._silent:
+            return {}
         info = period_info(self.batch, i)
         info.update(self._conditions[i])
         if self._full:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from sayd_env.agents.config import TrainConfig
 
 CONFIG, LOG = "config.yaml", "output.txt"
+PROGRAM = (sys.executable, "-m", "sayd_env")
 POLL_SECONDS = 1.0
 LAST_LINES = 3
 """Of a process that failed, in the message."""
@@ -200,7 +201,7 @@ class _Process:
             given = beside / f"{self.folder.name}.yaml"
             write_file(given, content.encode())
             where = ["--config", str(given), "--out", str(self.folder)]
-        command = [sys.executable, "-m", "sayd_env", "train", *where, "--workers", "1"]
+        command = [*PROGRAM, "train", *where, "--workers", "1"]
         command += ["--wandb"] if self._wandb else []
         alone = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
         with (beside / f"{self.folder.name}-{LOG}").open("ab") as log:
