@@ -43,11 +43,11 @@ class JoinedVecEnv(VecEnv):
         first = self.parts[0]
         super().__init__(sum(part.num_envs for part in parts), first.observation_space, first.action_space)
         ends = np.cumsum([part.num_envs for part in parts]).tolist()
-        self._slices = [slice(end - part.num_envs, end) for part, end in zip(parts, ends, strict=True)]
+        self.slices = [slice(end - part.num_envs, end) for part, end in zip(parts, ends, strict=True)]
 
     def reset(self) -> Observation:
         """Begin an episode of every vehicle."""
-        for part, own in zip(self.parts, self._slices, strict=True):
+        for part, own in zip(self.parts, self.slices, strict=True):
             part._seeds, part._options = self._seeds[own], self._options[own]
         seen = np.concatenate([part.reset() for part in self.parts])
         self.reset_infos = [info for part in self.parts for info in part.reset_infos]
@@ -57,7 +57,7 @@ class JoinedVecEnv(VecEnv):
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
         """Keep the valve commands for `step_wait`."""
-        for part, own in zip(self.parts, self._slices, strict=True):
+        for part, own in zip(self.parts, self.slices, strict=True):
             part.step_async(actions[own])
 
     def step_wait(self) -> Step:
@@ -115,7 +115,7 @@ class EncodedVecEnv(VecEnvWrapper):
     privileged : Privileged, optional
         Gives the true conditions.
     heard : callable, optional
-        Gives what vehicles remember of their run-in, shape (N, memory_width), right after their reset.
+        Gives what vehicles that have just begun remember of their run-in, shape (N, memory_width).
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class EncodedVecEnv(VecEnvWrapper):
         factors: Numbers,
         costs: Numbers | None = None,
         privileged: Privileged | None = None,
-        heard: Callable[[], Array] | None = None,
+        heard: Callable[[npt.NDArray[np.bool_]], Array] | None = None,
     ) -> None:
         super().__init__(venv)
         self.inputs = encoding.size
@@ -160,7 +160,7 @@ class EncodedVecEnv(VecEnvWrapper):
         self._factor = self._factors()
         self._memory[which] = 0.0
         if self._heard is not None:
-            self._memory[which] = self._heard()[which]
+            self._memory[which] = self._heard(which)[which]
         if self._privileged is not None:
             self._privileged.begin(np.flatnonzero(which))
 
@@ -304,8 +304,13 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
         per_second = config.reward_scale / settings.control_period
         return per_second / vehicles.together(lambda part: ordinary_costs(part.vector.batch))
 
-    def heard() -> Array:
-        return vehicles.together(lambda part: _heard(part, encoding))
+    def heard(which: npt.NDArray[np.bool_]) -> Array:
+        return np.concatenate(
+            [
+                _heard(part, encoding, which[own])
+                for part, own in zip(vehicles.parts, vehicles.slices, strict=True)
+            ]
+        )
 
     # The monitor is below: it adds up what the environment gives, minus J.
     env = EncodedVecEnv(
@@ -319,10 +324,11 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
     return env, encoding
 
 
-def _heard(part: SaydVecEnv, encoding: Encoding) -> Array:
-    """What the vehicles of a batch remember of the run-in that they had last."""
+def _heard(part: SaydVecEnv, encoding: Encoding, which: npt.NDArray[np.bool_]) -> Array:
+    """What vehicles of a batch that have just begun remember of their run-in."""
     heard = part.vector.batch.heard
-    assert heard is not None  # the environment listens
+    if not which.any() or heard is None:
+        return np.zeros((part.num_envs, encoding.memory_width))
     return encoding.listen(heard)
 
 
