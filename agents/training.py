@@ -234,7 +234,7 @@ class _Run:
             self.model.logger.record(f"evaluation/{name}", row[name])
         judged = row[MEANS[self.config.evaluation.criterion]]
         if judged < self.best:
-            save_policy(self.folder / BEST, self._policy(judged))
+            save_policy(self.folder / BEST, self._policy(row["J"], judged))
             self.best = judged
         self.evaluations.save()
         self.stopped = self.judge is not None and self.judge(now.steps, judged)
@@ -272,13 +272,14 @@ class _Run:
         means = {MEANS["mean"]: float(np.mean(costs)), MEANS["geometric"]: geometric}
         return means | dict(zip(names, map(float, costs), strict=True))
 
-    def _policy(self, cost: float | None) -> StoredPolicy:
+    def _policy(self, cost: float | None, judged: float | None = None) -> StoredPolicy:
         layers, squash = policy_layers(self.model)
         config, now = self.config, self.progress()
         made = {
             "steps": now.steps,
             "seconds": round(now.seconds, 1),
             "J": cost,
+            "judged": judged,
             "environment_version": VERSION,
             "environment_sha256": self.digest,
             "config": config.model_dump(mode="json"),
@@ -436,7 +437,7 @@ def _checkpoints(folder: Path) -> list[Path]:
 
 
 def _cost_of(path: Path) -> float:
-    """J of the best policy so far; infinite if there is none.
+    """J of the best policy so far, in the mean by which it was judged; infinite if there is none.
 
     Raises
     ------
@@ -445,9 +446,9 @@ def _cost_of(path: Path) -> float:
     """
     if not path.is_file():
         return float("inf")
-    found = read_policy(path).made("J")
+    found = read_policy(path).made("judged")
     if isinstance(found, bool) or not isinstance(found, int | float):
-        raise DataError(f"{path}: made.J: found {shown(found)}; expected the J of the best policy of a run")
+        raise DataError(f"{path}: made.judged: found {shown(found)}; expected J of the best policy of a run")
     return float(found)
 
 

@@ -37,6 +37,13 @@ class TrainResult:
 
     trained: Trained
 
+    @property
+    def _column(self) -> str:
+        """Of the mean by which policies were judged."""
+        from sayd_env.agents.config import MEANS  # noqa: PLC0415 - keeps the import of studies light
+
+        return MEANS[self.trained.config.evaluation.criterion]
+
     def as_dict(self) -> dict[str, Any]:
         """Return what scripts read."""
         done = self.trained
@@ -46,7 +53,7 @@ class TrainResult:
             "steps": done.steps,
             "seconds": done.seconds,
             "best_J": done.best,
-            "references": {row["policy"]: row["J"] for row in done.references},
+            "references": {row["policy"]: row[self._column] for row in done.references},
             "evaluations": done.evaluations,
         }
 
@@ -61,8 +68,11 @@ class TrainResult:
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print how good the best policy is beside the references."""
         done = self.trained
-        rows = [{"policy": "best policy", "J": done.best}, *done.references]
-        title = f"{done.steps} steps in {done.seconds / 60:.1f} minutes; mean J of the scenarios"
+        rows = [{"policy": "best policy", "J": done.best}]
+        rows += [{"policy": row["policy"], "J": row[self._column]} for row in done.references]
+        mean = done.config.evaluation.criterion
+        kind = "mean" if mean == "mean" else f"{mean} mean of"
+        title = f"{done.steps} steps in {done.seconds / 60:.1f} minutes; {kind} J of the scenarios"
         columns = (Column("policy", "policy"), Column("J", "J", digits=4, best=True))
         print_table(console, title, columns, rows, wide=wide)
 
@@ -70,12 +80,12 @@ class TrainResult:
         done = self.trained
         (axes,) = panels(figure, 1, size=(8.0, 4.5))
         steps = [row["steps"] for row in done.evaluations]
-        costs = [row["J"] for row in done.evaluations]
+        costs = [row[self._column] for row in done.evaluations]
         algorithm = done.config.learning.algorithm
         axes.plot(steps, costs, label="policy", markersize=4, **policy_style(algorithm).drawn)
         for row in done.references:
-            axes.axhline(row["J"], label=label(row["policy"]), **policy_style(row["policy"]).plain)
-        axes.set(xlabel="steps", ylabel="mean J of the scenarios", ylim=(0.0, None))
+            axes.axhline(row[self._column], label=label(row["policy"]), **policy_style(row["policy"]).plain)
+        axes.set(xlabel="steps", ylabel="J of the scenarios", ylim=(0.0, None))
         axes.set_title(f"{algorithm}, seed {done.config.seed}")
         axes.legend()
 

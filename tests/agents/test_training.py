@@ -175,7 +175,7 @@ def test_a_run_is_exported(
     told = json.loads(capsys.readouterr().out)
     (file,) = told["files"]
     assert read_policy(file).description == read_policy(trained.folder / "best.npz").description
-    assert told["made"]["J"] == trained.best
+    assert told["made"]["judged"] == trained.best
     assert main(["export", str(trained.folder), "--out", "here"]) == 2
     assert "exists already" in capsys.readouterr().err
     (tmp_path / "bad.npz").write_bytes(Path(file).read_bytes()[:500])
@@ -331,7 +331,7 @@ def test_two_trainings_in_one_folder_and_damaged_files_are_refused(trained: Trai
         ("progress.csv", b"\0", "progress.csv: line 1: is damaged"),
         ("references.csv", b"policy\nmppt2\n", "references.csv: line 1: is damaged"),
         ("best.npz", b"PK", "best.npz: is damaged or no policy"),
-        ("best.npz", (folder / "last.npz").read_bytes(), "best.npz: made.J: found None; expected the J"),
+        ("best.npz", (folder / "last.npz").read_bytes(), "best.npz: made.judged: found None; expected J"),
     ):
         good = (folder / name).read_bytes()
         (folder / name).write_bytes(content)
