@@ -63,7 +63,8 @@ class WandbWriter(KVWriter):
                 resume="allow",
             )
         except Exception as error:  # its errors have no common base
-            raise ConfigError(f"--wandb: {str(error).splitlines()[0] if str(error) else error!r}") from None
+            told = str(error).splitlines() or [type(error).__name__]
+            raise ConfigError(f"--wandb: {told[0]}") from None
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, Any], step: int = 0) -> None:
         """Send a row of numbers."""
