@@ -104,16 +104,13 @@ class Memory:
         middle, half = (np.array([getattr(c, name) for c in repeated]) for name in ("middle", "half"))
         self.scaling = Scaling(middle, half, clip, np.array([c.law == "log" for c in repeated]))
 
-    def begin(self, count: int) -> Array:
-        """State of vehicles that have seen nothing, shape (count, width)."""
-        return np.zeros((count, self.width))
-
     def remember(self, state: Array, seen: Array) -> Array:
         """State after a control period, a new array, of that before and a flat observation, (N, signals)."""
         values, keep = self.values(seen), self.keep[:, None]
         newest = np.concatenate([np.ones((len(values), 1)), values, values * values], axis=1)
         before = state.reshape(len(values), len(keep), WIDTH)
-        return (keep * before + (1.0 - keep) * newest[:, None]).reshape(len(state), self.width)
+        after: Array = keep * before + (1.0 - keep) * newest[:, None]
+        return after.reshape(len(state), self.width)
 
     def values(self, seen: Array) -> Array:
         """The newest `AVERAGED` of each bogie, shape (N units, AVERAGED)."""
@@ -137,7 +134,7 @@ class Memory:
 def _number(how: Remembered, mean: Array, variance: Array) -> Array:
     place = AVERAGED.index(how.quantity)
     if how.kind == "mean":
-        return mean[:, :, place]
+        return np.asarray(mean[:, :, place])
     if how.kind == "size":
         return np.abs(mean[:, :, place])
     if how.kind == "level":

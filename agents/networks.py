@@ -142,7 +142,7 @@ class PpoPolicy(ActorCriticPolicy):
         super().__init__(*arguments, **keywords)
 
     def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor: Any = _Bodies(self.layout, self.net_arch["pi"], self.activation_fn)  # type: ignore[call-overload,index]
+        self.mlp_extractor: Any = _Bodies(self.layout, self.net_arch["pi"], self.activation_fn)
 
 
 class _ActorsView(BaseFeaturesExtractor):
@@ -237,7 +237,7 @@ class EstimatorTrainer:
         wanted = observations[:, list(layout.estimated)]
         loss = nn.functional.smooth_l1_loss(found, wanted)
         self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         self.optimizer.step()
         self.optimizer.zero_grad()  # the policy's optimiser knows these weights, too, and must find nothing
         return (found.detach() - wanted).square().mean(dim=0)

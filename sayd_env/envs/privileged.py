@@ -80,7 +80,7 @@ class Conditions:
         model = batch.model(i)
         scenario = model.scenario
         reach = 0.0 if line is None else batch.mean_speed(i) * batch.config.episode_s
-        s = STEP * np.arange(int(reach / STEP) + 1) + 0.5 * STEP
+        s: Array = STEP * np.arange(int(reach / STEP) + 1, dtype=np.float64) + 0.5 * STEP
         level = 1.0 if episode.track_scale is None else episode.track_scale
         single = {
             "speed": episode.speed,

@@ -139,8 +139,8 @@ class SearchResult:
     def _draw(self, figure: Figure) -> None:
         (axes,) = panels(figure, 1, size=(6.0, 4.2))
         for state, marker in (("complete", "o"), ("pruned", "x")):
-            shown = [t for t in self.trials if t.state == state and t.cost is not None]
-            axes.plot([t.number for t in shown], [t.cost for t in shown], marker, label=state)
+            shown = [(t.number, t.cost) for t in self.trials if t.state == state and t.cost is not None]
+            axes.plot([number for number, _ in shown], [cost for _, cost in shown], marker, label=state)
         axes.set(xlabel="trial", ylabel="J of the best policy")
         axes.legend()
 
@@ -291,8 +291,8 @@ class _Search:
                     f"{done} of {self.settings.trials} trials are done; go on with the same command"
                 ) from None
 
-    def _run(self, trial: Any, done: int) -> None:
-        """One trial."""
+    def _run(self, trial: Any, number: int) -> None:
+        """One trial, with so many before it."""
         found = {name: self._suggest(trial, name, each) for name, each in self.settings.ranges.items()}
         config, steps = with_settings(self.base, found), self.settings.total_steps
         folder = self.folder / TRIALS / f"{trial.number:04d}"
@@ -302,10 +302,11 @@ class _Search:
             trial.report(cost, step)
             return bool(trial.should_prune())
 
-        def told(at: float, _: float, what: str = "") -> None:
-            self.progress(done * steps + at, self.settings.trials * steps, f"trial {done + 1}, {what}")
+        def tell(done: float, total: float, what: str = "") -> None:
+            at = number * steps + done
+            self.progress(at, self.settings.trials * steps, f"trial {number + 1}, {what}")
 
-        trained = train(config, folder, executor=self.executor, progress=told, judge=judge).trained
+        trained = train(config, folder, executor=self.executor, progress=tell, judge=judge).trained
         given_up = trained.steps < config.total_steps
         driven = trained.steps / config.networks * config.environment.together * config.decision_period
         for name, value in {"cost": trained.best, "steps": trained.steps, "driven": driven}.items():
