@@ -159,8 +159,8 @@ class VehicleEncoding(Encoding):
 
 def flat(observations: Observation) -> Array:
     """Observations as rows of numbers, in double precision; what is missing is 0."""
-    flat: Array = np.nan_to_num(observations.reshape(len(observations), -1).astype(np.float64))
-    return flat
+    values: Array = observations.reshape(len(observations), -1).astype(np.float64)
+    return values if np.isfinite(values).all() else np.nan_to_num(values)
 
 
 def _commands(interface: Interface) -> npt.NDArray[np.intp]:

@@ -147,6 +147,7 @@ class EncodedVecEnv(VecEnvWrapper):
         self._seen: Observation = np.zeros(0, np.float32)
         self._memory = np.zeros((venv.num_envs, encoding.memory_width))
         self._outputs: npt.NDArray[np.float32] = np.zeros(0, np.float32)
+        self._conditions: Observation = np.zeros(0, np.float32)
 
     def reset(self) -> Observation:
         """Begin an episode of every vehicle."""
@@ -168,7 +169,8 @@ class EncodedVecEnv(VecEnvWrapper):
         inputs = self._encoding.encode(self._seen, self._memory)
         if self._privileged is None:
             return inputs
-        return np.concatenate([inputs, self._privileged(self._encoding.units)], axis=1)
+        self._conditions = self._privileged(self._encoding.units)
+        return np.concatenate([inputs, self._conditions], axis=1)
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
         """Keep outputs of the network for `step_wait`."""
@@ -181,13 +183,12 @@ class EncodedVecEnv(VecEnvWrapper):
         last: dict[int, dict[str, Any]] = {}
         infos: list[dict[str, Any]] = []
         for _ in range(self._encoding.output.hold):
-            conditions = None if self._privileged is None else self._privileged(units)
             commands = self._encoding.decode(self._outputs, self._seen)
             self._seen, rewards, dones, infos = self.venv.step(commands)
             paid += np.where(over[:, None], 0.0, self._paid(rewards, dones) * self._factor[:, None])
             if dones.any():
                 for i in map(int, np.flatnonzero(dones & ~over)):
-                    last[i] = infos[i] | {"terminal_observation": self._last(i, infos[i], conditions)}
+                    last[i] = infos[i] | {"terminal_observation": self._last(i, infos[i])}
                 over |= dones
                 self._begin(dones)
             self._memory = self._encoding.remember(self._memory, self._seen)
@@ -199,14 +200,14 @@ class EncodedVecEnv(VecEnvWrapper):
         scaled = paid.astype(np.float32).reshape(-1)
         return self._observed(), scaled, np.repeat(over, units), each
 
-    def _last(self, i: int, info: dict[str, Any], conditions: Observation | None) -> Observation:
-        """What vehicle i observed last; its conditions are those with which its last period began."""
+    def _last(self, i: int, info: dict[str, Any]) -> Observation:
+        """What vehicle i observed last; its conditions are those of its last decision."""
         seen, units = info["terminal_observation"][None], self._encoding.units
         memory = self._encoding.remember(self._memory[i : i + 1], seen)
         inputs = self._encoding.encode(seen, memory)
-        if conditions is None:
+        if self._privileged is None:
             return inputs
-        return np.concatenate([inputs, conditions[i * units : (i + 1) * units]], axis=1)
+        return np.concatenate([inputs, self._conditions[i * units : (i + 1) * units]], axis=1)
 
     def _paid(self, rewards: npt.NDArray[np.float32], dones: npt.NDArray[np.bool_]) -> Array:
         """Rewards of the networks, shape (N, units): their mean over a vehicle is the vehicle's."""
