@@ -343,9 +343,10 @@ class _Callback(BaseCallback):
             model.logger.record_mean(name, error)
 
     def _on_training_end(self) -> None:
-        self._run.steps = self.model.num_timesteps
-        if not self._run.evaluations.rows or self._run.evaluations.rows[-1]["steps"] != self._run.steps:
-            self._run.evaluate()
+        run = self._run
+        run.steps = self.model.num_timesteps
+        if not run.stopped and (not run.evaluations.rows or run.evaluations.rows[-1]["steps"] != run.steps):
+            run.evaluate()
         self.model.dump_logs()
 
     def _due(self) -> None:

@@ -276,6 +276,32 @@ def test_each_bogie_is_paid_for_itself(tmp_path: Path) -> None:
     np.testing.assert_allclose(ratios[0], ratios[1], rtol=1e-4)
 
 
+def test_vehicles_on_lines_learn_and_are_judged_along(tmp_path: Path) -> None:
+    line = tmp_path / "line_quick.yaml"
+    line.write_text("base: training-line\nrun_in: 20.0\n")
+    along = [f"environment.beside=[{{name: {line}, vehicles: 2, episode_s: 0.6}}]", "output.hold=5"]
+    more = [*along, "evaluation.beside_seeds=[510]", "learning.n_steps=8", "learning.batch_size=16"]
+    config = load_train("ppo", [*settings("ppo", tmp_path), *more, "total_steps=400"])
+    assert (config.networks, config.decision_period) == (12, 0.1)
+    judged: list[tuple[int, float]] = []
+
+    def judge(steps: int, cost: float) -> bool:
+        judged.append((steps, cost))
+        return len(judged) == 2
+
+    found = train(config, tmp_path / "run", judge=judge)
+    assert found.steps < 200
+    costs = [
+        value for name, value in found.evaluations[0].items() if name.startswith("J_") and "seed" in name
+    ]
+    assert "J_line_quick_seed_510" in found.evaluations[0]
+    assert len(costs) == 3
+    assert found.evaluations[0]["J_geometric"] == pytest.approx(np.prod(costs) ** (1.0 / 3.0))
+    assert [cost for _, cost in judged] == [row["J_geometric"] for row in found.evaluations[:2]]
+    log = Table(tmp_path / "run" / "progress.csv").rows
+    assert any("estimate/conicity" in row for row in log)
+
+
 def test_a_finished_run_can_be_prolonged(trained: Trained, tmp_path: Path) -> None:
     config = trained.config.model_copy(update={"total_steps": trained.steps + 64})
     folder = tmp_path / "run"
