@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
 import pytest
 
 from sayd_env.agents.config import load_train
+from sayd_env.cli import main
 from sayd_env.config import StudyError
 from sayd_env.config.errors import Interrupted
 from sayd_env.studies.seeds import train_seeds
@@ -83,3 +85,12 @@ def test_an_interruption_lets_all_save(tmp_path: Path) -> None:
         train_seeds(load_train("ppo"), [1, 2, 3], runs, parallel=2, progress=interrupt)
     assert all((runs / f"s{seed}" / "saved").exists() for seed in (1, 2))
     assert not (runs / "s3").exists()
+
+
+def test_the_command_line_says_what_came_of_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    assert main(["train", "ppo", "--seeds", "2,4", "--parallel", "2", "--out", "runs", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["best_J"] == {"2": 2.1, "4": 4.1}
+    names = {path.name for path in Path("runs").iterdir()}
+    assert names >= {"s2", "s4", "s2.yaml", "s4-output.txt", "seeds.csv", "learning.png", "result.json"}
