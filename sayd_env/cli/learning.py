@@ -12,7 +12,7 @@ from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
 from sayd_env.cli.options import argument, option, output, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
-from sayd_env.cli.parsers import SPEED, ListOf, Number, Numbers
+from sayd_env.cli.parsers import SPEED, Number
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.units import KMH
 
@@ -42,11 +42,11 @@ def train(
         "Seed of weights, exploration and episodes. Default: the configuration's.",
         Number(0, 999_999, whole=True),
     ),
-    seeds: Numbers | None = runs(
-        "--seeds LIST",
-        "Several seeds, such as 0,1,2: a run sSEED of each in --out, in a process of its own. The same "
-        "command again takes up what was interrupted.",
-        ListOf(Number(0, 999_999, whole=True), distinct=True),
+    seeds: int | None = runs(
+        "--seeds N",
+        "So many trainings, with seeds from --seed on: a run sSEED of each in --out, in a process of its own. "
+        "The same command again takes up what was interrupted.",
+        options.SEEDS,
     ),
     parallel: int | None = runs(
         "--parallel N", "With --seeds: trainings side by side. Default: as many as cores.", options.WORKERS
@@ -75,7 +75,7 @@ def train(
     from sayd_env.runs.executors import THREADS, ExecutorChoice  # noqa: PLC0415
     from sayd_env.studies.learning import train as study  # noqa: PLC0415
 
-    one = {"--resume": resume, "--seed": seed, "--workers": workers, "--executor": executor}
+    one = {"--resume": resume, "--workers": workers, "--executor": executor}
     for name, value in one.items() if seeds is not None else ():
         if value is not None:
             raise ConfigError(f"--seeds: leave out {name}")
@@ -99,7 +99,8 @@ def train(
     if algorithm not in {None, learns}:
         raise ConfigError(f"train {algorithm}: the configuration {config} is one of {learns}")
     if seeds is not None:
-        return _of_seeds(chosen, [int(each) for each in seeds], parallel, out, wandb=wandb)
+        numbers = range(chosen.seed, chosen.seed + seeds)
+        return _of_seeds(chosen, numbers, parallel, out, wandb=wandb)
     folder = out or RESULTS / f"train-{learns}-s{chosen.seed}"
     return Plan(
         lambda run: study(
@@ -118,7 +119,7 @@ def train(
 
 
 def _of_seeds(
-    config: TrainConfig, seeds: list[int], parallel: int | None, out: Path | None, *, wandb: bool
+    config: TrainConfig, seeds: Sequence[int], parallel: int | None, out: Path | None, *, wandb: bool
 ) -> Plan:
     """A training with several seeds."""
     from sayd_env.studies.learning import require_training  # noqa: PLC0415 - keeps --help fast

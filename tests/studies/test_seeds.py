@@ -89,8 +89,8 @@ def test_an_interruption_lets_all_save(tmp_path: Path) -> None:
 
 def test_the_command_line_says_what_came_of_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
-    assert main(["train", "ppo", "--seeds", "2,4", "--parallel", "2", "--out", "runs", "--json"]) == 0
+    assert main(["train", "ppo", "--seed", "2", "--seeds", "2", "--out", "runs", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["best_J"] == {"2": 2.1, "4": 4.1}
+    assert told["best_J"] == {"2": 2.1, "3": 3.1}
     names = {path.name for path in Path("runs").iterdir()}
-    assert names >= {"s2", "s4", "s2.yaml", "s4-output.txt", "seeds.csv", "learning.png", "result.json"}
+    assert names >= {"s2", "s3", "s2.yaml", "s3-output.txt", "seeds.csv", "learning.png", "result.json"}
