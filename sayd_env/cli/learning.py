@@ -44,8 +44,8 @@ def train(
     ),
     seeds: int | None = runs(
         "--seeds N",
-        "So many trainings, with seeds from --seed on: a run sSEED of each in --out, in a process of its own. "
-        "The same command again takes up what was interrupted.",
+        "So many trainings, with seeds from --seed on: a run sSEED of each in --out, in a process of its "
+        "own. The same command again takes up what was interrupted.",
         options.SEEDS,
     ),
     parallel: int | None = runs(
