@@ -13,8 +13,9 @@ from itertools import product
 
 import numpy as np
 
-from sayd_env.agents.config import OutputConfig, View
-from sayd_env.agents.encoding import Encoding, VehicleEncoding
+from sayd_env.agents.config import MemoryConfig, OutputConfig, View
+from sayd_env.agents.encoding import Encoding, VehicleEncoding, flat
+from sayd_env.agents.memory import AVERAGED, MEMORIES, Memory
 from sayd_env.agents.products import columns, times
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.damper import SaydDamperConfig
@@ -52,6 +53,7 @@ def make_encoding(
     inputs: Mapping[str, InputConfig],
     clip: float,
     output: OutputConfig,
+    memory: MemoryConfig | None = None,
 ) -> Encoding:
     """The encoding of a view.
 
@@ -60,15 +62,19 @@ def make_encoding(
     ConfigError
         Inputs or outputs that do not fit the environment.
     """
-    kind = BogieEncoding if view == "bogie" else VehicleEncoding
-    return kind(interface, inputs, clip, output)
+    if view == "bogie":
+        return BogieEncoding(interface, inputs, clip, output, memory)
+    if memory is not None:
+        raise ConfigError("memory: is that of bogies; it needs view 'bogie'")
+    return VehicleEncoding(interface, inputs, clip, output)
 
 
 class BogieEncoding(Encoding):
     """One network for each bogie.
 
-    Inputs are, for each quantity in the order of `inputs`, its rows, the oldest first, then what comes once.
-    All but `force_level` are linear in the observation x, so that the whole is
+    Inputs are, for each quantity in the order of `inputs`, its rows, the oldest first, then what comes once;
+    behind them those of the memory, if there is one. Of the former, all but `force_level` are linear in the
+    observation x, so that the whole is
 
         values = x M + |x F| P + c,
 
@@ -83,6 +89,8 @@ class BogieEncoding(Encoding):
     clip : float
         Inputs are cut off at plus and minus this.
     output : OutputConfig
+    memory : MemoryConfig, optional
+        What is remembered beside the observation.
 
     Raises
     ------
@@ -91,13 +99,15 @@ class BogieEncoding(Encoding):
 
     Attributes
     ----------
+    shown : int
+        Inputs that come from the observation; the others are the memory's.
     linear, force, level : ndarray
-        M, shape (history * 41, 2 size); F, shape (history * 41, 2 rows 4); P, shape (2 rows 4, 2 size).
-    constant : ndarray, shape (2 size)
+        M, shape (history * 41, 2 shown); F, shape (history * 41, 2 rows 4); P, shape (2 rows 4, 2 shown).
+    constant : ndarray, shape (2 shown)
         c.
     moment : ndarray, shape (history * 41, 2)
         Gives the newest yaw force of each bogie.
-    mirrored : ndarray of float, shape (size)
+    mirrored : ndarray of float, shape (shown)
         1 for what changes sign in a mirror.
     """
 
@@ -105,25 +115,30 @@ class BogieEncoding(Encoding):
     actions = 1
 
     def __init__(
-        self, interface: Interface, inputs: Mapping[str, InputConfig], clip: float, output: OutputConfig
+        self,
+        interface: Interface,
+        inputs: Mapping[str, InputConfig],
+        clip: float,
+        output: OutputConfig,
+        memory: MemoryConfig | None = None,
     ) -> None:
         super().__init__(interface, clip, output)
-        _check(interface, inputs, output)
+        _check(interface, inputs, output, memory)
         self.row_count = interface.history - any(name in RATES for name in inputs)
         slots = [
             (name, row)
             for name in inputs
             for row in range(0 if name not in ONCE else self.row_count - 1, self.row_count)
         ]
-        self.size = len(slots)
-        width, signals = self.units * self.size, interface.history * len(interface.signals)
+        self.shown = len(slots)
+        width, signals = self.units * self.shown, interface.history * len(interface.signals)
         if signals * width > LARGEST_MATRIX:
             raise ConfigError(f"history: {interface.history} rows are too many for the view of a bogie")
         forces = self.units * self.row_count * len(DAMPERS)
         self.linear, self.constant = np.zeros((signals, width)), np.zeros(width)
         self.force, self.level = np.zeros((signals, forces)), np.zeros((forces, width))
         for (b, bogie), (j, (name, row)) in product(enumerate(BOGIES), enumerate(slots)):
-            column, per_half = b * self.size + j, 1.0 / inputs[name].half
+            column, per_half = b * self.shown + j, 1.0 / inputs[name].half
             self.constant[column] = -inputs[name].middle * per_half
             if name == "place":
                 self.constant[column] += (2.0 * b - 1.0) * per_half
@@ -137,21 +152,49 @@ class BogieEncoding(Encoding):
         newest = self.row_count - 1
         self.moment = np.stack([self._quantity("yaw_force", bogie, newest) for bogie in BOGIES], axis=1)
         self.mirrored = np.array([float(name in MIRRORED) for name, _ in slots])
-        weights = np.abs(np.concatenate([self.linear, self.force, self.moment], axis=1)).sum(axis=1)
+        matrices = [self.linear, self.force, self.moment]
+        if memory is not None:
+            self.memory = self._memory(memory)
+            matrices += [self.memory.weights, self.memory.forces]
+        self.size = self.shown + (0 if self.memory is None else self.memory.size)
+        weights = np.abs(np.concatenate(matrices, axis=1)).sum(axis=1)
         self._linear, self._force = columns(self.linear), columns(self.force)
         self._level, self._moment = columns(self.level), columns(self.moment)
         read = weights.reshape(interface.history, -1).any(axis=0)
         self.sensors = tuple(interface.signals[i].name for i in np.flatnonzero(read))
 
-    def encode(self, observations: Observation) -> Observation:
+    def encode(self, observations: Observation, memory: Array | None = None) -> Observation:
         """Inputs of the network, shape (2 N, size): front and rear bogie of each vehicle in turn."""
-        seen = np.nan_to_num(observations.reshape(len(observations), -1).astype(np.float64))
+        seen = flat(observations)
         forces = np.abs(times(seen, self._force))
         values = times(seen, self._linear) + times(forces, self._level) + self.constant
         turned = 1.0 - 2.0 * (times(seen, self._moment) < 0.0)
-        values = values.reshape(-1, self.size) * (1.0 + self.mirrored * (turned.reshape(-1, 1) - 1.0))
+        values = values.reshape(-1, self.shown) * (1.0 + self.mirrored * (turned.reshape(-1, 1) - 1.0))
         bounded: Observation = np.clip(values, -self.clip, self.clip).astype(np.float32)
-        return bounded
+        if self.memory is None:
+            return bounded
+        assert memory is not None  # `remember` has made it
+        return np.concatenate([bounded, self.memory.inputs(memory)], axis=1)
+
+    def _memory(self, config: MemoryConfig) -> Memory:
+        newest, period = self.row_count - 1, self.interface.control_period
+        linear = np.stack(
+            [[self._remembered(name, bogie) for name in AVERAGED[:-1]] for bogie in BOGIES]
+        ).transpose(2, 0, 1)
+        forces = np.stack(
+            [
+                [self._placed(_force(self.interface, bogie, damper), newest) for damper in DAMPERS]
+                for bogie in BOGIES
+            ]
+        ).transpose(2, 0, 1)
+        return Memory(config.times_s, config.inputs, self.clip, period, linear, forces)
+
+    def _remembered(self, name: str, bogie: str) -> Array:
+        """Weights of a quantity's newest value; of a stroke as the sensor tells it."""
+        newest = self.row_count - 1
+        if name == "yaw_stroke":
+            return self._placed(_stroke(self.interface, bogie, name), newest)
+        return self._quantity(name, bogie, newest)
 
     def _quantity(self, name: str, bogie: str, row: int) -> Array:
         """Weights of all signals of all rows in a quantity."""
@@ -172,7 +215,12 @@ class BogieEncoding(Encoding):
         return all_rows.reshape(-1)
 
 
-def _check(interface: Interface, inputs: Mapping[str, InputConfig], output: OutputConfig) -> None:
+def _check(
+    interface: Interface,
+    inputs: Mapping[str, InputConfig],
+    output: OutputConfig,
+    memory: MemoryConfig | None,
+) -> None:
     """Refuse what the view of a bogie cannot show or command."""
     for name, each in inputs.items():
         if name not in QUANTITIES:
@@ -192,9 +240,15 @@ def _check(interface: Interface, inputs: Mapping[str, InputConfig], output: Outp
         raise ConfigError(f"output.kind: the view of a bogie takes 'command', found '{output.kind}'")
     if not isinstance(interface.damper, SaydDamperConfig):
         raise ConfigError("view: that of a bogie needs semi-active dampers, found passive ones")
-    rates = [name for name in RATES if name in inputs]
+    rates = [f"inputs.{name}" for name in RATES if name in inputs] + ["memory"] * (memory is not None)
     if rates and interface.history < 2:
-        raise ConfigError(f"inputs.{rates[0]}: needs a history of 2 rows or more")
+        raise ConfigError(f"{rates[0]}: needs a history of 2 rows or more")
+    for name in () if memory is None else memory.inputs:
+        if name not in MEMORIES:
+            raise ConfigError(
+                f"memory.inputs: a bogie remembers no quantity '{name}'{nearest(name, MEMORIES)}; it may "
+                f"remember {', '.join(MEMORIES)}"
+            )
 
 
 def _weights(interface: Interface, bogie: str, name: str) -> Array:

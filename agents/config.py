@@ -21,6 +21,14 @@ View = Literal["vehicle", "bogie"]
 """What one network sees and commands."""
 
 
+class BesideConfig(Model):
+    """Further vehicles in another environment of the same signals, valves and clock."""
+
+    name: str = Field(min_length=1, description="Name of an environment, or a path to its YAML file")
+    vehicles: int = Field(description="Vehicles side by side", strict=True, ge=1, le=4096)
+    episode_s: float = quantity("s", "Time at which an episode is truncated", gt=0.0)
+
+
 class LearningEnvironmentConfig(Model):
     """The environment in which a policy learns; what is null stays as the environment has it."""
 
@@ -33,6 +41,14 @@ class LearningEnvironmentConfig(Model):
     control_period: float = quantity("s", "Time for which a command holds", gt=0.0, le=1.0)
     episode_s: float = quantity("s", "Time at which an episode is truncated", gt=0.0)
     reward: RewardName = Field(description="Weights of the cost, by name; null: the study's")
+    beside: tuple[BesideConfig, ...] = Field(
+        (), max_length=8, description="Vehicles in other environments that learn along, such as on lines"
+    )
+
+    @property
+    def together(self) -> int:
+        """Vehicles of all environments."""
+        return self.vehicles + sum(each.vehicles for each in self.beside)
 
 
 class OutputConfig(Model):
@@ -45,6 +61,44 @@ class OutputConfig(Model):
     middle: float = quantity("-", "Command at output 0, for 'command'", default=0.5, ge=0.0, le=1.0)
     half: float = quantity("-", "Half the range of commands, for 'command'", default=0.5, gt=0.0, le=1.0)
     rate: float = quantity("1/s", "Fastest change of a command, for 'change'", default=1.0, gt=0.0)
+    hold: int = Field(1, description="Control periods for which an output holds", strict=True, ge=1, le=1000)
+
+    @model_validator(mode="after")
+    def _holds_commands(self) -> OutputConfig:
+        if self.kind == "change" and self.hold > 1:
+            raise ValueError("hold: needs kind 'command'; slow changes come by a smaller rate")
+        return self
+
+
+class MemoryConfig(Model):
+    """What a policy remembers beside the history of its observation: averages over the past seconds."""
+
+    times_s: tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...] = Field(
+        min_length=1, max_length=8, description="Times of the averages (s)"
+    )
+    inputs: dict[str, InputConfig] = Field(min_length=1, description="How each remembered quantity enters")
+
+
+class EstimatorConfig(Model):
+    """A network that estimates conditions from a policy's inputs; its estimates are further inputs."""
+
+    conditions: dict[str, InputConfig] = Field(
+        min_length=1, description="What is estimated: maps of `sayd_env.envs.privileged.CONDITIONS`"
+    )
+    hidden: tuple[Annotated[int, Field(strict=True, ge=1, le=4096)], ...] = Field(
+        max_length=8, description="Units of each hidden layer"
+    )
+
+
+class EstimateConfig(Model):
+    """An estimator and how it learns: regression on the true conditions that the simulator tells."""
+
+    conditions: tuple[str, ...] = Field(min_length=1, description="Some of `privileged`")
+    hidden: tuple[Annotated[int, Field(strict=True, ge=1, le=4096)], ...] = Field(
+        max_length=8, description="Units of each hidden layer"
+    )
+    learning_rate: float = quantity("-", "Step of Adam", gt=0.0, le=1.0)
+    batch_size: int = Field(description="Samples in a minibatch", strict=True, ge=2)
 
 
 class NetworkConfig(Model):
@@ -90,6 +144,18 @@ class SacConfig(Model):
     train_freq: Count = Field(description="Steps of each vehicle between updates")
     gradient_steps: Count = Field(description="Updates each time")
     target_entropy: Number = Field(description="Entropy of an output to which its weight is tuned")
+    ent_coef_init: float = quantity("-", "First weight of the entropy", default=1.0, gt=0.0)
+    n_steps: Count = Field(1, description="Steps whose rewards are added up before the critic is asked")
+    use_sde: bool = Field(
+        False, description="Explore by a function of the state, which holds for a while, not by white noise"
+    )
+    sde_sample_freq: int = Field(
+        -1, description="Steps after which this function is drawn anew; -1: never", strict=True, ge=-1
+    )
+
+
+MEANS = {"mean": "J", "geometric": "J_geometric"}
+"""Columns of a run's evaluations with the means of J over the scenarios."""
 
 
 class EvaluationConfig(Model):
@@ -103,6 +169,14 @@ class EvaluationConfig(Model):
     )
     initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
     episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
+    beside_seeds: tuple[Annotated[int, Field(strict=True, ge=0, lt=1_000_000)], ...] = Field(
+        (), description="Seeds of episodes of each environment beside the first, whole as they learn there"
+    )
+    criterion: Literal["mean", "geometric"] = Field(
+        "mean",
+        description="Mean of J over the scenarios by which a policy is the best; in the geometric one, rough "
+        "and smooth conditions count alike",
+    )
     references: tuple[str, ...] = Field((), description="Policies that are evaluated once, to compare with")
 
     @property
@@ -135,9 +209,18 @@ class TrainConfig(Model):
         "vehicle", description="vehicle: one network for all. bogie: the same network for each bogie"
     )
     inputs: dict[str, InputConfig] = Field(min_length=1, description="Quantities that the network sees")
+    memory: MemoryConfig | None = Field(None, description="What is remembered; null: nothing")
     clip: float = quantity("-", "Largest input of the network", gt=0.0, le=WIDEST)
     output: OutputConfig
     network: NetworkConfig
+    estimate: EstimateConfig | None = Field(None, description="Conditions that are estimated; null: none")
+    critic: tuple[str, ...] = Field(
+        (), description="Some of `privileged`, which the critic sees beside the policy's inputs"
+    )
+    privileged: dict[str, InputConfig] = Field(
+        {},
+        description="True conditions that training may use: maps of `sayd_env.envs.privileged.CONDITIONS`",
+    )
     learning: PpoConfig | SacConfig = Field(discriminator="algorithm")
     evaluation: EvaluationConfig
     checkpoint: CheckpointConfig
@@ -145,12 +228,17 @@ class TrainConfig(Model):
     @property
     def gamma(self) -> float:
         """Discount of one step."""
-        return math.exp(-self.environment.control_period / self.discount_s)
+        return math.exp(-self.decision_period / self.discount_s)
+
+    @property
+    def decision_period(self) -> float:
+        """Time for which an output of the network holds (s)."""
+        return self.environment.control_period * self.output.hold
 
     @property
     def networks(self) -> int:
         """Networks at work side by side: steps count each of them."""
-        return self.environment.vehicles * (2 if self.view == "bogie" else 1)
+        return self.environment.together * (2 if self.view == "bogie" else 1)
 
     @property
     def update_steps(self) -> int:
@@ -165,6 +253,26 @@ class TrainConfig(Model):
             if "." in name:
                 raise ValueError(f"'{name}' is a signal; expected a quantity, such as '{name.split('.')[0]}'")
         return inputs
+
+    @property
+    def estimator(self) -> EstimatorConfig | None:
+        """The estimator as a policy needs it."""
+        found = self.estimate
+        if found is None:
+            return None
+        conditions = {name: self.privileged[name] for name in found.conditions}
+        return EstimatorConfig(conditions=conditions, hidden=found.hidden)
+
+    @model_validator(mode="after")
+    def _knows_conditions(self) -> TrainConfig:
+        estimated = () if self.estimate is None else self.estimate.conditions
+        for key, names in (("estimate.conditions", estimated), ("critic", self.critic)):
+            for name in names:
+                if name not in self.privileged:
+                    raise ValueError(f"{key}: '{name}' is not among privileged")
+            if len(set(names)) < len(names):
+                raise ValueError(f"{key}: names a condition twice")
+        return self
 
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:

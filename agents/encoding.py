@@ -10,9 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.agents.config import OutputConfig
+from sayd_env.agents.memory import Memory
+from sayd_env.agents.state import run_in
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.learner import InputConfig
-from sayd_env.envs.interface import Interface
+from sayd_env.config.units import Array
+from sayd_env.envs.interface import Interface, RunIn
 from sayd_env.envs.scaled import Observation, Scaling
 
 
@@ -37,12 +40,15 @@ class Encoding(ABC):
         Outputs of the network.
     sensors : tuple of str
         Signals that it reads.
+    memory : Memory or None
+        What it remembers beside the observation.
     """
 
     units: int
     size: int
     actions: int
     sensors: tuple[str, ...]
+    memory: Memory | None = None
 
     def __init__(self, interface: Interface, clip: float, output: OutputConfig) -> None:
         self.interface = interface
@@ -50,8 +56,39 @@ class Encoding(ABC):
         self.output = output
 
     @abstractmethod
-    def encode(self, observations: Observation) -> Observation:
-        """Inputs of the network, shape (N units, size), of observations of shape (N, *obs)."""
+    def encode(self, observations: Observation, memory: Array | None = None) -> Observation:
+        """Inputs of the network, shape (N units, size).
+
+        Parameters
+        ----------
+        observations : ndarray, shape (N, *obs)
+        memory : ndarray, shape (N, memory.width), optional
+            What is remembered, with these observations: `remember`. Needed where there is a memory.
+        """
+
+    @property
+    def memory_width(self) -> int:
+        """Numbers that are remembered of a vehicle."""
+        return 0 if self.memory is None else self.memory.width
+
+    def remember(self, memory: Array, observations: Observation) -> Array:
+        """What is remembered after these observations of shape (N, *obs), of what was before: a new array.
+
+        Both have the shape (N, memory_width); a vehicle that has seen nothing has zeros.
+        """
+        if self.memory is None:
+            return memory
+        return self.memory.remember(memory, flat(observations))
+
+    def listen(self, heard: RunIn) -> Array:
+        """What vehicles remember of their run-in, shape (N, memory_width), but for its last observation.
+
+        That one comes with the first call of a policy.
+        """
+        memory = np.zeros((heard.observations.shape[1], self.memory_width))
+        for own, seen in run_in(heard, self.interface) if self.memory is not None else ():
+            memory[own] = self.remember(memory[own], seen)
+        return memory
 
     def decode(self, outputs: npt.NDArray[Any], observations: Observation) -> Observation:
         """Valve commands, shape (N, A), of the network's outputs for these observations.
@@ -107,7 +144,7 @@ class VehicleEncoding(Encoding):
         self.size = len(self.columns) * interface.history
         self.actions = interface.actions
 
-    def encode(self, observations: Observation) -> Observation:
+    def encode(self, observations: Observation, memory: Array | None = None) -> Observation:
         """Inputs of the network, shape (N, size), of observations of shape (N, *obs)."""
         return self.scaling(observations[..., self.columns]).reshape(len(observations), self.size)
 
@@ -118,6 +155,12 @@ class VehicleEncoding(Encoding):
         held = observations[..., self.held].astype(np.float64)
         change = self.step * np.clip(outputs.astype(np.float64), -1.0, 1.0)
         return np.clip(held + change, 0.0, 1.0).astype(np.float32)
+
+
+def flat(observations: Observation) -> Array:
+    """Observations as rows of numbers, in double precision; what is missing is 0."""
+    values: Array = observations.reshape(len(observations), -1).astype(np.float64)
+    return values if np.isfinite(values).all() else np.nan_to_num(values)
 
 
 def _commands(interface: Interface) -> npt.NDArray[np.intp]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,11 @@ from stable_baselines3 import PPO, SAC
 
 from sayd_env.agents.config import PpoConfig, TrainConfig
 from sayd_env.agents.learning_env import EncodedVecEnv
+from sayd_env.agents.networks import ACTIVATIONS, EstimatorTrainer, Layout, PpoPolicy, SacPolicy, eyes_of
 from sayd_env.agents.policy_file import Layers
 from sayd_env.config import DataError
 from sayd_env.config.storage import write_folder
 
-ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 STATE, REPLAY, PROGRESS = "state.pt", "replay.npz", "progress.json"
 REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -37,22 +37,24 @@ class Progress:
 
 def make_model(config: TrainConfig, env: EncodedVecEnv) -> Any:
     """A PPO or SAC model that has learned nothing yet."""
-    settings = config.learning.model_dump(exclude={"algorithm", "log_std_init", "anneal"})
+    settings = config.learning.model_dump(exclude={"algorithm", "log_std_init", "anneal", "ent_coef_init"})
     if config.learning.anneal:
         settings["learning_rate"] = _falling(
             config.learning.learning_rate, config.update_steps / config.total_steps
         )
     hidden, activation = list(config.network.hidden), ACTIVATIONS[config.network.activation]
     common = {"gamma": config.gamma, "seed": config.seed, "device": "cpu", "verbose": 0}
+    network: dict[str, Any] = {"activation_fn": activation, "layout": Layout.of(config, env.inputs)}
     if isinstance(config.learning, PpoConfig):
-        network = {
-            "net_arch": {"pi": hidden, "vf": hidden},
-            "activation_fn": activation,
-            "log_std_init": config.learning.log_std_init,
-        }
-        return PPO("MlpPolicy", env, policy_kwargs=network, **settings, **common)
-    network = {"net_arch": {"pi": hidden, "qf": hidden}, "activation_fn": activation}
-    return SAC("MlpPolicy", env, policy_kwargs=network, **settings, **common)
+        network |= {"net_arch": {"pi": hidden, "vf": hidden}, "log_std_init": config.learning.log_std_init}
+        model: Any = PPO(PpoPolicy, env, policy_kwargs=network, **settings, **common)
+    else:
+        # Without a limit of the mean, which a stored policy does not have.
+        network |= {"net_arch": {"pi": hidden, "qf": hidden}, "clip_mean": 0.0}
+        settings["ent_coef"] = f"auto_{config.learning.ent_coef_init!r}"
+        model = SAC(SacPolicy, env, policy_kwargs=network, **settings, **common)
+    model.estimating = None if config.estimate is None else EstimatorTrainer(model, config.estimate)
+    return model
 
 
 def _falling(rate: float, update: float) -> Callable[[float], float]:
@@ -73,10 +75,20 @@ def policy_layers(model: Any) -> tuple[Layers, str]:
         body, head, squash = model.policy.mlp_extractor.policy_net, model.policy.action_net, "clip"
     else:
         body, head, squash = model.actor.latent_pi, model.actor.mu, "tanh"
-    linear = [module for module in (*body, head) if isinstance(module, torch.nn.Linear)]
+    return _layers([*body, head]), squash
+
+
+def estimator_layers(model: Any) -> Layers:
+    """Weights of a model's estimator; empty without one."""
+    network = eyes_of(model).estimator
+    return () if network is None else _layers(network)
+
+
+def _layers(modules: Iterable[torch.nn.Module]) -> Layers:
+    linear = [module for module in modules if isinstance(module, torch.nn.Linear)]
     return tuple(
         (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in linear
-    ), squash
+    )
 
 
 def save_model(path: Path, model: Any, progress: Progress) -> None:
@@ -122,7 +134,9 @@ def _state(model: Any) -> dict[str, Any]:
     drawn: Any = np.random.get_state()  # noqa: NPY002 - what the library draws from
     kind, keys, place, has_gauss, gauss = drawn
     _, variables = model._get_torch_save_params()
+    estimating = model.estimating
     return {
+        "estimator": {} if estimating is None else estimating.optimizer.state_dict(),
         "parameters": model.get_parameters(),
         "variables": {name: getattr(model, name).detach() for name in variables if _is_tensor(model, name)},
         "torch_random": torch.get_rng_state(),
@@ -136,6 +150,8 @@ def _is_tensor(model: Any, name: str) -> bool:
 
 def _restore(model: Any, state: dict[str, Any], progress: Progress) -> None:
     model.set_parameters(state["parameters"], exact_match=True, device="cpu")
+    if model.estimating is not None:
+        model.estimating.optimizer.load_state_dict(state["estimator"])
     for name, value in state["variables"].items():
         getattr(model, name).data.copy_(value)
     torch.set_rng_state(state["torch_random"])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,13 @@ from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 
 from sayd_env.agents.bogie_encoding import make_encoding
-from sayd_env.agents.config import TrainConfig
+from sayd_env.agents.config import BesideConfig, TrainConfig
 from sayd_env.agents.encoding import Encoding
 from sayd_env.agents.sb3_vec import SaydVecEnv, Step
+from sayd_env.config.learner import InputConfig
 from sayd_env.config.units import Array
-from sayd_env.envs.scaled import Observation, ordinary_costs
+from sayd_env.envs.privileged import Conditions, check_conditions
+from sayd_env.envs.scaled import Observation, Scaling, ordinary_costs
 
 Numbers = Callable[[], Array]
 
@@ -26,11 +29,79 @@ SEEDS_OF_A_START = 4096
 STARTS = SEEDS_APART // SEEDS_OF_A_START
 
 
+class JoinedVecEnv(VecEnv):
+    """Batches of vehicles in several environments as one: those of the first come first.
+
+    Parameters
+    ----------
+    parts : sequence of SaydVecEnv
+        Of the same signals, valves and clock.
+    """
+
+    def __init__(self, parts: Sequence[SaydVecEnv]) -> None:
+        self.parts = tuple(parts)
+        first = self.parts[0]
+        super().__init__(sum(part.num_envs for part in parts), first.observation_space, first.action_space)
+        ends = np.cumsum([part.num_envs for part in parts]).tolist()
+        self.slices = [slice(end - part.num_envs, end) for part, end in zip(parts, ends, strict=True)]
+
+    def reset(self) -> Observation:
+        """Begin an episode of every vehicle."""
+        for part, own in zip(self.parts, self.slices, strict=True):
+            part._seeds, part._options = self._seeds[own], self._options[own]
+        seen = np.concatenate([part.reset() for part in self.parts])
+        self.reset_infos = [info for part in self.parts for info in part.reset_infos]
+        self._reset_seeds()
+        self._reset_options()
+        return seen
+
+    def step_async(self, actions: npt.NDArray[np.float32]) -> None:
+        """Keep the valve commands for `step_wait`."""
+        for part, own in zip(self.parts, self.slices, strict=True):
+            part.step_async(actions[own])
+
+    def step_wait(self) -> Step:
+        """Hold the valve commands for one control period."""
+        steps = [part.step_wait() for part in self.parts]
+        seen, rewards, dones = (np.concatenate([step[i] for step in steps]) for i in range(3))
+        return seen, rewards, dones, [info for step in steps for info in step[3]]
+
+    def together(self, numbers: Callable[[SaydVecEnv], Array]) -> Array:
+        """What a function gives of each part, one behind the other."""
+        return np.concatenate([numbers(part) for part in self.parts])
+
+    def close(self) -> None:
+        """Close the parts."""
+        for part in self.parts:
+            part.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of each vehicle's environment."""
+        every = [value for part in self.parts for value in part.get_attr(attr_name)]
+        return [every[i] for i in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of all environments."""
+        for part in self.parts:
+            part.set_attr(attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> Any:
+        """Refuse to call a method of one vehicle, as the parts do."""
+        return self.parts[0].env_method(method_name)
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Nothing lies around a vehicle."""
+        return [False] * len(list(self._get_indices(indices)))
+
+
 class EncodedVecEnv(VecEnvWrapper):
     """Networks at work: encoded observations, actions that are a network's outputs, scaled rewards.
 
     A vehicle has one network or, in the view of a bogie, two; then vehicle i has the rows 2 i and 2 i + 1,
-    and each is paid for its own bogie.
+    and each is paid for its own bogie. Behind a network's inputs an observation holds the true conditions
+    that a critic or an estimator learns with.
 
     Parameters
     ----------
@@ -41,46 +112,102 @@ class EncodedVecEnv(VecEnvWrapper):
         Gives what each vehicle's rewards are multiplied with in its episode, shape (N).
     costs : callable, optional
         Gives the share of the last period in the J of each bogie, shape (N, 2).
+    privileged : Privileged, optional
+        Gives the true conditions.
+    heard : callable, optional
+        Gives what vehicles that have just begun remember of their run-in, shape (N, memory_width).
+
+    Attributes
+    ----------
+    inputs : int
+        Inputs of a network.
     """
 
     def __init__(
-        self, venv: VecEnv, encoding: Encoding, factors: Numbers, costs: Numbers | None = None
+        self,
+        venv: VecEnv,
+        encoding: Encoding,
+        factors: Numbers,
+        costs: Numbers | None = None,
+        privileged: Privileged | None = None,
+        heard: Callable[[npt.NDArray[np.bool_]], Array] | None = None,
     ) -> None:
         super().__init__(venv)
+        self.inputs = encoding.size
+        width = self.inputs + (0 if privileged is None else privileged.size)
         VecEnv.__init__(
             self,
             venv.num_envs * encoding.units,
-            Box(-encoding.clip, encoding.clip, (encoding.size,), np.float32),
+            Box(-encoding.clip, encoding.clip, (width,), np.float32),
             Box(-1.0, 1.0, (encoding.actions,), np.float32),
         )
-        self._encoding = encoding
+        self._encoding, self._privileged, self._heard = encoding, privileged, heard
         self._factors, self._factor = factors, np.ones(venv.num_envs)
         self._costs = costs
         self._seen: Observation = np.zeros(0, np.float32)
+        self._memory = np.zeros((venv.num_envs, encoding.memory_width))
+        self._outputs: npt.NDArray[np.float32] = np.zeros(0, np.float32)
+        self._conditions: Observation = np.zeros(0, np.float32)
 
     def reset(self) -> Observation:
         """Begin an episode of every vehicle."""
         self._seen = self.venv.reset()
+        self._begin(np.ones(self.venv.num_envs, dtype=np.bool_))
+        self._memory = self._encoding.remember(self._memory, self._seen)
+        return self._observed()
+
+    def _begin(self, which: npt.NDArray[np.bool_]) -> None:
+        """Take over the episodes of vehicles that have just begun."""
         self._factor = self._factors()
-        return self._encoding.encode(self._seen)
+        self._memory[which] = 0.0
+        if self._heard is not None:
+            self._memory[which] = self._heard(which)[which]
+        if self._privileged is not None:
+            self._privileged.begin(np.flatnonzero(which))
+
+    def _observed(self) -> Observation:
+        inputs = self._encoding.encode(self._seen, self._memory)
+        if self._privileged is None:
+            return inputs
+        self._conditions = self._privileged(self._encoding.units)
+        return np.concatenate([inputs, self._conditions], axis=1)
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
-        """Turn outputs of the network to valve commands."""
-        self.venv.step_async(self._encoding.decode(actions, self._seen))
+        """Keep outputs of the network for `step_wait`."""
+        self._outputs = actions
 
     def step_wait(self) -> Step:
-        """Hold the commands for one control period."""
-        self._seen, rewards, dones, infos = self.venv.step_wait()
-        units = self._encoding.units
+        """Hold the commands as long as an output holds; an episode is paid for its own periods."""
+        count, units = self.venv.num_envs, self._encoding.units
+        paid, over = np.zeros((count, units)), np.zeros(count, dtype=np.bool_)
+        last: dict[int, dict[str, Any]] = {}
+        infos: list[dict[str, Any]] = []
+        for _ in range(self._encoding.output.hold):
+            commands = self._encoding.decode(self._outputs, self._seen)
+            self._seen, rewards, dones, infos = self.venv.step(commands)
+            paid += np.where(over[:, None], 0.0, self._paid(rewards, dones) * self._factor[:, None])
+            if dones.any():
+                for i in map(int, np.flatnonzero(dones & ~over)):
+                    last[i] = infos[i] | {"terminal_observation": self._last(i, infos[i])}
+                over |= dones
+                self._begin(dones)
+            self._memory = self._encoding.remember(self._memory, self._seen)
         each = [info for info in infos for _ in range(units)] if units > 1 else infos
-        for i in np.flatnonzero(dones):
-            last = self._encoding.encode(infos[i]["terminal_observation"][None])
+        for i, info in last.items():
+            rows = info["terminal_observation"]
             for j in range(units):
-                each[i * units + j] = infos[i] | {"terminal_observation": last[j]}
-        paid = (self._paid(rewards, dones) * self._factor[:, None]).astype(np.float32).reshape(-1)
-        if dones.any():
-            self._factor = self._factors()
-        return self._encoding.encode(self._seen), paid, np.repeat(dones, units), each
+                each[i * units + j] = info | {"terminal_observation": rows[j]}
+        scaled = paid.astype(np.float32).reshape(-1)
+        return self._observed(), scaled, np.repeat(over, units), each
+
+    def _last(self, i: int, info: dict[str, Any]) -> Observation:
+        """What vehicle i observed last; its conditions are those of its last decision."""
+        seen, units = info["terminal_observation"][None], self._encoding.units
+        memory = self._encoding.remember(self._memory[i : i + 1], seen)
+        inputs = self._encoding.encode(seen, memory)
+        if self._privileged is None:
+            return inputs
+        return np.concatenate([inputs, self._conditions[i * units : (i + 1) * units]], axis=1)
 
     def _paid(self, rewards: npt.NDArray[np.float32], dones: npt.NDArray[np.bool_]) -> Array:
         """Rewards of the networks, shape (N, units): their mean over a vehicle is the vehicle's."""
@@ -93,16 +220,56 @@ class EncodedVecEnv(VecEnvWrapper):
         return paid
 
 
-def environment_keywords(config: TrainConfig) -> dict[str, Any]:
-    """Keywords of the environment in which a policy learns."""
+class Privileged:
+    """True conditions of vehicles by fixed maps: what a critic and an estimator learn with.
+
+    Parameters
+    ----------
+    vehicles : JoinedVecEnv
+    conditions : mapping
+        Map of each of `sayd_env.envs.privileged.CONDITIONS`.
+    clip : float
+        Numbers are cut off at plus and minus this.
+
+    Attributes
+    ----------
+    size : int
+        Number of conditions.
+
+    Raises
+    ------
+    ConfigError
+        An unknown condition.
+    """
+
+    def __init__(self, vehicles: JoinedVecEnv, conditions: Mapping[str, InputConfig], clip: float) -> None:
+        self.size = len(conditions)
+        self._parts = [Conditions(part.vector.batch, tuple(conditions)) for part in vehicles.parts]
+        self._firsts = np.cumsum([0, *(part.num_envs for part in vehicles.parts)])
+        configs = list(conditions.values())
+        middle, half = (np.array([getattr(c, name) for c in configs]) for name in ("middle", "half"))
+        self._scaling = Scaling(middle, half, clip, np.array([c.law == "log" for c in configs]))
+
+    def begin(self, which: npt.NDArray[np.intp]) -> None:
+        """Take over the episodes of vehicles that have just begun."""
+        for part, (first, end) in zip(self._parts, pairwise(self._firsts), strict=True):
+            part.begin([int(i - first) for i in which if first <= i < end])
+
+    def __call__(self, units: int) -> Observation:
+        """Conditions where the vehicles are, a row for each network, shape (N units, size)."""
+        return np.repeat(self._scaling(np.concatenate([part() for part in self._parts])), units, axis=0)
+
+
+def environment_keywords(config: TrainConfig, beside: BesideConfig | None = None) -> dict[str, Any]:
+    """Keywords of the environment in which a policy learns, or of one beside it."""
     settings = config.environment
     return {
-        "environment": settings.name,
+        "environment": settings.name if beside is None else beside.name,
         "valves": settings.valves,
         "observation": settings.observation,
         "history": settings.history,
         "control_period": settings.control_period,
-        "episode_s": settings.episode_s,
+        "episode_s": settings.episode_s if beside is None else beside.episode_s,
         "reward": settings.reward,
     }
 
@@ -116,17 +283,54 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
         Keywords, inputs or outputs that do not fit the environment.
     """
     settings = config.environment
-    vehicles = SaydVecEnv(
-        num_envs=settings.vehicles, num_threads=settings.threads, **environment_keywords(config)
+    check_conditions([*config.privileged])
+    every = [(settings.vehicles, None), *((each.vehicles, each) for each in settings.beside)]
+    vehicles = JoinedVecEnv(
+        [
+            SaydVecEnv(
+                num_envs=count,
+                num_threads=settings.threads,
+                info="none",  # nobody reads it, and it takes its time
+                **environment_keywords(config, beside),
+            )
+            for count, beside in every
+        ]
     )
-    encoding = make_encoding(vehicles.interface, config.view, config.inputs, config.clip, config.output)
+    interface = vehicles.parts[0].interface
+    encoding = make_encoding(interface, config.view, config.inputs, config.clip, config.output, config.memory)
+    for part in vehicles.parts:
+        part.vector.listens = encoding.memory is not None
 
     def factors() -> Array:
         per_second = config.reward_scale / settings.control_period
-        return per_second / ordinary_costs(vehicles.vector.batch)
+        return per_second / vehicles.together(lambda part: ordinary_costs(part.vector.batch))
+
+    def heard(which: npt.NDArray[np.bool_]) -> Array:
+        return np.concatenate(
+            [
+                _heard(part, encoding, which[own])
+                for part, own in zip(vehicles.parts, vehicles.slices, strict=True)
+            ]
+        )
 
     # The monitor is below: it adds up what the environment gives, minus J.
-    return EncodedVecEnv(VecMonitor(vehicles), encoding, factors, vehicles.bogie_costs), encoding
+    env = EncodedVecEnv(
+        VecMonitor(vehicles),
+        encoding,
+        factors,
+        lambda: vehicles.together(SaydVecEnv.bogie_costs),
+        Privileged(vehicles, config.privileged, config.clip) if config.privileged else None,
+        heard if encoding.memory is not None else None,
+    )
+    return env, encoding
+
+
+def _heard(part: SaydVecEnv, encoding: Encoding, which: npt.NDArray[np.bool_]) -> Array:
+    """What vehicles of a batch that have just begun remember of their run-in."""
+    heard = part.vector.batch.heard
+    if not which.any() or heard is None:
+        return np.zeros((part.num_envs, encoding.memory_width))
+    return encoding.listen(heard)
 
 
 def seed_environments(env: EncodedVecEnv, seed: int, restarts: int) -> None:

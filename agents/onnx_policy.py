@@ -12,10 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.agents.policy_archive import read_bytes, shown_path
+from sayd_env.agents.state import NEXT_STATE, OUTPUT, STATE, run_in, started
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.explain import shown
+from sayd_env.config.units import Array
 from sayd_env.envs.episode_batch import checked_actions
-from sayd_env.envs.interface import Interface
+from sayd_env.envs.interface import Interface, RunIn
 
 Observation = npt.NDArray[np.float32]
 
@@ -30,6 +32,8 @@ class OnnxPolicy:
     """Keywords of the environments in which it can act; empty for a model that does not say."""
     signals: tuple[str, ...] = ()
     """Names of what it observes, in order; empty for a model that does not say."""
+    remembered: int = 0
+    """Numbers, the first ones of its state, that come from what it has observed, in the run-in as well."""
 
     def identity(self) -> str:
         """SHA-256 of the file."""
@@ -44,7 +48,7 @@ class OnnxPolicy:
             It takes other observations, or says that it needs another environment.
         """
         interface.check(self.where, self.needs, self.signals)
-        return OnnxRunner(self, interface)
+        return (RememberingRunner if self.remembered else OnnxRunner)(self, interface)
 
 
 def read_onnx(path: Path) -> OnnxPolicy:
@@ -69,9 +73,10 @@ def read_onnx(path: Path) -> OnnxPolicy:
         }
         rows = {"history": int(metadata["history"])} if metadata["observation"] == "history" else {}
         signals = tuple(metadata["signals"].split())
+        remembered = int(metadata.get("remembered", 0))
     except (KeyError, ValueError) as error:
         raise DataError(f"{where}: its metadata cannot be used ({shown(str(error))})") from None
-    return OnnxPolicy(where, content, needs | rows, signals)
+    return OnnxPolicy(where, content, needs | rows, signals, remembered)
 
 
 def _session(content: bytes, where: str) -> Any:
@@ -109,7 +114,8 @@ class OnnxRunner:
         self.name, self.interface, self._where = Path(policy.where).stem, interface, policy.where
         self._session = _session(policy.content, policy.where)
         inputs = self._session.get_inputs()
-        found = [tuple(each.shape) for each in inputs]
+        self._width = _state_width(inputs, self._session.get_outputs())
+        found = [tuple(each.shape) for each in inputs if not self._width or each.name != STATE]
         flat = (int(np.prod(interface.shape)),)
         shapes = [shape for shape in (interface.shape, flat) if len(found) == 1 and _fits(found[0], shape)]
         if not shapes or inputs[0].type != "tensor(float)":
@@ -126,29 +132,64 @@ class OnnxRunner:
         state: Any | None = None,
         episode_start: Any | None = None,
         deterministic: bool = True,
-    ) -> tuple[Observation, None]:
+    ) -> tuple[Observation, Any]:
         """Valve commands for the next control period, as `agents.policy_file.LearnedPolicy.predict`.
+
+        The state is that of a model with an input ``state`` and an output ``next_state``; else there is none.
 
         Raises
         ------
         ConfigError
-            An observation of another shape, or a model that gives no valve commands.
+            An observation or a state of another shape, or a model that gives no valve commands.
         """
         values, single = self.interface.rows(observation, self._where)
+        rows = values.astype(np.float32).reshape(-1, 1, *self._shape)
+        before = started(state, episode_start, len(rows), self._width, self._where)
         # Row by row: the bits of a vehicle's commands must not depend on how many are side by side.
-        actions = np.concatenate(
-            [self._command(row) for row in values.astype(np.float32).reshape(-1, 1, *self._shape)]
-        )
-        return (actions[0] if single else actions), None
+        found = [self._command(row, memory) for row, memory in zip(rows, before[:, None], strict=True)]
+        actions = np.concatenate([action for action, _ in found])
+        after = np.concatenate([memory for _, memory in found]) if self._width else None
+        return (actions[0] if single else actions), after
 
-    def _command(self, row: Observation) -> Observation:
+    def _command(self, row: Observation, memory: Array) -> tuple[Observation, Array]:
+        given = {self._input: row} | ({STATE: memory} if self._width else {})
         try:
-            found = self._session.run(None, {self._input: row})[0]
-            return checked_actions(found, (1, self.interface.actions)).astype(np.float32)
+            found, *after = self._session.run([OUTPUT, NEXT_STATE] if self._width else None, given)
+            action = checked_actions(found, (1, self.interface.actions)).astype(np.float32)
+            return action, (after[0] if self._width else memory)
         except ConfigError as error:
             raise ConfigError(f"{self._where}: {error}") from None
         except Exception as error:
             raise ConfigError(f"{self._where}: {shown(str(error))}") from None
+
+
+class RememberingRunner(OnnxRunner):
+    """A model that remembers what it has observed, and hears the run-in."""
+
+    def __init__(self, policy: OnnxPolicy, interface: Interface) -> None:
+        super().__init__(policy, interface)
+        self._remembered = policy.remembered
+        if not 0 < self._remembered <= self._width:
+            raise ConfigError(
+                f"{self._where}: remembers {self._remembered} numbers in a state of {self._width}"
+            )
+
+    def listen(self, heard: RunIn) -> Array:
+        """State at step 0 of a run-in that was heard."""
+        count = heard.observations.shape[1]
+        memory = np.zeros((count, self._width))
+        for own, seen in run_in(heard, self.interface):
+            memory[own] = self.predict(seen, memory[own])[1]
+            memory[:, self._remembered :] = 0.0  # an output that is held begins at step 0
+        return memory
+
+
+def _state_width(inputs: Any, outputs: Any) -> int:
+    """Numbers of the state of a model that remembers, as `agents.export` writes it; 0 for any other."""
+    shapes = {each.name: each.shape for each in inputs}
+    remembers = STATE in shapes and NEXT_STATE in {each.name for each in outputs}
+    width = shapes[STATE][-1] if remembers else 0
+    return width if isinstance(width, int) else 0
 
 
 def _fits(found: tuple[Any, ...], shape: tuple[int, ...]) -> bool:

@@ -21,10 +21,11 @@ import yaml
 from pydantic import AfterValidator, Field, field_validator
 
 from sayd_env.agents.bogie_encoding import make_encoding
-from sayd_env.agents.config import NetworkConfig, OutputConfig, View
+from sayd_env.agents.config import EstimatorConfig, MemoryConfig, NetworkConfig, OutputConfig, View
 from sayd_env.agents.encoding import Encoding, VehicleEncoding
 from sayd_env.agents.policy_archive import PolicyArchive, pack, shown_path
 from sayd_env.agents.products import layer
+from sayd_env.agents.state import started
 from sayd_env.config import Model, quantity, validate
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.control import CONTROLLERS, load_online
@@ -35,13 +36,18 @@ from sayd_env.config.explain import shown
 from sayd_env.config.learner import WIDEST, InputConfig
 from sayd_env.config.storage import write_file
 from sayd_env.config.units import Array
-from sayd_env.envs.interface import Interface, Signal
+from sayd_env.envs.interface import Interface, RunIn, Signal
 from sayd_env.envs.scaled import Observation, Scaling
 
 Layers = tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
 
+Weights = list[tuple[Array, Array]]
+"""The same in double precision, (in, out)."""
+
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _NORMALISATION = ("input_middle", "input_half")
+_ESTIMATOR = "estimator_"
+"""Begins the names of the arrays of the network that estimates."""
 
 
 def checked_name(name: str) -> str:
@@ -73,9 +79,13 @@ class PolicyDescription(Model):
     control_period: float = quantity("s", "Time for which a command holds", gt=0.0, le=1.0)
     view: View = "vehicle"
     inputs: dict[str, InputConfig] = Field(min_length=1)
+    memory: MemoryConfig | None = Field(None, description="What is remembered beside the observation")
     clip: float = quantity("-", "Largest input of the network", gt=0.0, le=WIDEST)
     output: OutputConfig
     network: NetworkConfig
+    estimate: EstimatorConfig | None = Field(
+        None, description="Conditions that a second network estimates: further inputs of the policy's"
+    )
     squash: Literal["tanh", "clip"] = Field(description="What keeps the output within -1 and 1")
     made: dict[str, Any] = Field({}, description="Where it comes from: configuration, versions, evaluation")
 
@@ -96,6 +106,8 @@ class StoredPolicy:
     """Where it was read, for messages."""
     normalisation: tuple[Array, Array] | None = None
     """Middle and half of each number of an observation, in place of those of its quantity."""
+    estimator: Layers = ()
+    """Layers of the network that estimates conditions, if there is one."""
 
     @property
     def needs(self) -> dict[str, Any]:
@@ -142,13 +154,17 @@ class StoredPolicy:
         ConfigError
             The policy has learned from other signals, commands or another clock.
         """
-        return LearnedPolicy(self, interface)
+        about = self.description
+        remembers = about.memory is not None or about.output.hold > 1
+        return (RememberingPolicy if remembers else LearnedPolicy)(self, interface)
 
     def encoding(self, interface: Interface) -> Encoding:
         """What its network sees and commands in an environment."""
         about = self.description
         try:
-            encoding = make_encoding(interface, about.view, about.inputs, about.clip, about.output)
+            encoding = make_encoding(
+                interface, about.view, about.inputs, about.clip, about.output, about.memory
+            )
         except ConfigError as error:
             raise ConfigError(f"{self.where}: {error}") from None
         if self.normalisation is not None and isinstance(encoding, VehicleEncoding):
@@ -195,8 +211,9 @@ def interface_like(description: PolicyDescription) -> Interface:
 def policy_bytes(policy: StoredPolicy) -> bytes:
     """Content of a policy's file."""
     arrays: dict[str, Any] = {}
-    for i, (weight, bias) in enumerate(policy.layers):
-        arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
+    for of, layers in (("", policy.layers), (_ESTIMATOR, policy.estimator)):
+        for i, (weight, bias) in enumerate(layers):
+            arrays |= {f"{of}weight_{i}": weight, f"{of}bias_{i}": bias}
     arrays |= dict(zip(_NORMALISATION, policy.normalisation or (), strict=False))
     text = yaml.safe_dump(policy.description.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
     return pack(text, arrays)
@@ -227,21 +244,33 @@ def read_policy(path: Path | str) -> StoredPolicy:
     description = validate(PolicyDescription, archive.description(), f"{where}: policy.yaml")
     policy = StoredPolicy(description, (), where)
     encoding = policy.encoding(interface_like(description))
-    expected: dict[str, tuple[tuple[int, ...], str]] = {}
-    for i, (before, after) in enumerate(
-        pairwise([encoding.size, *description.network.hidden, encoding.actions])
-    ):
-        expected |= {f"weight_{i}": ((after, before), "float32"), f"bias_{i}": ((after,), "float32")}
+    estimated = () if description.estimate is None else tuple(description.estimate.conditions)
+    widths = [encoding.size + len(estimated), *description.network.hidden, encoding.actions]
+    expected = _shapes("", widths)
+    if description.estimate is not None:
+        expected |= _shapes(_ESTIMATOR, [encoding.size, *description.estimate.hidden, len(estimated)])
     if archive.optional(_NORMALISATION) and isinstance(encoding, VehicleEncoding):
         rows = () if description.observation != "history" else (description.history,)
         expected |= dict.fromkeys(_NORMALISATION, ((*rows, len(encoding.columns)), "float64"))
     arrays = archive.arrays(expected)
-    layers = tuple(
-        (arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(len(description.network.hidden) + 1)
-    )
+    layers = _layers(arrays, "")
+    estimator = _layers(arrays, _ESTIMATOR)
     middle, half = (arrays.get(name) for name in _NORMALISATION)
     normalisation = None if middle is None or half is None else (middle, half)
-    return StoredPolicy(description, layers, where, normalisation)
+    return StoredPolicy(description, layers, where, normalisation, estimator)
+
+
+def _shapes(of: str, widths: list[int]) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Shape and type of the arrays of a network with so many inputs, units and outputs."""
+    found: dict[str, tuple[tuple[int, ...], str]] = {}
+    for i, (before, after) in enumerate(pairwise(widths)):
+        found |= {f"{of}weight_{i}": ((after, before), "float32"), f"{of}bias_{i}": ((after,), "float32")}
+    return found
+
+
+def _layers(arrays: Mapping[str, Any], of: str) -> Layers:
+    count = sum(name.startswith(f"{of}weight_") for name in arrays)
+    return tuple((arrays[f"{of}weight_{i}"], arrays[f"{of}bias_{i}"]) for i in range(count))
 
 
 def load_policy(path: Path | str, interface: Interface) -> LearnedPolicy:
@@ -285,11 +314,7 @@ class LearnedPolicy:
         self.interface = interface
         self.encoding = stored.encoding(interface)
         self.sensors = self.encoding.sensors
-        # In double precision, so that the number of vehicles side by side does not show in the commands.
-        self.layers = [
-            (np.ascontiguousarray(weight.T, dtype=np.float64), bias.astype(np.float64))
-            for weight, bias in stored.layers
-        ]
+        self.layers, self.estimator = _doubled(stored.layers), _doubled(stored.estimator)
         self._activate = np.tanh if description.network.activation == "tanh" else _relu
         self._squash = description.squash == "tanh"
 
@@ -299,7 +324,7 @@ class LearnedPolicy:
         state: Any | None = None,
         episode_start: Any | None = None,
         deterministic: bool = True,
-    ) -> tuple[Observation, None]:
+    ) -> tuple[Observation, Any]:
         """Valve commands for the next control period.
 
         Parameters
@@ -328,11 +353,92 @@ class LearnedPolicy:
     def outputs(self, inputs: Observation) -> Array:
         """What the network makes of its inputs, a row for each; `Encoding.decode` cuts it off at -1 and 1."""
         values = inputs.astype(np.float64)
-        for weight, bias in self.layers[:-1]:
-            values = self._activate(layer(values, weight, bias))
-        values = layer(values, *self.layers[-1])
+        if self.estimator:
+            values = np.concatenate([values, self.estimates(inputs)], axis=1)
+        values = self._through(self.layers, values)
         outputs: Array = np.tanh(values) if self._squash else values
         return outputs
+
+    def estimates(self, inputs: Observation) -> Array:
+        """Conditions as they are estimated from inputs, as the maps of the description make them."""
+        clip = self.parameters.clip
+        return np.clip(self._through(self.estimator, inputs.astype(np.float64)), -clip, clip)
+
+    def _through(self, layers: Weights, values: Array) -> Array:
+        for weight, bias in layers[:-1]:
+            values = self._activate(layer(values, weight, bias))
+        return layer(values, *layers[-1])
+
+
+class RememberingPolicy(LearnedPolicy):
+    """A learned policy with a state: what it remembers of each vehicle, and the output that it holds.
+
+    The state is an array of shape (N, memory_width), behind it, where outputs hold for several periods, the
+    periods since the last one and the outputs.
+    """
+
+    def __init__(self, stored: StoredPolicy, interface: Interface) -> None:
+        super().__init__(stored, interface)
+        self.hold = stored.description.output.hold
+        held = self.encoding.units * self.encoding.actions
+        self.width = self.encoding.memory_width + (1 + held if self.hold > 1 else 0)
+
+    def listen(self, heard: RunIn) -> Array:
+        """State at step 0 of a run-in that was heard."""
+        state = np.zeros((heard.observations.shape[1], self.width))
+        state[:, : self.encoding.memory_width] = self.encoding.listen(heard)
+        return state
+
+    def predict(
+        self,
+        observation: npt.ArrayLike,
+        state: Any | None = None,
+        episode_start: Any | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Observation, Any]:
+        """Valve commands for the next control period.
+
+        Parameters
+        ----------
+        observation : array_like, shape (obs) or (N, obs)
+            What one vehicle or N vehicles observe, in SI units.
+        state : ndarray, shape (N, width), optional
+            What the call before returned; None begins.
+        episode_start : array_like of bool, shape (N,), optional
+            Vehicles that begin an episode: what was remembered of them is dropped.
+        deterministic
+            Without effect: the policy draws no random numbers.
+
+        Returns
+        -------
+        action : ndarray of float32, shape (A,) or (N, A)
+            Valve commands V: 0 closed, 1 open.
+        state : ndarray, shape (N, width)
+
+        Raises
+        ------
+        ConfigError
+            An observation or a state of another shape.
+        """
+        values, single = self.interface.rows(observation, self.name)
+        rows = values.astype(np.float32)
+        before = started(state, episode_start, len(rows), self.width, self.name)
+        split, after = self.encoding.memory_width, np.empty_like(before)
+        memory = after[:, :split] = self.encoding.remember(before[:, :split], rows)
+        outputs = self.outputs(self.encoding.encode(rows, memory))
+        if self.hold > 1:
+            elapsed, held = before[:, split], before[:, split + 1 :]
+            outputs = np.where(elapsed[:, None] == 0.0, outputs.reshape(held.shape), held)
+            after[:, split], after[:, split + 1 :] = (elapsed + 1.0) % self.hold, outputs
+        commands = self.encoding.decode(outputs, rows)
+        return (commands[0] if single else commands), after
+
+
+def _doubled(layers: Layers) -> Weights:
+    """Layers in double precision, so that the number of vehicles side by side shows in no command."""
+    return [
+        (np.ascontiguousarray(weight.T, dtype=np.float64), bias.astype(np.float64)) for weight, bias in layers
+    ]
 
 
 def _relu(values: Array) -> Array:

@@ -32,14 +32,23 @@ from typing import Any
 import numpy as np
 import torch
 import yaml
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 
-from sayd_env.agents.config import TrainConfig, load_train
-from sayd_env.agents.learner import Progress, load_model, make_model, policy_layers, save_model
+from sayd_env.agents.config import MEANS, TrainConfig, load_train
+from sayd_env.agents.learner import (
+    Progress,
+    estimator_layers,
+    load_model,
+    make_model,
+    policy_layers,
+    save_model,
+)
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env, seed_environments
 from sayd_env.agents.policy_file import StoredPolicy, describe, read_policy, save_policy
 from sayd_env.agents.table import Table
+from sayd_env.agents.wandb_log import WandbWriter, service
 from sayd_env.config import ConfigError, DataError, parse_yaml, read_text
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.explain import shown
@@ -58,6 +67,8 @@ MAY_CHANGE = {"total_steps"}
 """Keys that a resumed run may have otherwise."""
 
 Report = Callable[[float, float, str], None]
+Judge = Callable[[int, float], bool]
+"""Hears steps and J of each evaluation, and says whether to stop there."""
 Evaluator = Callable[[StoredPolicy | str], Array]
 """Gives J of a policy, or of that of a name, in each of `EvaluationConfig.cases`."""
 
@@ -71,7 +82,7 @@ class Trained:
     steps: int
     seconds: float
     best: float
-    """Mean J of the best policy over the scenarios."""
+    """J of the best policy over the scenarios, in the mean by which it is judged."""
     evaluations: list[dict[str, Any]]
     references: list[dict[str, Any]]
 
@@ -84,6 +95,8 @@ def train(
     resume: bool = False,
     about: Mapping[str, Any] | None = None,
     progress: Report | None = None,
+    judge: Judge | None = None,
+    wandb: bool = False,
 ) -> Trained:
     """Train a policy.
 
@@ -100,6 +113,11 @@ def train(
         Command line, versions and the like, to be written into the run.
     progress : callable, optional
         Gets the steps done, the steps in all, and how things go.
+    judge : callable, optional
+        Hears steps and J of each evaluation, in the mean by which policies are judged; the training stops
+        where it returns True.
+    wandb : bool
+        Log at Weights & Biases as well.
 
     Raises
     ------
@@ -113,11 +131,14 @@ def train(
     Interrupted
         By Ctrl-C or SIGTERM, after all was saved.
     """
+    if wandb:
+        service()  # refused before there is a folder
     torch.set_num_threads(config.torch_threads)
     with reserved(folder, "trains"):
         run = _Run(config, folder, evaluator, resume=resume, about=dict(about or {}))
+        run.judge = judge
         try:
-            run.learn(progress or _silent)
+            run.learn(progress or _silent, wandb=wandb)
         except KeyboardInterrupt:
             run.keep()
             raise Interrupted(
@@ -128,7 +149,8 @@ def train(
 
 def environment_digest(config: TrainConfig) -> str:
     """Hash of environment and scenario, with all numbers that stand behind their names, and their version."""
-    parts = [part.model_dump(mode="json") for part in configured(**environment_keywords(config))]
+    every = [environment_keywords(config, beside) for beside in (None, *config.environment.beside)]
+    parts = [part.model_dump(mode="json") for keywords in every for part in configured(**keywords)]
     return hashlib.sha256(json.dumps([VERSION, *parts], sort_keys=True).encode()).hexdigest()
 
 
@@ -168,20 +190,26 @@ class _Run:
         self.best = _cost_of(folder / BEST)
         self.about = about | {"libraries": {name: metadata.version(name) for name in LIBRARIES}}
         start = {"begun": datetime.now(UTC).isoformat(timespec="seconds"), "step": self.steps} | self.about
-        text = {"environment_sha256": self.digest, "starts": [*starts, start]}
+        self.starts = [*starts, start]
+        self.judge: Judge | None = None
+        self.stopped = False
+        text = {"environment_sha256": self.digest, "starts": self.starts}
         write_files(folder, {CONFIG: _yaml(config.model_dump(mode="json")), RUN: _yaml(text)})
 
-    def learn(self, report: Report) -> None:
+    def learn(self, report: Report, *, wandb: bool) -> None:
         """Run what is left of the training."""
+        writers: list[KVWriter] = [_Writer(self.log)]
+        if find_spec("tensorboard"):
+            writers.append(TensorBoardOutputFormat(str(self.folder / "tensorboard")))
+        if wandb:
+            content = self.config.model_dump(mode="json")
+            writers.append(WandbWriter(self.folder, str(self.starts[0].get("begun")), content))
+        self.model.set_logger(Logger(str(self.folder), writers))
         if not self.references.rows:
             for name in self.config.evaluation.references:
                 report(self.steps, self.config.total_steps, f"evaluating {name}")
                 self.references.add({"policy": name} | self._row(self.evaluator(name)))
             self.references.save()
-        writers: list[KVWriter] = [_Writer(self.log)]
-        if find_spec("tensorboard"):
-            writers.append(TensorBoardOutputFormat(str(self.folder / "tensorboard")))
-        self.model.set_logger(Logger(str(self.folder), writers))
         try:
             left = self.config.total_steps - self.steps
             if left > 0:
@@ -202,11 +230,14 @@ class _Run:
         costs = self.evaluator(policy)
         row = {"steps": now.steps, "seconds": round(now.seconds, 1)} | self._row(costs)
         self.evaluations.add(row)
-        self.model.logger.record("evaluation/J", row["J"])
-        if row["J"] < self.best:
-            save_policy(self.folder / BEST, self._policy(row["J"]))
-            self.best = row["J"]
+        for name in MEANS.values():
+            self.model.logger.record(f"evaluation/{name}", row[name])
+        judged = row[MEANS[self.config.evaluation.criterion]]
+        if judged < self.best:
+            save_policy(self.folder / BEST, self._policy(row["J"], judged))
+            self.best = judged
         self.evaluations.save()
+        self.stopped = self.judge is not None and self.judge(now.steps, judged)
 
     def keep(self) -> None:
         """Write a checkpoint, unless there is one of this step."""
@@ -233,17 +264,22 @@ class _Run:
         )
 
     def _row(self, costs: Array) -> dict[str, float]:
-        cases = self.config.evaluation.cases
-        names = [f"J_{c['speed_kmh']:g}_kmh_wear_{c['wear']:g}_seed_{c['seed']}" for c in cases]
-        return {"J": float(np.mean(costs))} | dict(zip(names, map(float, costs), strict=True))
+        settings = self.config.evaluation
+        names = [f"J_{c['speed_kmh']:g}_kmh_wear_{c['wear']:g}_seed_{c['seed']}" for c in settings.cases]
+        for each in self.config.environment.beside:
+            names += [f"J_{Path(each.name).stem}_seed_{seed}" for seed in settings.beside_seeds]
+        geometric = float(np.exp(np.mean(np.log(costs))))
+        means = {MEANS["mean"]: float(np.mean(costs)), MEANS["geometric"]: geometric}
+        return means | dict(zip(names, map(float, costs), strict=True))
 
-    def _policy(self, cost: float | None) -> StoredPolicy:
+    def _policy(self, cost: float | None, judged: float | None = None) -> StoredPolicy:
         layers, squash = policy_layers(self.model)
         config, now = self.config, self.progress()
         made = {
             "steps": now.steps,
             "seconds": round(now.seconds, 1),
             "J": cost,
+            "judged": judged,
             "environment_version": VERSION,
             "environment_sha256": self.digest,
             "config": config.model_dump(mode="json"),
@@ -254,13 +290,15 @@ class _Run:
             name=f"{config.learning.algorithm}-s{config.seed}",
             view=config.view,
             inputs=config.inputs,
+            memory=config.memory,
             clip=config.clip,
             output=config.output,
             network=config.network,
+            estimate=config.estimator,
             squash=squash,
             made=made,
         )
-        return StoredPolicy(description, layers)
+        return StoredPolicy(description, layers, estimator=estimator_layers(self.model))
 
 
 class _Callback(BaseCallback):
@@ -273,6 +311,7 @@ class _Callback(BaseCallback):
         self._every = (max(checkpoint // LOGS, 1), run.config.evaluation.every, checkpoint)
         self._next = [(run.steps // each + 1) * each for each in self._every]
         self._fresh, self._reported = True, 0.0
+        self._rollout: Any = None
 
     def _on_rollout_start(self) -> None:
         run = self._run
@@ -280,12 +319,34 @@ class _Callback(BaseCallback):
         if self._fresh and not run.evaluations.rows:  # what it is worth before it has learned anything
             run.evaluate()
         self._fresh = False
+        self._estimate()
         self._due()
 
+    def _on_rollout_end(self) -> None:
+        if self.model.estimating is not None and isinstance(self.model, PPO):
+            self._rollout = self.model.rollout_buffer.observations  # the next rollout gets arrays of its own
+
+    def _estimate(self) -> None:
+        """Let the estimator learn between rollouts, where it changes no probability that was noted."""
+        model: Any = self.model
+        if model.estimating is None:
+            return
+        if self._rollout is not None:
+            errors = model.estimating.pass_over(self._rollout.reshape(-1, self._rollout.shape[-1]))
+            self._rollout = None
+        elif isinstance(model, SAC) and model.num_timesteps > model.learning_starts:
+            every = [model.replay_buffer.sample(model.batch_size) for _ in range(model.gradient_steps)]
+            errors = model.estimating.named([model.estimating.update(each.observations) for each in every])
+        else:
+            return
+        for name, error in errors.items():
+            model.logger.record_mean(name, error)
+
     def _on_training_end(self) -> None:
-        self._run.steps = self.model.num_timesteps
-        if not self._run.evaluations.rows or self._run.evaluations.rows[-1]["steps"] != self._run.steps:
-            self._run.evaluate()
+        run = self._run
+        run.steps = self.model.num_timesteps
+        if not run.stopped and (not run.evaluations.rows or run.evaluations.rows[-1]["steps"] != run.steps):
+            run.evaluate()
         self.model.dump_logs()
 
     def _due(self) -> None:
@@ -303,7 +364,7 @@ class _Callback(BaseCallback):
             self._reported = now
             best = f"best J {self._run.best:.4f}" if np.isfinite(self._run.best) else ""
             self._report(self.model.num_timesteps, self._run.config.total_steps, best)
-        return True
+        return not self._run.stopped
 
 
 class _Writer(KVWriter):
@@ -377,7 +438,7 @@ def _checkpoints(folder: Path) -> list[Path]:
 
 
 def _cost_of(path: Path) -> float:
-    """J of the best policy so far; infinite if there is none.
+    """J of the best policy so far, in the mean by which it was judged; infinite if there is none.
 
     Raises
     ------
@@ -386,9 +447,9 @@ def _cost_of(path: Path) -> float:
     """
     if not path.is_file():
         return float("inf")
-    found = read_policy(path).made("J")
+    found = read_policy(path).made("judged")
     if isinstance(found, bool) or not isinstance(found, int | float):
-        raise DataError(f"{path}: made.J: found {shown(found)}; expected the J of the best policy of a run")
+        raise DataError(f"{path}: made.judged: found {shown(found)}; expected J of the best policy of a run")
     return float(found)
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
@@ -13,6 +15,11 @@ from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import SPEED, Number
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.units import KMH
+
+if TYPE_CHECKING:
+    from sayd_env.agents.config import TrainConfig
+    from sayd_env.cli.output import Output
+    from sayd_env.studies.tuning.training import SearchResult
 
 GROUP = "Learning"
 
@@ -35,6 +42,15 @@ def train(
         "Seed of weights, exploration and episodes. Default: the configuration's.",
         Number(0, 999_999, whole=True),
     ),
+    seeds: int | None = runs(
+        "--seeds N",
+        "So many trainings, with seeds from --seed on: a run sSEED of each in --out, in a process of its "
+        "own. The same command again takes up what was interrupted.",
+        options.SEEDS,
+    ),
+    parallel: int | None = runs(
+        "--parallel N", "With --seeds: trainings side by side. Default: as many as cores.", options.WORKERS
+    ),
     workers: int | None = runs(
         "--workers N",
         f"Threads or processes of the evaluations {options.STAY}",
@@ -48,6 +64,7 @@ def train(
     out: Path | None = output(
         "--out DIR", "New directory of the run. Default: results/train-ALGORITHM-sSEED."
     ),
+    wandb: bool = output("--wandb", "Log at Weights & Biases, too; needs 'sayd-env[wandb]'.", default=False),
 ) -> Plan:
     """Train a policy; needs pip install 'sayd-env[train]'.
 
@@ -58,6 +75,12 @@ def train(
     from sayd_env.runs.executors import THREADS, ExecutorChoice  # noqa: PLC0415
     from sayd_env.studies.learning import train as study  # noqa: PLC0415
 
+    one = {"--resume": resume, "--workers": workers, "--executor": executor}
+    for name, value in one.items() if seeds is not None else ():
+        if value is not None:
+            raise ConfigError(f"--seeds: leave out {name}")
+    if parallel is not None and seeds is None:
+        raise ConfigError("--parallel: belongs to --seeds")
     evaluations = ExecutorChoice.parse(executor or THREADS, workers)
     if resume is not None:
         left_out = {"the algorithm": algorithm, "--config": config, "--out": out}
@@ -75,6 +98,9 @@ def train(
     learns = chosen.learning.algorithm
     if algorithm not in {None, learns}:
         raise ConfigError(f"train {algorithm}: the configuration {config} is one of {learns}")
+    if seeds is not None:
+        numbers = range(chosen.seed, chosen.seed + seeds)
+        return _of_seeds(chosen, numbers, parallel, out, wandb=wandb)
     folder = out or RESULTS / f"train-{learns}-s{chosen.seed}"
     return Plan(
         lambda run: study(
@@ -84,10 +110,73 @@ def train(
             command=command_text(),
             executor=evaluations,
             progress=run.progress,
+            wandb=wandb,
         ),
         chosen,
         chosen.seed,
         folder,
+    )
+
+
+def _of_seeds(
+    config: TrainConfig, seeds: Sequence[int], parallel: int | None, out: Path | None, *, wandb: bool
+) -> Plan:
+    """A training with several seeds."""
+    from sayd_env.studies.learning import require_training  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.seeds import train_seeds  # noqa: PLC0415
+
+    require_training()
+    folder = out or RESULTS / f"train-{config.learning.algorithm}"
+    abreast = min(parallel or os.cpu_count() or 1, len(seeds))
+    return Plan(
+        lambda run: train_seeds(config, seeds, folder, parallel=abreast, wandb=wandb, progress=run.progress),
+        config,
+        seeds[0],
+        folder,
+    )
+
+
+def tune_training(
+    algorithm: str,
+    config: str | None,
+    assignments: Sequence[str],
+    seed: int,
+    out: Path | None,
+    *,
+    quick: bool,
+) -> Plan:
+    """The search for the settings of a training: `sayd tune ppo`."""
+    from sayd_env.agents.search_config import load_search  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.storage import write_file  # noqa: PLC0415
+    from sayd_env.studies.learning import require_training  # noqa: PLC0415
+    from sayd_env.studies.tuning.training import search  # noqa: PLC0415
+
+    require_training()
+    settings = load_search(config or algorithm, assignments)
+    if quick:
+        settings = settings.shortened()
+    folder = out or RESULTS / f"tune-{algorithm}{'-quick' if quick else ''}"
+
+    def store(result: SearchResult, output: Output) -> None:
+        target = folder / f"{algorithm}-tuned.yaml"
+        write_file(target, result.training_file().encode())
+        output.say(str(target))
+
+    typed = command_text()
+    return Plan(
+        lambda run: search(
+            algorithm,
+            settings,
+            folder,
+            seed=seed,
+            command=typed,
+            executor=run.executor,
+            progress=run.progress,
+        ),
+        settings,
+        seed,
+        folder,
+        store,
     )
 
 

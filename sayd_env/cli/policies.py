@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from sayd_env.cli import options, parsers
 from sayd_env.cli.command import Plan, command, result_folder
+from sayd_env.cli.learning import tune_training
 from sayd_env.cli.options import argument, one_of, option, output, policy, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import SPEED, ListOf, Names, name, positive
@@ -404,8 +405,11 @@ def policies() -> Plan:
 
 @command(GROUP, "mppt2 --quick", runs=True, without=("wide",))
 def tune(
-    controller: Literal["constant", "speed-schedule", "mppt2", "hunting-schedule", "lqg"] = argument(
-        "CONTROLLER", "constant, speed-schedule, mppt2, hunting-schedule or lqg."
+    controller: Literal[
+        "constant", "speed-schedule", "mppt2", "hunting-schedule", "lqg", "ppo", "sac"
+    ] = argument(
+        "CONTROLLER",
+        "constant, speed-schedule, mppt2, hunting-schedule or lqg; or a training: ppo, sac.",
     ),
     *,
     config: options.Config = None,
@@ -418,7 +422,7 @@ def tune(
     out: Path | None = output("--out DIR", options.out_text("tune-CONTROLLER", quick=True)),
     as_json: options.Json = False,
 ) -> Plan:
-    """Find the gains of a controller with the smallest mean J over a list of scenarios and lines.
+    """Find the gains of a controller, or the settings of a training, with the smallest J over scenarios.
 
     The list, the ranges and the budget are those of configs/study/tuning.yaml (--config, --set); J has the
     weights of MPPT2 (--set reward=low-force). constant: Brent's search, some three minutes; the others:
@@ -428,7 +432,14 @@ def tune(
     The result is a file of parameters that --policies takes like a name, for example
     results/tune-mppt2/mppt2-tuned.yaml; the packaged controllers with names in -tuned were found so.
     Evaluations are kept in the output directory: an interrupted tuning goes on where it stopped.
+
+    ppo, sac: settings of the training, by Optuna over short trainings (configs/search/); hours. The result,
+    results/tune-ppo/ppo-tuned.yaml, is what 'sayd train --config' takes.
     """
+    if controller in ("ppo", "sac"):
+        if file is not None:
+            raise ConfigError("-o: is of controllers; a training's settings go to --out")
+        return tune_training(controller, config, assignments or (), seed, out, quick=quick)
     from sayd_env.config.storage import write_file  # noqa: PLC0415 - keeps --help fast
     from sayd_env.config.tuning import load_tuning  # noqa: PLC0415
     from sayd_env.report.files import ResultDirectory  # noqa: PLC0415

@@ -79,9 +79,12 @@ class Environment:
     ----------
     batch : EpisodeBatch
         The simulated vehicles behind the environment: what no train could measure.
+    listens : bool
+        Keep what is observed in run-ins, see `EpisodeBatch.heard`: for policies that remember.
     """
 
     batch: EpisodeBatch
+    listens = False
     render_mode: str | None
     np_random: Any
     _np_random: np.random.Generator | None
@@ -104,7 +107,8 @@ class Environment:
     ) -> None:
         """Make the vehicles from an environment's keywords, of which it may have `more`."""
         refuse_unknown(f"{type(self).__name__}.__init__", keywords, (*KEYWORDS, *more))
-        self._full = checked_choice("info", info, INFOS) == "full"
+        level = checked_choice("info", info, INFOS)
+        self._full, self._silent = level == "full", level == "none"
         self.render_mode = checked_choice("render_mode", render_mode, (None, *RENDER_MODES))
         scales = checked_flag("scaled", scaled)
         config, scenario = configured(environment, **keywords)
@@ -192,7 +196,7 @@ class Environment:
             else:
                 chosen.append((int(self.np_random.integers(SEEDS)), 0))
         episodes = [draw_episode(self.config, seed, number, options) for seed, number in chosen]
-        rows = self.batch.reset(which, episodes, log=self._full, whole_track=False)
+        rows = self.batch.reset(which, episodes, log=self._full, listen=self.listens, whole_track=False)
         if self._view is not None:
             self._ordinary = ordinary_costs(self.batch)
         for i, (seed, number), before in zip(which, chosen, rows, strict=True):
@@ -252,6 +256,8 @@ class Environment:
 
     def _info(self, i: int) -> dict[str, Any]:
         """Info of one vehicle, after a reset as after a step."""
+        if self._silent:
+            return {}
         info = period_info(self.batch, i)
         info.update(self._conditions[i])
         if self._full:

@@ -143,6 +143,7 @@ class EpisodeBatch:
         self._num_threads = None if num_threads is None else checked_threads(num_threads)
         self._motion = motion
         self._vehicles: VehicleBatch | None = None
+        self._models: list[VehicleModel | None] = [None] * count
         self._faults: list[FaultSchedule | None] = [None] * count
         self.limits = [model_limits(self._model)] * count
         self._low = np.array([signal.low for signal in self.interface.signals])
@@ -154,6 +155,10 @@ class EpisodeBatch:
         self._commanded = np.zeros((count, DAMPERS))
         self._faulty = False
         self.heard: RunIn | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy assembles its vehicles anew when it is asked for them."""
+        return self.__dict__ | {"_models": [None] * self.count}
 
     def _batch(self, vehicles: Sequence[Vehicle]) -> VehicleBatch:
         return VehicleBatch(self.settings, self._band, vehicles, self._num_threads, motion=self._motion)
@@ -222,7 +227,7 @@ class EpisodeBatch:
         told = [call for call in (self._hear if listen else None, watch) if call is not None]
         logs = self._vehicles.run_in(which, log=log, hear=_in_turn(told) if told else None)
         for i, model, episode, line in zip(which, models, episodes, lines, strict=True):
-            self.episodes[i], self.lines[i] = episode, line
+            self.episodes[i], self.lines[i], self._models[i] = episode, line, model
             self.limits[i] = model_limits(model)
             self.elapsed[i] = 0
             self._faults[i] = FaultSchedule(episode.faults) if episode.faults else None
@@ -230,6 +235,14 @@ class EpisodeBatch:
         self._faulty = any(schedule is not None for schedule in self._faults)
         self._observe(which, fresh=True)
         return logs
+
+    def model(self, i: int) -> VehicleModel:
+        """The vehicle of an episode that has begun, as its conditions make it."""
+        found, episode = self._models[i], self.episodes[i]
+        if found is None:
+            assert episode is not None  # the reset has set it
+            found = self._models[i] = self._model_of(episode)
+        return found
 
     def _prepared(self, vehicles: VehicleBatch, which: Sequence[int]) -> RunIn:
         """Room for the observations of a run-in."""
@@ -428,7 +441,7 @@ class EpisodeBatch:
             self._vehicles = self._batch(vehicles)
         for i, state in enumerate(states):
             self._vehicles.set_state(i, state.vehicle)
-            self.episodes[i], self.lines[i] = state.episode, state.line
+            self.episodes[i], self.lines[i], self._models[i] = state.episode, state.line, None
             self.elapsed[i] = state.elapsed
             self.limits[i] = state.limits
             self._faults[i] = copy.deepcopy(state.faults)

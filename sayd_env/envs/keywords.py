@@ -21,7 +21,7 @@ class UnexpectedKeyword(ConfigError, TypeError):
     """A keyword that there is not. Clients probe for theirs and know Python's own error by type and words."""
 
 
-INFOS = ("basic", "full")
+INFOS = ("none", "basic", "full")
 """Levels of `info`."""
 RENDER_MODES = ("rgb_array", "human")
 

@@ -139,7 +139,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         that an ordinary policy has at the same speed and track level, so that a second gives about -1, and no
         step less than -40.
     info : str
-        ``basic`` or ``full``.
+        ``none``, ``basic`` or ``full``.
     render_mode : str, optional
         ``rgb_array`` or ``human``.
 

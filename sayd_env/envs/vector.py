@@ -232,6 +232,8 @@ class SaydVectorEnv(
 
     def _infos(self, reported: Flags) -> dict[str, Any]:
         """Info of these vehicles in Gymnasium's form, as `SaydEnv` gives it: new arrays."""
+        if self._silent:
+            return {}
         found = period_infos(self.batch)
         found |= {key: values.copy() for key, values in self._conditions_together.items()}
         if self._full:

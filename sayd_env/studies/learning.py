@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from sayd_env.agents.config import TrainConfig
     from sayd_env.agents.policy_file import StoredPolicy
-    from sayd_env.agents.training import Evaluator, Trained
+    from sayd_env.agents.training import Evaluator, Judge, Trained
     from sayd_env.config.units import Array
     from sayd_env.runs.policies import ForeignReader
 
@@ -34,6 +35,13 @@ class TrainResult:
 
     trained: Trained
 
+    @property
+    def _column(self) -> str:
+        """Of the mean by which policies were judged."""
+        from sayd_env.agents.config import MEANS  # noqa: PLC0415 - keeps the import of studies light
+
+        return MEANS[self.trained.config.evaluation.criterion]
+
     def as_dict(self) -> dict[str, Any]:
         """Return what scripts read."""
         done = self.trained
@@ -43,7 +51,7 @@ class TrainResult:
             "steps": done.steps,
             "seconds": done.seconds,
             "best_J": done.best,
-            "references": {row["policy"]: row["J"] for row in done.references},
+            "references": {row["policy"]: row[self._column] for row in done.references},
             "evaluations": done.evaluations,
         }
 
@@ -58,17 +66,21 @@ class TrainResult:
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print how good the best policy is beside the references."""
         done = self.trained
-        rows = [{"policy": "best policy", "J": done.best}, *done.references]
-        title = f"{done.steps} steps in {done.seconds / 60:.1f} minutes; mean J of the scenarios"
+        rows = [{"policy": "best policy", "J": done.best}]
+        rows += [{"policy": row["policy"], "J": row[self._column]} for row in done.references]
+        mean = done.config.evaluation.criterion
+        kind = "mean" if mean == "mean" else f"{mean} mean of"
+        title = f"{done.steps} steps in {done.seconds / 60:.1f} minutes; {kind} J of the scenarios"
         columns = (Column("policy", "policy"), Column("J", "J", digits=4, best=True))
         print_table(console, title, columns, rows, wide=wide)
 
     def _draw(self, figure: Figure) -> None:
         done = self.trained
         (axes,) = panels(figure, 1, size=(8.0, 4.5))
-        course = [row["steps"] for row in done.evaluations], [row["J"] for row in done.evaluations]
+        column = self._column
+        course = [row["steps"] for row in done.evaluations], [row[column] for row in done.evaluations]
         name = f"{done.config.learning.algorithm}-s{done.config.seed}"
-        draw_gains(axes, {name: course}, {label(row["policy"]): row["J"] for row in done.references})
+        draw_gains(axes, {name: course}, {label(row["policy"]): row[column] for row in done.references})
         axes.set_title(name)
         legend_below(figure, axes)
 
@@ -100,6 +112,19 @@ class ExportResult:
             console.print(str(file), markup=False, highlight=False, soft_wrap=True)
 
 
+def require_training() -> None:
+    """Refuse to train where torch or Stable-Baselines3 are missing.
+
+    Raises
+    ------
+    ConfigError
+        The message says how to install them.
+    """
+    for module in ("torch", "stable_baselines3"):
+        if find_spec(module) is None:
+            raise ConfigError(f"train {EXTRA} (no module '{module}')")
+
+
 def train(
     config: TrainConfig,
     folder: Path,
@@ -108,6 +133,8 @@ def train(
     command: str | None = None,
     executor: ExecutorChoice | None = None,
     progress: Progress = silent,
+    judge: Judge | None = None,
+    wandb: bool = False,
 ) -> TrainResult:
     """Train a policy.
 
@@ -124,6 +151,8 @@ def train(
         Makes the runs of the evaluations; by default threads on all cores.
     progress : Progress
         Told the steps.
+    judge, wandb
+        As `agents.training.train`.
 
     Raises
     ------
@@ -139,7 +168,8 @@ def train(
     about = provenance(command)
     with KeptExecutor(executor or ExecutorChoice()) as kept:
         evaluator = policy_evaluator(config, kept)
-        return TrainResult(learn(config, folder, evaluator, resume=resume, about=about, progress=progress))
+        told: dict[str, Any] = {"about": about, "progress": progress, "judge": judge, "wandb": wandb}
+        return TrainResult(learn(config, folder, evaluator, resume=resume, **told))
 
 
 def policy_evaluator(config: TrainConfig, kept: KeptExecutor | None = None) -> Evaluator:
@@ -159,19 +189,26 @@ def policy_evaluator(config: TrainConfig, kept: KeptExecutor | None = None) -> E
     from sayd_env.runs.evaluator import PolicyEvaluator  # noqa: PLC0415 - keeps the import of studies light
     from sayd_env.runs.policies import learned_spec, policy_spec  # noqa: PLC0415
 
-    settings = config.evaluation
-    found = PolicyEvaluator(
-        config.environment.name,
-        settings.cases,
-        episode_s=settings.episode_s,
-        reward=config.environment.reward,
-        initial_current=settings.initial_current,
-        executor=None if kept is None else kept.choice,
-        kept=kept,
-    )
+    settings, environment = config.evaluation, config.environment
+    lists = [(environment.name, settings.episode_s, settings.cases)]
+    along = [{"seed": seed} for seed in settings.beside_seeds]
+    lists += [(each.name, each.episode_s, along) for each in environment.beside if along]
+    evaluators = [
+        PolicyEvaluator(
+            name,
+            cases,
+            episode_s=seconds,
+            reward=environment.reward,
+            initial_current=settings.initial_current,
+            executor=None if kept is None else kept.choice,
+            kept=kept,
+        )
+        for name, seconds, cases in lists
+    ]
 
     def evaluate(policy: StoredPolicy | str) -> Array:
-        return found.costs(policy_spec(policy) if isinstance(policy, str) else learned_spec(policy)).costs
+        spec = policy_spec(policy) if isinstance(policy, str) else learned_spec(policy)
+        return np.concatenate([each.costs(spec).costs for each in evaluators])
 
     return evaluate
 

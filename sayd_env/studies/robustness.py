@@ -146,16 +146,16 @@ _PICTURES = (
         "robustness_axes",
         "J over each quantity",
         (
-            "Largest J over the passive vehicle's with the same disturbance. Below the dashed line the policy is "
-            "better than passive dampers in every condition.",
+            "Largest J over the passive vehicle's with the same disturbance. Below the dashed line the policy "
+            "is better than passive dampers in every condition.",
         ),
     ),
     (
         "robustness_faults",
         "J with each fault",
         (
-            "The same with each single fault; the dashed line is what is asked, unless the best constant command "
-            "is no better.",
+            "The same with each single fault; the dashed line is what is asked, unless the best constant "
+            "command is no better.",
         ),
     ),
 )
@@ -235,8 +235,8 @@ class RobustnessResult:
         """What is asked and met, the pictures, and all outcomes."""
         conditions = "; ".join(each.text for each in self.config.conditions)
         words = (
-            f"Every policy, the passive vehicle and constant commands meet the same conditions ({conditions}; "
-            f"{len(self.config.seeds)} seeds each) with one thing changed at a time. {self._asked}"
+            f"Every policy, the passive vehicle and constant commands meet the same conditions "
+            f"({conditions}; {len(self.config.seeds)} seeds each) with one thing changed at a time. {self._asked}"
         )
         verdicts, *missed = self._listings()
         met = sum(each.holds for each in self.outcomes)

@@ -26,6 +26,8 @@ SHORT = (
     "evaluation.wear=[1.0]",
     "evaluation.seeds=[500]",
     "evaluation.references=[mppt2]",
+    "evaluation.beside_seeds=[]",
+    "environment.beside=[]",
 )
 
 

@@ -217,7 +217,7 @@ def training(algorithm: str, strides: int) -> dict[str, float]:
     learner = make_learner(config)
     learner.env.reset()  # compiles
     learner.env.step(np.zeros((learner.env.num_envs, *learner.env.action_space.shape), np.float32))
-    calls = strides * (config.learning.n_steps if algorithm == "ppo" else 1)
+    calls = strides * (config.learning.n_steps if algorithm == "ppo" else 1) * getattr(learner, "hold", 1)
     found = learner.rate(calls * learner.vehicles, config.torch_threads, "value")
     return {"value": found["value"], "share": found["value_share"]}
 

@@ -44,7 +44,7 @@ OFFERED = {
     "play": {*VEHICLE, "speed", "environment", "seed", "json", "help"},
     "simulate": {*VEHICLE, *SHOWN, *FOREIGN, "damper", "policy", "speed", "line", "environment", "seconds"}
     | {"initial-current", "signals", "run-in", "format", "seed", "file"},
-    "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed"} - {"wide"},
+    "train": {*CONFIG, *RUNS, *SHOWN, "resume", "seed", "seeds", "parallel", "wandb"} - {"wide"},
     "export": {*FOREIGN, *VEHICLE, *SHOWN, "onnx", "fmu", "damper", "speed", "seed"} - {"wide"},
     "conicity": {*WHEELS, *SHOWN},
     "hysteresis": {*CONFIG, *SHOWN, "damper", "amplitudes", "frequencies", "current"},

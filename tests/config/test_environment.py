@@ -60,7 +60,8 @@ def test_the_run_in_is_that_of_the_assessment():
 
 def test_faults_stand_on_the_randomised_conditions():
     randomised, faulty = load_environment("randomized"), load_environment("faults")
-    assert set(packaged_names("env")) == {"nominal", "randomized", "faults", "line", "training"}
+    names = {"nominal", "randomized", "faults", "line", "training", "training-line"}
+    assert set(packaged_names("env")) == names
     assert randomised.faults is None
     assert faulty.faults is not None
     assert faulty.randomisation == randomised.randomisation

@@ -100,4 +100,4 @@ def test_snippets_run(snippet: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_there_are_snippets() -> None:
-    assert len(SNIPPETS) == 3
+    assert len(SNIPPETS) == 4

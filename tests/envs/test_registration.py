@@ -114,7 +114,7 @@ def test_a_given_limit_of_steps_counts(quick: str) -> None:
         ({"speed_kmh": "350"}, ("speed_kmh: found '350'; expected a number from 30 to 500 km/h",)),
         ({"environment": "moon"}, ("moon", "nominal", "randomized", "faults")),
         ({"environment": 1}, ("environment", "1")),
-        ({"info": "much"}, ("info", "much", "basic", "full")),
+        ({"info": "much"}, ("info", "much", "none", "basic", "full")),
         ({"settings": "friction=0.3"}, ("settings", "friction=0.3", "key=value")),
         ({"settings": ["frictoin=0.3"]}, ("settings: unknown key 'frictoin', did you mean 'friction'",)),
         ({"settings": ["friction"]}, ("settings friction: expected key=value",)),

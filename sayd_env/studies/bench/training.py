@@ -112,7 +112,7 @@ def _config(name: str, threads: int) -> TrainConfig:
     changes = [f"environment.threads={threads}"]
     config = load_train(name, changes)
     if isinstance(config.learning, PpoConfig):
-        networks = config.environment.vehicles * (2 if config.view == "bogie" else 1)
+        networks = config.networks
         changes.append(f"learning.n_steps={math.lcm(config.learning.batch_size, networks) // networks}")
     else:
         changes.append("learning.learning_starts=0")
@@ -124,9 +124,10 @@ def make_learner(config: TrainConfig) -> Learner:
     from sayd_env.agents.learner import make_model  # noqa: PLC0415 - imports torch, which may be missing
     from sayd_env.agents.learning_env import make_learning_env  # noqa: PLC0415
 
-    env, settings = make_learning_env(config)[0], config.environment
-    episode = round(settings.episode_s / settings.control_period)
-    return Learner(env, make_model(config, env), settings.vehicles, episode)
+    (env, encoding), settings = make_learning_env(config), config.environment
+    hold = getattr(config.output, "hold", 1)  # an earlier commit, which `tests/bench` measures, has none
+    episode = round(settings.episode_s / settings.control_period / hold)
+    return Learner(env, make_model(config, env), env.num_envs // encoding.units, episode, hold)
 
 
 class Learner:
@@ -141,11 +142,14 @@ class Learner:
     vehicles : int
         Vehicles side by side.
     episode : int
-        Control steps of an episode.
+        Steps of the environment in an episode.
+    hold : int
+        Control periods of a step of the environment: an output of the network holds for so long.
     """
 
-    def __init__(self, env: Any, model: Any, vehicles: int, episode: int) -> None:
+    def __init__(self, env: Any, model: Any, vehicles: int, episode: int, hold: int = 1) -> None:
         self.env, self.model, self.vehicles, self.episode = env, model, vehicles, episode
+        self.hold = hold
         self._networks = env.num_envs // vehicles
         self._random = np.random.default_rng(0)
         self._steps, self._resets = Timed(env, "step"), Timed(env, "reset")
@@ -160,20 +164,21 @@ class Learner:
         torch.set_num_threads(torch_threads)
         self._steps.seconds.clear()
         before, begin, resets = self.model.num_timesteps, time.perf_counter(), len(self._resets.seconds)
-        self.model.learn(steps * self._networks, log_interval=None, reset_num_timesteps=False)
+        asked = -(-steps // self.hold) * self._networks
+        self.model.learn(asked, log_interval=None, reset_num_timesteps=False)
         learner = time.perf_counter() - begin - sum(self._steps.seconds) - sum(self._resets.seconds[resets:])
         environment = self._environment_s()
         together = environment + learner * self._networks / (self.model.num_timesteps - before)
-        return {name: 1.0 / together, name + SHARE: environment / together}
+        return {name: self.hold / together, name + SHARE: environment / together}
 
     def random_steps(self, steps: int) -> float:
         """Steps of all vehicles per second with random actions and no learner, after the first `rate`."""
         env = self.env
         self._steps.seconds.clear()
-        for _ in range(-(-steps // self.vehicles)):
+        for _ in range(-(-steps // (self.vehicles * self.hold))):
             actions = self._random.uniform(-1.0, 1.0, (env.num_envs, *env.action_space.shape))
             env.step(actions.astype(np.float32))
-        return 1.0 / self._environment_s()
+        return self.hold / self._environment_s()
 
     def _environment_s(self) -> float:
         """Time of one vehicle's step, the median, which ends no episode, with its part of a reset (s)."""

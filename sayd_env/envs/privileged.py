@@ -1,0 +1,167 @@
+"""The true conditions of episodes, which no sensor tells: for critics, targets of estimators and analyses.
+
+They are the simulator's, kept apart from observations and `info`: a policy must not see them. What changes
+along a line is told of the place where the vehicle is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sayd_env.config import ConfigError, nearest
+from sayd_env.config.conditions import Line, cant_deficiency
+from sayd_env.config.units import Array
+from sayd_env.envs.episode_batch import EpisodeBatch
+from sayd_env.physics.contact.conicity import equivalent_conicity
+from sayd_env.physics.contact.geometry import ContactTable
+from sayd_env.physics.simulator import VehicleModel
+
+CONDITIONS = {
+    "speed": "m/s, the true one",
+    "wear": "-, 0 new to 1 worn",
+    "conicity": "-, equivalent conicity at 3 mm of wheels, rails and gauge (EN 15302)",
+    "friction": "-, coefficient of friction",
+    "track_level": "-, factor on the amplitudes of the irregularities' spectrum",
+    "gauge": "m",
+    "payload": "-, change of the carbody's mass as a share of it",
+    "curvature": "1/m, without its sign",
+    "deficiency": "m, cant that is missing or in excess, without its sign",
+}
+"""What `Conditions` tells, and its unit."""
+AMPLITUDE = 3e-3
+"""Of the lateral motion for which the conicity is that of EN 15302 (m)."""
+STEP = 10.0
+"""Distance of the places of a line at which conditions are taken (m)."""
+
+
+class Conditions:
+    """True conditions of the vehicles of a batch.
+
+    Parameters
+    ----------
+    batch : EpisodeBatch
+    names : sequence of str
+        Some of `CONDITIONS`, in the order of the columns.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name.
+    """
+
+    def __init__(self, batch: EpisodeBatch, names: Sequence[str]) -> None:
+        check_conditions(names)
+        self.names = tuple(names)
+        self._batch = batch
+        self._along = np.zeros((batch.count, 1, len(self.names)))
+        self._last = np.zeros(batch.count, dtype=np.intp)
+
+    def begin(self, which: Sequence[int]) -> None:
+        """Take over the episodes of vehicles that have just begun."""
+        for i in which:
+            table = self._table(i)
+            if len(table) > self._along.shape[1]:
+                more = len(table) - self._along.shape[1]
+                self._along = np.pad(self._along, ((0, 0), (0, more), (0, 0)))
+            self._along[i, : len(table)], self._last[i] = table, len(table) - 1
+
+    def __call__(self) -> Array:
+        """Conditions where the vehicles are, shape (count, names)."""
+        place = np.clip(np.nan_to_num(self._batch.distance()) / STEP, 0.0, self._last).astype(np.intp)
+        found: Array = self._along[np.arange(self._batch.count), place]
+        return found
+
+    def _table(self, i: int) -> Array:
+        """Conditions of vehicle i every `STEP` from step 0 on, shape (places or 1, names)."""
+        batch, episode, line = self._batch, self._batch.episodes[i], self._batch.lines[i]
+        assert episode is not None  # it has begun
+        model = batch.model(i)
+        scenario = model.scenario
+        reach = 0.0 if line is None else batch.mean_speed(i) * batch.config.episode_s
+        s: Array = STEP * np.arange(int(reach / STEP) + 1, dtype=np.float64) + 0.5 * STEP
+        level = 1.0 if episode.track_scale is None else episode.track_scale
+        single = {
+            "speed": episode.speed,
+            "wear": scenario.wear,
+            "friction": scenario.friction,
+            "track_level": level,
+            "gauge": scenario.track.gauge,
+            "payload": episode.payload,
+            "curvature": 0.0,
+            "deficiency": 0.0,
+        }
+        found = {name: np.full(len(s), float(value)) for name, value in single.items()}
+        if line is not None:
+            found |= _along(line, s, episode.speed)
+        if "conicity" in self.names:
+            found["conicity"] = _conicity(model, line, s, found["gauge"])
+        return np.stack([found[name] for name in self.names], axis=1) if self.names else np.zeros((1, 0))
+
+
+def check_conditions(names: Sequence[str]) -> None:
+    """Refuse names that are none of `CONDITIONS`.
+
+    Raises
+    ------
+    ConfigError
+        The message says which there are.
+    """
+    for name in names:
+        if name not in CONDITIONS:
+            raise ConfigError(
+                f"there is no condition '{name}'{nearest(name, CONDITIONS)}; expected some of "
+                f"{', '.join(CONDITIONS)}"
+            )
+
+
+def _along(line: Line, s: Array, speed: float) -> dict[str, Array]:
+    """What a line itself says at distances s (m)."""
+    found: dict[str, Array] = {"curvature": np.abs(line.curvature.at(s))}
+    if line.speed_squared is not None:
+        found["speed"] = np.sqrt(line.speed_squared.at(s))
+        places, lacking = cant_deficiency(line, line.speed_squared)
+        found["deficiency"] = np.abs(np.interp(s, places, lacking))
+    for name in ("gauge", "friction"):
+        knots = getattr(line, name)
+        if knots is not None:
+            found[name] = knots.at(s)
+    if line.tracks:
+        ends = np.array([piece.end for piece in line.tracks[:-1]])
+        levels = np.array([1.0 if piece.scale is None else piece.scale for piece in line.tracks])
+        found["track_level"] = levels[np.searchsorted(ends, s, side="right")]
+    return found
+
+
+def _conicity(model: VehicleModel, line: Line | None, s: Array, gauge: Array) -> Array:
+    """Conicity at distances s (m): between two rail profiles as their share."""
+    if line is None or line.rail_blend is None or line.rails is None:
+        return _of_gauges(model, gauge)
+    ends = [_with_rail(model, rail) for rail in line.rails]
+    share = line.rail_blend.at(s)
+    return np.asarray((1.0 - share) * _of_gauges(ends[0], gauge) + share * _of_gauges(ends[1], gauge))
+
+
+def _with_rail(model: VehicleModel, rail: object) -> VehicleModel:
+    return model if rail is None else VehicleModel(model.scenario.model_copy(update={"rail": rail}))
+
+
+def _of_gauges(model: VehicleModel, gauge: Array) -> Array:
+    """Conicity of a vehicle's wheels on its rails at gauges (m), which move the rails sideways."""
+    values, place = np.unique(np.round(gauge, 5), return_inverse=True)
+    wider, tables = values - model.scenario.track.gauge, (model.table, model.right_table)
+    found = np.array([_at_gauge(*tables, float(each)) for each in wider])
+    return np.asarray(found[place])
+
+
+def _at_gauge(table: ContactTable, right: ContactTable | None, wider: float) -> float:
+    """Conicity on rails that stand wider apart (m) than those of the tables; 0 where there is no such motion.
+
+    Each wheel then stands half of it further from its rail than the tables' shift says.
+    """
+    other, y = (right or table).delta_r, table.dy
+    delta_r = np.interp(y - 0.5 * wider, y, table.delta_r) - np.interp(-y - 0.5 * wider, y, other)
+    inside = np.abs(y) <= y[-1] - 0.5 * abs(wider)
+    found = float(equivalent_conicity(y[inside], delta_r[inside], [AMPLITUDE])[0])
+    return found if np.isfinite(found) else 0.0

@@ -1,0 +1,54 @@
+"""The true conditions of vehicles, beside what the parts that make them say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sayd_env.config.environment import load_environment
+from sayd_env.envs.draw import draw_episode
+from sayd_env.envs.episode_batch import EpisodeBatch
+from sayd_env.envs.privileged import AMPLITUDE, CONDITIONS, Conditions
+from sayd_env.physics.contact.conicity import equivalent_conicity, radius_difference
+from sayd_env.physics.simulator import VehicleModel
+
+
+@pytest.fixture(scope="module")
+def batch() -> EpisodeBatch:
+    """Two vehicles on lines of which everything is drawn, half a second on their way."""
+    config = load_environment("line", ["run_in=20.0"])
+    found = EpisodeBatch(config, 2, num_threads=1)
+    found.reset([0, 1], [draw_episode(config, seed, 0) for seed in (3, 4)], whole_track=False)
+    for _ in range(50):
+        found.step(np.zeros((2, 2)))
+    return found
+
+
+def test_they_are_those_of_the_line_where_the_vehicle_is(batch: EpisodeBatch) -> None:
+    conditions = Conditions(batch, list(CONDITIONS))
+    conditions.begin([0, 1])
+    found = {name: values for name, values in zip(CONDITIONS, conditions().T, strict=True)}
+    for i, s in enumerate(batch.distance()):
+        line, episode = batch.lines[i], batch.episodes[i]
+        assert line is not None
+        assert episode is not None
+        assert found["speed"][i] == pytest.approx(float(line.speed_at(s)), rel=2e-3)
+        assert found["friction"][i] == pytest.approx(float(line.friction.at(s)), abs=0.02)
+        assert found["gauge"][i] == pytest.approx(float(line.gauge.at(s)), abs=1e-3)
+        assert found["curvature"][i] == pytest.approx(abs(float(line.curvature.at(s))), abs=2e-6)
+        assert found["wear"][i] == batch.model(i).scenario.wear
+        assert found["payload"][i] == episode.payload
+        (level,) = [piece.scale for piece in line.tracks if piece.start <= s < piece.end]
+        assert found["track_level"][i] == level
+
+
+def test_the_conicity_is_that_of_the_vehicles_own_table(batch: EpisodeBatch) -> None:
+    """And on wider rails that of a table that was made for them."""
+    conditions = Conditions(batch, ["conicity", "gauge"])
+    conditions.begin([0, 1])
+    model = batch.model(0)
+    conicity, gauge = conditions()[0]
+    track = model.scenario.track.model_copy(update={"gauge": float(gauge)})
+    own = VehicleModel(model.scenario.model_copy(update={"track": track}))
+    expected = equivalent_conicity(*radius_difference(own.table, own.right_table), [AMPLITUDE])[0]
+    assert conicity == pytest.approx(expected, rel=0.05)

@@ -1,0 +1,119 @@
+"""The search for a training's settings, with a formula in place of trainings."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("optuna", reason="needs the extra 'train'")
+
+from sayd_env.agents.config import TrainConfig, load_train
+from sayd_env.agents.search_config import RangeConfig, SearchConfig, load_search
+from sayd_env.config import ConfigError
+from sayd_env.config.errors import Interrupted
+from sayd_env.studies.tuning import training as study
+
+BEST = 3.0
+"""s, the look-ahead of the formula's minimum."""
+
+
+def settings(**changes: Any) -> SearchConfig:
+    ranges = {
+        "discount_s": RangeConfig(low=1.0, high=9.0, log=True),
+        "learning.n_epochs": RangeConfig(low=3.0, high=5.0, whole=True),
+        "network.hidden": RangeConfig(choices=([64, 64], [32])),
+    }
+    asked = {"trials": 12, "random_trials": 4, "total_steps": 131_072, "ranges": ranges} | changes
+    return load_search("ppo").model_copy(update=asked)
+
+
+class Trainings:
+    """Stands for `studies.learning.train`."""
+
+    def __init__(self, dies_at: int | None = None) -> None:
+        self.configs: list[TrainConfig] = []
+        self._dies_at = dies_at
+
+    def __call__(self, config: TrainConfig, folder: Path, *, judge: Any, progress: Any, **_: Any) -> Any:
+        self.configs.append(config)
+        if len(self.configs) == self._dies_at:
+            raise Interrupted("saved")
+        cost = 1.0 + math.log(config.discount_s / BEST) ** 2 + 0.1 * (config.learning.n_epochs != 4)
+        steps = 0
+        while steps < config.total_steps:
+            steps += config.total_steps // 4
+            progress(steps, config.total_steps, "")
+            if judge(steps, cost):
+                break
+        return SimpleNamespace(trained=SimpleNamespace(best=cost, steps=steps))
+
+
+def test_the_search_comes_near_the_minimum_and_ships_a_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trainings = Trainings()
+    monkeypatch.setattr(study, "train", trainings)
+    told: list[float] = []
+    result = study.search(
+        "ppo", settings(), tmp_path / "s", progress=lambda done, total, what="": told.append(done / total)
+    )
+    assert len(result.trials) == len(trainings.configs) == 12
+    assert abs(math.log(result.best.settings["discount_s"] / BEST)) < 0.5
+    assert told == sorted(told)
+    assert all(config.seed == 900 and not config.evaluation.references for config in trainings.configs)
+    # Two bogies of each of 64 vehicles make a step of 20 ms together.
+    assert result.simulated_s == pytest.approx(sum(trial.steps for trial in result.trials) / 2 * 0.02)
+    assert any(trial.state == "pruned" and trial.steps < 131_072 for trial in result.trials)
+    file = tmp_path / "ppo-tuned.yaml"
+    file.write_text(result.training_file())
+    found, packaged = load_train(str(file)), load_train("ppo")
+    assert found.discount_s == result.best.settings["discount_s"]
+    assert list(found.network.hidden) == result.best.settings["network.hidden"]
+    assert (found.total_steps, found.evaluation) == (packaged.total_steps, packaged.evaluation)
+
+
+def test_an_interrupted_search_goes_on_with_what_was_under_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = Trainings(dies_at=6), Trainings()
+    monkeypatch.setattr(study, "train", first)
+    with pytest.raises(Interrupted, match="5 of 12 trials are done"):
+        study.search("ppo", settings(), tmp_path / "s")
+    monkeypatch.setattr(study, "train", second)
+    result = study.search("ppo", settings(), tmp_path / "s")
+    assert len(result.trials) == 12
+    assert len(second.configs) == 7
+    assert second.configs[0] == first.configs[5]
+    with pytest.raises(ConfigError, match="holds another search"):
+        study.search("ppo", settings(trials=13), tmp_path / "s")
+
+
+@pytest.mark.parametrize(
+    ("ranges", "message"),
+    [
+        ({"learning.tau": RangeConfig(low=0.1, high=0.2)}, "unknown key 'learning.tau'"),
+        ({"learning.gae_lambda": RangeConfig(low=0.9, high=1.5)}, "gae_lambda"),
+    ],
+)
+def test_settings_that_a_training_does_not_have_are_refused(
+    ranges: dict[str, RangeConfig], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        study.search("ppo", settings(ranges=ranges), tmp_path / "s")
+    with pytest.raises(ConfigError, match="is one of ppo"):
+        study.search("sac", settings(), tmp_path / "s")
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac"])
+def test_the_packaged_searches_fit_their_trainings(name: str) -> None:
+    found = load_search(name)
+    assert found.training == name
+    assert found.shortened().trials < found.trials
+    base = load_train(name)
+    for key, each in found.ranges.items():
+        for value in each.choices or (each.low, each.high):
+            study.with_settings(base, {key: int(value) if each.whole else value})
