@@ -8,6 +8,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sayd_env.agents.pretrained.curves import draw_gains
 from sayd_env.config import ConfigError
 from sayd_env.config.software import provenance

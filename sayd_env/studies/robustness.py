@@ -146,8 +146,8 @@ _PICTURES = (
         "robustness_axes",
         "J over each quantity",
         (
-            "Largest J over the passive vehicle's with the same disturbance. Below the dashed line the policy "
-            "is better than passive dampers in every condition.",
+            "Largest J over the passive vehicle's with the same disturbance. Below the dashed line the "
+            "policy is better than passive dampers in every condition.",
         ),
     ),
     (
@@ -236,7 +236,8 @@ class RobustnessResult:
         conditions = "; ".join(each.text for each in self.config.conditions)
         words = (
             f"Every policy, the passive vehicle and constant commands meet the same conditions "
-            f"({conditions}; {len(self.config.seeds)} seeds each) with one thing changed at a time. {self._asked}"
+            f"({conditions}; {len(self.config.seeds)} seeds each) with one thing changed at a time. "
+            f"{self._asked}"
         )
         verdicts, *missed = self._listings()
         met = sum(each.holds for each in self.outcomes)
