@@ -112,6 +112,7 @@ $(VENV)/.learning: $(VENV)/.installed
 
 $(VENV)/.coverage $(VENV)/.release: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[$(subst .,,$(@F))]'
+	touch $@
 
 $(VENV)/.pages: $(VENV)/.installed
 	@echo "Adding what the site and its tests need (MkDocs, Playwright), half a minute"

@@ -20,14 +20,19 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from sayd_env.agents.config import TrainConfig, load_train
+from sayd_env.agents.search_config import SearchConfig, load_search
+from sayd_env.config.bound import BoundConfig, load_bound
 from sayd_env.config.calibration import CalibrationConfig, load_calibration
 from sayd_env.config.comparison import ComparisonConfig
 from sayd_env.config.control import (
     ConstantConfig,
+    HuntingScheduleConfig,
+    LqgConfig,
     MpptConfig,
     OnlineConfig,
     PerturbObserveConfig,
     SkyhookConfig,
+    SpeedScheduleConfig,
     load_controller,
     load_online,
 )
@@ -42,6 +47,8 @@ from sayd_env.config.map import MapConfig, load_map
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig, load_rail, load_wheel
 from sayd_env.config.reproduction import ReproductionConfig, load_reproduction
 from sayd_env.config.reward import RewardConfig, named_rewards
+from sayd_env.config.robustness import RobustnessConfig, load_robustness
+from sayd_env.config.safe import SafeConfig, load_safe
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
 from sayd_env.config.track import TrackConfig, read_track
@@ -55,10 +62,12 @@ PLAIN = {
     "activation": "Of the hidden layers",
     "algorithm": "Which of the algorithms this section is of",
     "axis": "Along or about which axis it acts",
+    "constants": "Constant commands (-)",
     "damper": "The yaw dampers",
     "density": "Law of the spectrum",
     "description": "What it is, in words",
     "elements": "Springs, dampers, stops, and places of yaw dampers",
+    "horizons_s": "Horizons (s)",
     "irregularity": "Irregularities of the track",
     "kind": "Which of the kinds this is",
     "law": "Which of the laws this is",
@@ -69,11 +78,13 @@ PLAIN = {
     "openings": "Valve commands (-)",
     "per": "Index sets over which it is repeated",
     "role": "What it is in the vehicle",
+    "samples": "Numbers of sequences",
     "scale": "Scale on which the range is searched",
     "speeds_kmh": "Speeds (km/h)",
     "throttle": "The adjustable throttle",
     "type": "Which of the types this is",
     "unit": "Unit of the range",
+    "values": "Values of the quantity, in its unit",
     "valves": "Which valves a command goes to",
     "wheels": "States of the wheels, by name",
 }
@@ -191,10 +202,20 @@ CHAPTERS = (
             Root(MpptConfig, "mppt2", lambda: load_controller("mppt2")),
             Root(PerturbObserveConfig, "perturb-and-observe", lambda: load_controller("perturb-and-observe")),
             Root(SkyhookConfig, "skyhook-onoff", lambda: load_controller("skyhook-onoff")),
+            Root(SpeedScheduleConfig, "speed-schedule", lambda: load_controller("speed-schedule")),
+            Root(HuntingScheduleConfig, "hunting-schedule", lambda: load_controller("hunting-schedule")),
+            Root(LqgConfig, "lqg", lambda: load_controller("lqg")),
             Root(OnlineConfig, "online", load_online),
+            Root(SafeConfig, "safe", load_safe),
         ),
     ),
     Chapter("Training", "train", "`sayd train`.", (Root(TrainConfig, "ppo", load_train),)),
+    Chapter(
+        "Training search",
+        "search",
+        "`sayd tune ppo|sac`.",
+        (Root(SearchConfig, "ppo", lambda: load_search("ppo")),),
+    ),
     # Only `sayd compare` reads the held-out conditions: their values do not stand here.
     Chapter(
         "Comparison", "study", "`sayd compare`.", (Root(ComparisonConfig, "heldout", None),), ("heldout",)
@@ -206,6 +227,14 @@ CHAPTERS = (
         "`sayd hindsight`.",
         (Root(HindsightConfig, "hindsight", load_hindsight),),
         ("hindsight",),
+    ),
+    Chapter("Bound", "study", "`sayd bound`.", (Root(BoundConfig, "bound", load_bound),), ("bound",)),
+    Chapter(
+        "Robustness",
+        "study",
+        "`sayd robustness`.",
+        (Root(RobustnessConfig, "robustness", load_robustness),),
+        ("robustness",),
     ),
     Chapter(
         "Reproduction",

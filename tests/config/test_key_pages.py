@@ -10,6 +10,7 @@ import configuration_tables as tables
 import pytest
 
 from sayd_env import config
+from sayd_env.agents.config import EstimatorConfig
 from sayd_env.config import fault
 from sayd_env.config.base import Model
 from sayd_env.config.control import PassiveControlConfig, TunedProvenance
@@ -25,6 +26,8 @@ ELSEWHERE = {
     fault.SensorFrozen,
     fault.SensorBiased,
     fault.SensorNoisy,
+    # In the files of policies, which trainings write.
+    EstimatorConfig,
     # Of no keys; of any keys.
     PassiveControlConfig,
     TunedProvenance,
