@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import sys
 from pathlib import Path
 
@@ -38,17 +37,6 @@ def read(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def as_in_a_wheel() -> None:
-    """Copy the packages to where a wheel has them, so that their docstrings are found under their names."""
-    copy = ROOT / "build" / "packages" / "sayd_env"
-    shutil.rmtree(copy, ignore_errors=True)
-    for source, target in (("sayd_env", "."), ("agents", "agents"), ("baselines", "baselines")):
-        for module in (ROOT / source).rglob("*.py"):
-            place = copy / target / module.relative_to(ROOT / source)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(module, place)
-
-
 def for_the_site(source: Path) -> str:
     """A page as MkDocs reads it, with links that say where they lead, and none to files that are no pages."""
 
@@ -77,7 +65,6 @@ def with_links(text: str) -> str:
     return re.sub(r"^\| `sayd .*? \| ", linked, text, flags=re.MULTILINE)
 
 
-as_in_a_wheel()
 for page in DOCS.glob("*.md"):
     write(page.name, for_the_site(page))
 for page, place in ELSEWHERE.items():
