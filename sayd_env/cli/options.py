@@ -91,9 +91,11 @@ def policy_names(incomplete: str) -> list[str]:
     """Completion by the names of all policies, of the last one in a list."""
     from sayd_env.agents import pretrained  # noqa: PLC0415 - keeps --help fast
     from sayd_env.config.control import CONTROLLERS  # noqa: PLC0415
+    from sayd_env.config.loader import packaged_names  # noqa: PLC0415
 
     before, comma, last = incomplete.rpartition(",")
-    return [f"{before}{comma}{name}" for name in one_of(*CONTROLLERS, *pretrained.names())(last)]
+    shipped = [name for name in CONTROLLERS if name in ("passive", *packaged_names("control"))]
+    return [f"{before}{comma}{name}" for name in one_of(*shipped, *pretrained.names())(last)]
 
 
 CONFIG = "Configuration: a packaged name or a YAML file."

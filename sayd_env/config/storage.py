@@ -9,7 +9,7 @@ import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,8 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
                 os.replace(temporary, folder / name)
     finally:
         for temporary in temporaries.values():
-            temporary.unlink(missing_ok=True)
+            with suppress(OSError):  # what was reported above says more
+                temporary.unlink(missing_ok=True)
     return [folder / name for name in contents]
 
 
@@ -82,7 +83,8 @@ def replacing(path: Path) -> Iterator[Path]:
             _sync(temporary)
             os.replace(temporary, path)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def write_folder(path: Path, fill: Callable[[Path], None]) -> None:

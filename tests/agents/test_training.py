@@ -272,8 +272,13 @@ def test_each_bogie_is_paid_for_itself(tmp_path: Path) -> None:
     terms, cost = batch.vehicles.terms, batch.scenario.cost
     own = cost.acceleration_weight * terms[:, COST_ACCELERATION:][:, :2]
     own = own + cost.force_weight * terms[:, COST_FORCE:][:, :2]
-    ratios = (-rewards.reshape(4, 2) / own).T
-    np.testing.assert_allclose(ratios[0], ratios[1], rtol=1e-4)
+    paid = -rewards.reshape(4, 2).astype(np.float64)
+    factor = paid.sum(axis=1) / own.sum(axis=1)  # of a vehicle's episode
+    assert np.all(np.abs(own[:, 0] / own[:, 1] - 1.0) > 0.1)
+    # Both are made of their mean, which the environment gives as float32: a calm bogie beside a restless one
+    # is paid right to a rounding of that mean.
+    rounding = np.finfo(np.float32).eps * paid.mean(axis=1) / factor
+    assert np.max(np.abs(paid / factor[:, None] - own) / rounding[:, None]) < 2.0
 
 
 def test_vehicles_on_lines_learn_and_are_judged_along(tmp_path: Path) -> None:

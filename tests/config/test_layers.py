@@ -105,7 +105,7 @@ def test_a_copy_of_a_file_and_one_that_stands_on_it_are_the_same(kind: Kind, nam
         assert layered(kind, str(path)).data == layered(kind, name).data
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name != "passive"])
+@pytest.mark.parametrize("name", [name for name in packaged_names("control") if name in CONTROLLERS])
 def test_a_copied_controller_is_the_controller(name: str, write: Write):
     packaged = load_controller(name)
     copy = write((CONFIGS / "control" / f"{name}.yaml").read_text(encoding="utf-8"), f"{name}.yaml")

@@ -38,7 +38,7 @@ derailment: {{quotient: {quotient}, averaging: 0.5}}
 
 def environment_file(folder: Path, force_weight: float, quotient: float) -> str:
     study, path = folder / "study.yaml", folder / "environment.yaml"
-    study.write_text(f"base: nominal\nset: {{cost.force_weight: {force_weight}}}\n")
+    study.write_text(f"base: estimates\nset: {{cost.force_weight: {force_weight}}}\n")
     path.write_text(ENVIRONMENT.format(study=study, seconds=SECONDS, j_term=J_TERM, quotient=quotient))
     return str(path)
 
@@ -89,6 +89,7 @@ def test_all_give_the_same_j(force_weight: float, ends_early: bool, tmp_path: Pa
         "speeds_kmh": [350.0],
         "wear": [1.0],
         "seeds": [SEED],
+        "beside_seeds": [],
     }
     training = [
         *(f"environment.name={name}", "environment.reward=null"),  # the study's weights

@@ -183,7 +183,7 @@ environment: env.yaml
 length: 600.0
 tracks: [{name: german_low, scale: 0.6}]
 speeds_kmh: [250.0, 300.0, 350.0]
-wear: [0.0, 1.0]
+wheels: [{name: new, wear: 0.0, gauge: 1.435}, {name: worn, wear: 1.0, gauge: 1.435}]
 friction: [0.35]
 seeds: [5, 6, 7]
 initial_current: 0.0

@@ -20,7 +20,7 @@ from sayd_env.physics.rows import SINGLE
 from sayd_env.physics.simulator import Simulator, VehicleModel
 
 SPEED = 350.0 / 3.6
-SHORT = ["assessment.run_in=100", "assessment.length=500", "damper=sayd"]
+SHORT = ["assessment.run_in=100", "assessment.length=500", "damper=sayd-estimate"]
 
 
 def scenario(*overrides: str) -> Scenario:
@@ -126,7 +126,7 @@ def test_bad_commands_are_refused(model: VehicleModel, values: object, message: 
 
 
 def test_a_passive_damper_has_no_valve() -> None:
-    passive = VehicleModel(scenario("damper=passive"))
+    passive = VehicleModel(scenario("damper=passive-estimate"))
     simulator = Simulator(passive, SPEED, 1)
     with pytest.raises(ConfigError, match="has no valve"):
         simulator.command(0.5)

@@ -101,7 +101,7 @@ def test_a_file_that_fails_leaves_the_former_one(tmp_path: Path) -> None:
     assert path.read_text() == "former"
     assert len(list(tmp_path.iterdir())) == 1
     with pytest.raises(StudyError, match="cannot be written"):
-        write_history(tmp_path / "no folder" / "run.csv", "csv", TIME, COLUMNS, {})
+        write_history(path / "in a file" / "run.csv", "csv", TIME, COLUMNS, {})
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -116,7 +116,8 @@ def episode(policy: str, seed: int, **keywords: Any) -> float:
     """Sum of the rewards of an episode of the environment, run as its users do."""
     name, _, current = policy.partition(":")
     damper = "passive" if name == "passive" else "sayd"
-    env = gym.make("SAYD/Nominal-v1", damper=damper, speed_kmh=SPEED * 3.6, settings=SETTINGS, **keywords)
+    keywords.setdefault("settings", SETTINGS)
+    env = gym.make("SAYD/Nominal-v1", damper=damper, speed_kmh=SPEED * 3.6, **keywords)
     agent = baselines.make(name, env, **({"current": float(current)} if current else {}))
     observation, _ = env.reset(seed=seed)
     state, total, ended, start = None, 0.0, False, True
@@ -157,29 +158,32 @@ def test_j_is_minus_the_mean_reward_of_the_environment_with_this_seed(reward: st
 
 
 def test_a_derailment_is_charged_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """A limit of Y/Q that the vehicle soon exceeds: J is the environment's, with its charge."""
+    """A limit of Y/Q exceeded in the run-in and on the way: J is the environment's, with its charge."""
     monkeypatch.chdir(tmp_path)
-    Path("touchy.yaml").write_text("episode_s: 4\nderailment: {quotient: 0.1, averaging: 0.1}\n")
+    policy, settings = "constant:0.3", (*SETTINGS, "damper=sayd-estimate")
+    limit = "derailment: {quotient: 0.19, averaging: 0.1}"
+    Path("touchy.yaml").write_text(f"study: estimates\nepisode_s: 4\n{limit}\n")
     result = evaluate(
-        load_scenario(overrides=SETTINGS),
+        load_scenario("estimates", settings),
         [SPEED],
-        [0, 1],
-        policies=[policy_spec("mppt2")],
+        [1, 4],
+        policies=[policy_spec(policy)],
         environment=load_environment("touchy.yaml"),
     )
+    assert [row.duration_s > 0.0 for row in result.rows] == [False, True]
     for row in result.rows:
         assert row.ending == "derailment risk: mean Y/Q beyond its limit"
         assert row.acceleration_ratio == row.J_offline == math.inf
-        total = episode("mppt2", row.seed, environment="touchy.yaml")
+        total = episode(policy, row.seed, environment="touchy.yaml", settings=settings)
         assert pytest.approx(-total / 4.0, rel=1e-5) == row.J
         assert row.J > 1.0
-        total = episode("mppt2", row.seed, environment="touchy.yaml", reward="low-force")
+        total = episode(policy, row.seed, environment="touchy.yaml", settings=settings, reward="low-force")
         assert pytest.approx(-total / 4.0, rel=1e-5) == result.by_weights(row)["J_low_force"]
     console = Console(file=io.StringIO(), width=120)
     result.summary(console)
     text = console.file.getvalue()  # type: ignore[attr-defined]
-    assert "derailed: mppt2 at 360 km/h, wear 1, friction 0.35: 2 of 2 runs" in text
-    assert json.loads(json.dumps(result.as_dict(), allow_nan=True))["summary"]["mppt2"]["derailed"] == 2
+    assert f"derailed: {policy} at 360 km/h, wear 1, friction 0.35: 2 of 2 runs" in text
+    assert json.loads(json.dumps(result.as_dict(), allow_nan=True))["summary"][policy]["derailed"] == 2
 
 
 def test_policies_run_on_the_same_tracks(short_scenario: Scenario):

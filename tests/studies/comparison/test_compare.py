@@ -376,6 +376,7 @@ def test_an_interrupted_comparison_keeps_what_was_run(
         "stability.csv",
         "best_constant.csv",
         "compare.png",
+        "report.html",
         "result.json",
     )
     assert {path.name for path in tmp_path.iterdir()} == {*tables, "runs"}

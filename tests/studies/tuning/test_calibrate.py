@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -169,7 +169,11 @@ def rows(synthetic: Callable[..., Sweep], limits: Limits) -> Callable[..., tuple
     """Residuals and measures of made-up sweeps with known crossings (km/h)."""
 
     def rows(
-        new: float = 375.0, worn: float = 331.0, force: float = 361.0, trailing: float = 1.25
+        new: float = 375.0,
+        worn: float = 331.0,
+        force: float = 361.0,
+        trailing: float = 1.25,
+        scattered: Sequence[Sequence[float]] = ((4.0, 5.0),),
     ) -> tuple[dict[str, float], ...]:
         first = synthetic(
             [280, 340, 370, 400],
@@ -186,7 +190,7 @@ def rows(synthetic: Callable[..., Sweep], limits: Limits) -> Callable[..., tuple
             frequency=lambda v: 4 + 0.01 * v,
             scatter=lambda v: 1.0 if v < 350 else 0.1,
         )
-        return passive_residuals(first, second, limits, np.array([0.35, 0.4]))
+        return passive_residuals(first, second, limits, np.array([0.35, 0.4]), np.array(scattered))
 
     return rows
 
@@ -195,15 +199,15 @@ Rows = Callable[..., tuple[dict[str, float], ...]]
 
 
 def test_a_vehicle_like_the_papers_has_small_residuals(rows: Rows):
-    residuals, measures = rows(new=374.0)
-    assert list(residuals) == [*(f"P{i}" for i in range(1, 11)), "M1, M5, S1"]
-    ratio_320 = 1 + (320 - 331) / 200
+    residuals, measures = rows(new=374.0, worn=334.0)
+    assert list(residuals) == [*(f"P{i}" for i in range(1, 11)), "M1, M5, S1", "M2"]
+    ratio_320 = 1 + (320 - 334) / 200
     assert residuals["P4"] == pytest.approx((ratio_320 - 0.85) / 0.05)
-    ratio_350 = 1 + (350 - 331) / 200
+    ratio_350 = 1 + (350 - 334) / 200
     assert residuals["P6"] == pytest.approx((1.1 - ratio_350) / 0.05)
     others = [value for row, value in residuals.items() if row not in ("P4", "P6")]
-    assert others == pytest.approx([0.0] * 9, abs=1e-9)
-    assert measures["critical_worn_kmh"] == pytest.approx(331.0)
+    assert others == pytest.approx([0.0] * 10, abs=1e-9)
+    assert measures["critical_worn_kmh"] == pytest.approx(334.0)
     assert measures["critical_worn_force_kmh"] == pytest.approx(361.0)
     assert measures["trailing_ratio"] == pytest.approx(1.25)
     assert measures["spread_350_hz"] == pytest.approx(0.1)
@@ -219,6 +223,10 @@ def test_the_critical_speed_goes_on_beyond_the_grid(new: float, rows: Rows):
 
 def test_other_rows_measure_their_distance(rows: Rows):
     assert rows(trailing=1.05)[0]["P9"] == pytest.approx((1.2 - 1.05) / 0.05)
+    # Of one seed half of the frequencies lie within 2 to 10 Hz, of the other all do.
+    residuals, measures = rows(scattered=((1.0, 4.0, 6.0, 12.0), (3.0, 5.0, 7.0, 9.0)))
+    assert residuals["M2"] == pytest.approx(((0.9 - 0.5) / 0.1 + 0.0) / 2)
+    assert measures["held_within_scatter"] == pytest.approx(0.75)
 
 
 def test_a_row_of_seeds_counts_those_that_fail():
