@@ -15,6 +15,7 @@ from sayd_env.config.errors import StudyError
 from sayd_env.config.storage import remove_leftovers, write_file
 from sayd_env.config.units import Array
 from sayd_env.config.user_cache import cache_folder
+from sayd_env.physics.kernel import COMPILES
 
 
 def cached_array(name: str, content: Iterable[bytes], length: int, make: Callable[[], Array]) -> Array:
@@ -30,7 +31,7 @@ def cached_array(name: str, content: Iterable[bytes], length: int, make: Callabl
         Number of its elements.
     make : callable
         Makes it. It is called where there is no file, where the file is damaged, and in every process where
-        there is no place to write.
+        there is no place to write, or that runs kernels without compilation.
     """
     folder = cache_folder()
     if folder is None:
@@ -43,8 +44,9 @@ def cached_array(name: str, content: Iterable[bytes], length: int, make: Callabl
     found = stored_array(file, length)
     if found is None:
         found = make()
-        with contextlib.suppress(StudyError):  # a full disk: the next process makes it again
-            write_file(file, _with_checksum(found))
+        if COMPILES:  # what Python makes of the same source differs in its last bits
+            with contextlib.suppress(StudyError):  # a full disk: the next process makes it again
+                write_file(file, _with_checksum(found))
     return found
 
 

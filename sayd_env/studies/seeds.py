@@ -163,6 +163,7 @@ def _run(waiting: list[_Process], parallel: int, total: float, progress: Progres
         for each in every:
             each.interrupt()
         raise Interrupted("all trainings were saved; go on with the same command") from None
+    progress(sum(each.steps() for each in every), total, "")  # what the last ones did since they were asked
     failed = [each for each in every if each.failed]
     if failed:
         raise StudyError("; ".join(each.complaint() for each in failed))
