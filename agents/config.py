@@ -11,6 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from sayd_env.config import Model, quantity
 from sayd_env.config.base import Number
+from sayd_env.config.control import SpeedScheduleConfig, load_controller
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.learner import WIDEST, InputConfig
 from sayd_env.config.reward import RewardName
@@ -59,14 +60,26 @@ class OutputConfig(Model):
         "that holds, which the observation must contain"
     )
     middle: float = quantity("-", "Command at output 0, for 'command'", default=0.5, ge=0.0, le=1.0)
+    schedule: SpeedScheduleConfig | None = Field(
+        None,
+        description="Command at output 0 over the observed speed, in place of `middle`: a table, or the name "
+        "of a speed-schedule",
+    )
     half: float = quantity("-", "Half the range of commands, for 'command'", default=0.5, gt=0.0, le=1.0)
     rate: float = quantity("1/s", "Fastest change of a command, for 'change'", default=1.0, gt=0.0)
     hold: int = Field(1, description="Control periods for which an output holds", strict=True, ge=1, le=1000)
+
+    @field_validator("schedule", mode="before")
+    @classmethod
+    def _read(cls, given: Any) -> Any:
+        return load_controller(given) if isinstance(given, str) else given
 
     @model_validator(mode="after")
     def _holds_commands(self) -> OutputConfig:
         if self.kind == "change" and self.hold > 1:
             raise ValueError("hold: needs kind 'command'; slow changes come by a smaller rate")
+        if self.kind == "change" and self.schedule is not None:
+            raise ValueError("schedule: needs kind 'command'")
         return self
 
 
@@ -203,6 +216,11 @@ class TrainConfig(Model):
     discount_s: float = quantity("s", "Time after which a reward counts 1/e", gt=0.0)
     reward_scale: float = quantity(
         "-", "Factor on the reward per second, in multiples of an ordinary J", gt=0.0
+    )
+    worst_s: float = quantity(
+        "s",
+        "Largest cost of a control period, in seconds of an ordinary J: bounds that of a derailment",
+        gt=0.0,
     )
     environment: LearningEnvironmentConfig
     view: View = Field(

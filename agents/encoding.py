@@ -14,7 +14,7 @@ from sayd_env.agents.memory import Memory
 from sayd_env.agents.state import run_in
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.learner import InputConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs.interface import Interface, RunIn
 from sayd_env.envs.scaled import Observation, Scaling
 
@@ -42,6 +42,8 @@ class Encoding(ABC):
         Signals that it reads.
     memory : Memory or None
         What it remembers beside the observation.
+    speed : int
+        Place of the newest speed in a flat observation; -1 where it is not observed.
     """
 
     units: int
@@ -54,6 +56,12 @@ class Encoding(ABC):
         self.interface = interface
         self.clip = clip
         self.output = output
+        names = [signal.name for signal in interface.signals]
+        if output.schedule is not None and "speed" not in names:
+            raise ConfigError(f"output.schedule: observation '{interface.observation}' has no speed")
+        self.speed = (
+            interface.history * len(names) - len(names) + names.index("speed") if "speed" in names else -1
+        )
 
     @abstractmethod
     def encode(self, observations: Observation, memory: Array | None = None) -> Observation:
@@ -100,8 +108,16 @@ class Encoding(ABC):
         observations : ndarray, shape (N, *obs)
         """
         bounded = np.clip(outputs.astype(np.float64), -1.0, 1.0).reshape(len(observations), -1)
-        commands = self.output.middle + self.output.half * bounded
+        commands = self.middle(observations) + self.output.half * bounded
         return np.clip(commands, 0.0, 1.0).astype(np.float32)
+
+    def middle(self, observations: Observation) -> Array | float:
+        """Commands at output 0 for observations of shape (N, *obs): one for all, or shape (N, 1)."""
+        schedule = self.output.schedule
+        if schedule is None:
+            return self.output.middle
+        speed = flat(observations)[:, self.speed] * KMH
+        return np.interp(speed, schedule.speeds_kmh, schedule.commands)[:, None]
 
 
 class VehicleEncoding(Encoding):

@@ -23,6 +23,7 @@ from sayd_env.agents.policy_file import (
 from sayd_env.agents.state import INPUT, NEXT_STATE, OUTPUT, STATE
 from sayd_env.config import StudyError
 from sayd_env.config.storage import write_file
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs.scaled import FLOOR, Scaling
 
 OPSET = 17
@@ -247,12 +248,35 @@ def _decoded(graph: _Graph, encoding: Encoding, values: str, seen: str) -> str:
     held = encoding.held if isinstance(encoding, VehicleEncoding) else None
     if held is None:
         scaled = graph.add("Mul", bounded, graph.constant(np.float64(encoding.output.half)))
-        command = graph.add("Add", scaled, graph.constant(np.float64(encoding.output.middle)))
+        command = graph.add("Add", scaled, _middle(graph, encoding, seen))
     else:
         step = graph.constant(np.float64(cast(VehicleEncoding, encoding).step))
         before = graph.add("Gather", seen, graph.constant(held.astype(np.int64)), axis=-1)
         command = graph.add("Add", before, graph.add("Mul", bounded, step))
     return _reshaped(graph, _clipped(graph, command, 0.0, 1.0), encoding.units * encoding.actions)
+
+
+def _middle(graph: _Graph, encoding: Encoding, seen: str) -> str:
+    """`Encoding.middle`, one row for each network: a table is a sum of ramps between its speeds."""
+    schedule, interface = encoding.output.schedule, encoding.interface
+    if schedule is None:
+        return graph.constant(np.float64(encoding.output.middle))
+    rows = _reshaped(graph, seen, interface.history * len(interface.signals))
+    speed = _part(graph, rows, encoding.speed, encoding.speed + 1, axis=1)
+    speed = graph.add("Where", graph.add("IsNaN", speed), graph.constant(np.float64(0.0)), speed)
+    speeds, commands = np.array(schedule.speeds_kmh) / KMH, np.array(schedule.commands)
+    if len(speeds) == 1:
+        return graph.constant(commands)
+    lengths = np.diff(speeds)
+    above = _clipped_to(graph, graph.add("Sub", speed, graph.constant(speeds[:-1])), lengths)
+    slopes = graph.constant((np.diff(commands) / lengths)[:, None])
+    middle = graph.add("Add", graph.add("MatMul", above, slopes), graph.constant(np.float64(commands[0])))
+    return _reshaped(graph, graph.add("Concat", *[middle] * encoding.units, axis=1), 1)
+
+
+def _clipped_to(graph: _Graph, values: str, high: Array) -> str:
+    """Between 0 and an upper end of each column."""
+    return graph.add("Min", graph.add("Max", values, graph.constant(np.float64(0.0))), graph.constant(high))
 
 
 def _reshaped(graph: _Graph, values: str, width: int) -> str:

@@ -116,6 +116,9 @@ class EncodedVecEnv(VecEnvWrapper):
         Gives the true conditions.
     heard : callable, optional
         Gives what vehicles that have just begun remember of their run-in, shape (N, memory_width).
+    least : float
+        Smallest scaled reward of a control period. A derailment is charged with the whole rest of its
+        episode, a thousand times what a command is worth: unbounded, one drowns all else in a rollout.
 
     Attributes
     ----------
@@ -131,6 +134,7 @@ class EncodedVecEnv(VecEnvWrapper):
         costs: Numbers | None = None,
         privileged: Privileged | None = None,
         heard: Callable[[npt.NDArray[np.bool_]], Array] | None = None,
+        least: float = -np.inf,
     ) -> None:
         super().__init__(venv)
         self.inputs = encoding.size
@@ -143,7 +147,7 @@ class EncodedVecEnv(VecEnvWrapper):
         )
         self._encoding, self._privileged, self._heard = encoding, privileged, heard
         self._factors, self._factor = factors, np.ones(venv.num_envs)
-        self._costs = costs
+        self._costs, self._least = costs, least
         self._seen: Observation = np.zeros(0, np.float32)
         self._memory = np.zeros((venv.num_envs, encoding.memory_width))
         self._outputs: npt.NDArray[np.float32] = np.zeros(0, np.float32)
@@ -185,7 +189,8 @@ class EncodedVecEnv(VecEnvWrapper):
         for _ in range(self._encoding.output.hold):
             commands = self._encoding.decode(self._outputs, self._seen)
             self._seen, rewards, dones, infos = self.venv.step(commands)
-            paid += np.where(over[:, None], 0.0, self._paid(rewards, dones) * self._factor[:, None])
+            scaled = np.maximum(self._paid(rewards, dones) * self._factor[:, None], self._least)
+            paid += np.where(over[:, None], 0.0, scaled)
             if dones.any():
                 for i in map(int, np.flatnonzero(dones & ~over)):
                     last[i] = infos[i] | {"terminal_observation": self._last(i, infos[i])}
@@ -197,8 +202,7 @@ class EncodedVecEnv(VecEnvWrapper):
             rows = info["terminal_observation"]
             for j in range(units):
                 each[i * units + j] = info | {"terminal_observation": rows[j]}
-        scaled = paid.astype(np.float32).reshape(-1)
-        return self._observed(), scaled, np.repeat(over, units), each
+        return self._observed(), paid.astype(np.float32).reshape(-1), np.repeat(over, units), each
 
     def _last(self, i: int, info: dict[str, Any]) -> Observation:
         """What vehicle i observed last; its conditions are those of its last decision."""
@@ -301,8 +305,9 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
     for part in vehicles.parts:
         part.vector.listens = encoding.memory is not None
 
+    per_second = config.reward_scale / settings.control_period
+
     def factors() -> Array:
-        per_second = config.reward_scale / settings.control_period
         return per_second / vehicles.together(lambda part: ordinary_costs(part.vector.batch))
 
     def heard(which: npt.NDArray[np.bool_]) -> Array:
@@ -321,6 +326,7 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
         lambda: vehicles.together(SaydVecEnv.bogie_costs),
         Privileged(vehicles, config.privileged, config.clip) if config.privileged else None,
         heard if encoding.memory is not None else None,
+        -config.worst_s * per_second,
     )
     return env, encoding
 

@@ -12,11 +12,13 @@ import numpy as np
 
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.conditions import Line, cant_deficiency
+from sayd_env.config.track import CHANNELS
 from sayd_env.config.units import Array
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.physics.contact.conicity import equivalent_conicity
 from sayd_env.physics.contact.geometry import ContactTable
 from sayd_env.physics.simulator import VehicleModel
+from sayd_env.physics.track.realisation import TrackRealisation
 
 CONDITIONS = {
     "speed": "m/s, the true one",
@@ -28,8 +30,22 @@ CONDITIONS = {
     "payload": "-, change of the carbody's mass as a share of it",
     "curvature": "1/m, without its sign",
     "deficiency": "m, cant that is missing or in excess, without its sign",
+    "versine_1s": "m, RMS of the alignment's versines in the second to come",
+    "versine_3s": "m, the same of three seconds",
 }
 """What `Conditions` tells, and its unit."""
+AHEAD = {"versine_1s": 1.0, "versine_3s": 3.0}
+"""Time over which those look ahead (s).
+
+What comes does not depend on what a policy does, so that a critic may know it, and is then less surprised
+by the track (Mao and others, Variance Reduction for Reinforcement Learning in Input-Driven Environments,
+2019).
+"""
+HALF_CHORD = 10.0
+"""Versines on chords of 20 m (m): most of waves about 20 m long, which excite hunting."""
+ALIGNMENT = CHANNELS.index("alignment")
+FINE = 2.5
+"""Distance of the versines (m)."""
 AMPLITUDE = 3e-3
 """Of the lateral motion for which the conicity is that of EN 15302 (m)."""
 STEP = 10.0
@@ -79,7 +95,9 @@ class Conditions:
         assert episode is not None  # it has begun
         model = batch.model(i)
         scenario = model.scenario
-        reach = 0.0 if line is None else batch.mean_speed(i) * batch.config.episode_s
+        ahead = {name: seconds for name, seconds in AHEAD.items() if name in self.names}
+        changing = line is not None or ahead
+        reach = batch.mean_speed(i) * batch.config.episode_s if changing else 0.0
         s: Array = STEP * np.arange(int(reach / STEP) + 1, dtype=np.float64) + 0.5 * STEP
         level = 1.0 if episode.track_scale is None else episode.track_scale
         single = {
@@ -95,6 +113,10 @@ class Conditions:
         found = {name: np.full(len(s), float(value)) for name, value in single.items()}
         if line is not None:
             found |= _along(line, s, episode.speed)
+        for name, seconds in ahead.items():
+            found[name] = _versines(
+                batch.vehicles.track(i), batch.vehicles.origin[i] + s, found["speed"] * seconds
+            )
         if "conicity" in self.names:
             found["conicity"] = _conicity(model, line, s, found["gauge"])
         return np.stack([found[name] for name in self.names], axis=1) if self.names else np.zeros((1, 0))
@@ -132,6 +154,19 @@ def _along(line: Line, s: Array, speed: float) -> dict[str, Array]:
         levels = np.array([1.0 if piece.scale is None else piece.scale for piece in line.tracks])
         found["track_level"] = levels[np.searchsorted(ends, s, side="right")]
     return found
+
+
+def _versines(track: TrackRealisation, x: Array, reach: Array) -> Array:
+    """RMS of versines (m) from positions x (m) on over distances (m), up to the track's end."""
+    last = float(np.max(x + reach))
+    places: Array = np.arange(x[0], last + FINE, FINE)
+    around = places + np.array([[-HALF_CHORD], [0.0], [HALF_CHORD]])
+    values = track.evaluate(np.clip(around, 0.0, track.length).ravel())[0][:, ALIGNMENT].reshape(around.shape)
+    squares = np.square(values[1] - 0.5 * (values[0] + values[2]))
+    total = np.concatenate([[0.0], np.cumsum(squares)])
+    first = np.floor((x - x[0]) / FINE).astype(np.intp)
+    end = np.minimum(first + np.maximum(np.ceil(reach / FINE), 1.0).astype(np.intp), len(squares))
+    return np.asarray(np.sqrt((total[end] - total[first]) / (end - first)))
 
 
 def _conicity(model: VehicleModel, line: Line | None, s: Array, gauge: Array) -> Array:

@@ -37,6 +37,7 @@ from sayd_env.physics.formation import Formation
 from sayd_env.physics.kernel import compiled_threads, specialised
 from sayd_env.physics.plant import State
 from sayd_env.physics.ragged import RaggedBatch
+from sayd_env.physics.track.realisation import TrackRealisation
 from sayd_env.stability.online import Band, BandState
 
 Index = npt.NDArray[np.int64]
@@ -199,6 +200,10 @@ class VehicleBatch:
             noise=None if vehicle.noise is None else copy.deepcopy(vehicle.noise.bit_generator.state),
             results={name: getattr(self, name)[i].copy() for name in RESULTS},
         )
+
+    def track(self, i: int) -> TrackRealisation:
+        """The irregularities on which a vehicle runs."""
+        return self._vehicles[i].track
 
     def set_state(self, i: int, saved: VehicleState) -> None:
         """Put a vehicle back to a state of this one or of another one of the same structure."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sayd_env import baselines
 from sayd_env.agents.bogie_encoding import BogieEncoding
 from sayd_env.agents.config import InputConfig, OutputConfig
 from sayd_env.config import ConfigError
@@ -127,6 +128,19 @@ def test_outputs_become_commands_of_both_bogies(interface: Interface) -> None:
     np.testing.assert_allclose(found, [[0.2, 0.5], [0.4, 0.6]], atol=1e-7)
     wide = OutputConfig(kind="command", middle=0.9, half=0.5)
     assert BogieEncoding(interface, {"speed": UNIT}, 1.0, wide).decode(np.ones((2, 1)), seen[:1]).max() == 1.0
+
+
+def test_an_output_of_zero_is_the_command_of_its_schedule(interface: Interface) -> None:
+    controller = baselines.make("speed-schedule", interface)
+    output = OutputConfig(kind="command", schedule="speed-schedule", half=0.1)
+    encoding = BogieEncoding(interface, {"speed": UNIT}, 1.0, output)
+    seen = np.zeros((5, *interface.shape), np.float32)
+    place = [signal.name for signal in interface.signals].index("speed")
+    seen[:, -1, place] = [0.0, 60.0, 80.0, 100.0, 130.0]
+    expected, _ = controller.predict(seen)
+    np.testing.assert_allclose(encoding.decode(np.zeros((10, 1)), seen), expected, atol=1e-7)
+    above = encoding.decode(np.tile([[0.0], [1.0]], (5, 1)), seen)
+    np.testing.assert_allclose(above - expected, np.tile([0.0, 0.1], (5, 1)), atol=1e-7)
 
 
 @pytest.mark.parametrize(

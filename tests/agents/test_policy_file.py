@@ -407,7 +407,16 @@ def test_onnxruntime_gives_the_same_commands(
     assert (told["valves"], float(told["control_period"])) == ("bogie", 0.05)
 
 
-def test_onnxruntime_gives_the_commands_of_both_bogies(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "output",
+    [
+        OutputConfig(kind="command", middle=0.4, half=0.3),
+        OutputConfig(kind="command", schedule="speed-schedule", half=0.3),
+        OutputConfig(kind="command", schedule={"speeds_kmh": [300.0], "commands": [0.4]}, half=0.3),
+    ],
+    ids=["middle", "schedule", "one-speed"],
+)
+def test_onnxruntime_gives_the_commands_of_both_bogies(output: OutputConfig, tmp_path: Path) -> None:
     pytest.importorskip("onnx", reason="needs the extra 'onnx'")
     runtime = pytest.importorskip("onnxruntime", reason="needs the extra 'onnx'")
     from sayd_env.agents.export import export_onnx  # noqa: PLC0415
@@ -427,7 +436,7 @@ def test_onnxruntime_gives_the_commands_of_both_bogies(tmp_path: Path) -> None:
         view="bogie",
         inputs={name: InputConfig(middle=0.0, half=half) for name, half in zip(names, halves, strict=True)},
         clip=5.0,
-        output=OutputConfig(kind="command", middle=0.4, half=0.3),
+        output=output,
         network=NetworkConfig(hidden=(7,), activation="tanh"),
         squash="clip",
     )

@@ -262,6 +262,16 @@ def test_rewards_and_last_observations_are_encoded(tmp_path: Path) -> None:
         )
 
 
+def test_no_period_costs_more_than_the_worst(tmp_path: Path) -> None:
+    config = load_train("ppo", [*settings("ppo", tmp_path), "worst_s=1e-6", "output.hold=5"])
+    env, _ = make_learning_env(config)
+    env.seed(3)
+    env.reset()
+    _, rewards, _, _ = env.step(np.zeros((8, 1), np.float32))
+    per_second = config.reward_scale / config.environment.control_period
+    np.testing.assert_allclose(rewards, -5 * 1e-6 * per_second, rtol=1e-5)
+
+
 def test_each_bogie_is_paid_for_itself(tmp_path: Path) -> None:
     config = load_train("ppo", settings("ppo", tmp_path))
     env, _ = make_learning_env(config)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from sayd_env.config.environment import load_environment
+from sayd_env.config.scenario import load_scenario
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
-from sayd_env.envs.privileged import AMPLITUDE, CONDITIONS, Conditions
+from sayd_env.envs.privileged import AHEAD, AMPLITUDE, CONDITIONS, HALF_CHORD, Conditions
 from sayd_env.physics.contact.conicity import equivalent_conicity, radius_difference
 from sayd_env.physics.simulator import VehicleModel
 
@@ -52,3 +55,33 @@ def test_the_conicity_is_that_of_the_vehicles_own_table(batch: EpisodeBatch) -> 
     own = VehicleModel(model.scenario.model_copy(update={"track": track}))
     expected = equivalent_conicity(*radius_difference(own.table, own.right_table), [AMPLITUDE])[0]
     assert conicity == pytest.approx(expected, rel=0.05)
+
+
+def on_track(*track: str) -> EpisodeBatch:
+    """A vehicle at 350 km/h at its step 0, 100 m from the beginning of a track."""
+    scenario = load_scenario("nominal", track)
+    config = load_environment("nominal", ["run_in=100.0"])
+    found = EpisodeBatch(config, 1, scenario=scenario, num_threads=1)
+    found.reset([0], [draw_episode(config, 0, 0)], whole_track=False)
+    return found
+
+
+def test_the_versines_to_come_are_those_of_a_sine() -> None:
+    """A wave a sin(2 pi x / l) has versines of a (1 - cos(2 pi h / l)) on chords of 2 h, as a wave."""
+    batch = on_track("track=sine")
+    conditions = Conditions(batch, ["versine_3s"])
+    conditions.begin([0])
+    irregularity = batch.model(0).scenario.track.irregularity
+    gain = 1.0 - math.cos(2.0 * math.pi * HALF_CHORD / irregularity.wavelength)
+    expected = irregularity.amplitude * gain / math.sqrt(2.0)
+    assert conditions()[0, 0] == pytest.approx(expected, rel=0.02)  # no whole number of waves
+
+
+def test_the_versines_to_come_lie_ahead() -> None:
+    """A defect two seconds ahead is within three seconds and not within one."""
+    batch = on_track("track=defect", "track.irregularity.position=295")
+    conditions = Conditions(batch, [*AHEAD])
+    conditions.begin([0])
+    one, three = conditions()[0]
+    assert one == 0.0
+    assert three > 1e-4
