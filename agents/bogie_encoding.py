@@ -24,12 +24,8 @@ from sayd_env.config.units import Array
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
 from sayd_env.envs.scaled import Observation
 
-OTHER = "other_"
-MIRRORED = (
-    *("yaw_force", "lateral", "yawing", "yaw_rate", "yaw_stroke"),
-    *("other_lateral", "other_yawing", "other_yaw_rate"),
-)
-RATES = ("yaw_rate", "push_rate", "other_yaw_rate")
+MIRRORED = ("yaw_force", "lateral", "yawing", "yaw_rate", "yaw_stroke")
+RATES = ("yaw_rate", "push_rate")
 """Differences of two rows."""
 QUANTITIES = {
     "yaw_force": "N, half the difference of left and right: hydraulic force of a damper, mean of the side",
@@ -41,9 +37,6 @@ QUANTITIES = {
     "push_rate": "m/s, mean of the bogie's dampers",
     "yaw_stroke": "m, half the difference of left and right strokes, less its mean over the rows",
     "current": "-, mean of the bogie's valves",
-    "other_lateral": "m/s2, `lateral` of the other bogie: what the front one feels, the rear one is about to",
-    "other_yawing": "m/s2, `yawing` of the other bogie",
-    "other_yaw_rate": "m/s, `yaw_rate` of the other bogie",
     "speed": "m/s, newest row",
     "place": "-, -1 for the front bogie, 1 for the rear one",
 }
@@ -205,9 +198,6 @@ class BogieEncoding(Encoding):
 
     def _quantity(self, name: str, bogie: str, row: int) -> Array:
         """Weights of all signals of all rows in a quantity."""
-        if name.startswith(OTHER):
-            (other,) = (each for each in BOGIES if each != bogie)
-            return self._quantity(name.removeprefix(OTHER), other, row)
         if name in RATES:
             weights = _stroke(self.interface, bogie, name) / self.interface.control_period
             return self._placed(weights, row) - self._placed(weights, row - 1)
