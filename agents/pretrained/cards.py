@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import io
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,17 +18,29 @@ from sayd_env.config.storage import write_file
 from sayd_env.envs.registration import VERSION
 
 README = "README.md"
-COLUMNS = ("name", "algorithm", "seed", "commit", "environment", "steps", "training", "J", "SHA-256")
+SCORES = "scores.csv"
+"""The table of that name that `sayd compare` has written."""
+COLUMNS = ("name", "algorithm", "seed", "commit", "environment", "plant", "steps", "training", "J", "SHA-256")
 """Of a table of origins: what `Origin.cells` gives."""
 _HEAD = """# Ready policies
 
 Trained by `sayd train`, as the files themselves tell: each holds its whole configuration, the versions and
 the command. `sayd evaluate --policies ppo-s3` runs one, without torch; `ppo` alone is the first training,
 whichever is the best. J is the mean over the scenarios of its evaluations while it learned: no result of
-a comparison.
+a comparison. `plant` begins the hash of environments, vehicle, track, dampers and sensors, with all numbers.
 
 `python -m sayd_env.agents.pretrained.cards` makes this page from the files, and the picture from the tables
 beside them.
+"""
+_LIMITS = """
+## Limits
+
+- They were trained on one vehicle with tolerances, at 200 to 400 km/h, on wheels S1002CN, new to worn, and
+  LMA, friction 0.2 to 0.5, one class of track at 0.35 to 0.9 of its level, and for MPPT2's weights of J
+  (k_F = 0.5). Outside of that they are a guess; `sayd robustness` measures some of it.
+- They have met no fault of a sensor, valve or damper in training. `safe:ppo` is the policy inside a monitor.
+- They are solutions of a simulation whose semi-active damper is calibrated, and whose numbers nobody has
+  measured; nothing here says how they would do on a train.
 """
 
 
@@ -48,6 +62,8 @@ class Origin:
     """Mean over the scenarios of its evaluations while it learned."""
     environment: str | None
     """In which it has learned."""
+    plant: str | None
+    """Hash of environment and scenario, with all numbers."""
     sha256: str
     """Of the file."""
     size: int
@@ -66,6 +82,7 @@ class Origin:
             str(self.seed),
             self.short_commit,
             self.environment or "-",
+            (self.plant or "-")[:12],
             "-" if self.steps is None else f"{self.steps:,}",
             "-" if self.seconds is None else f"{self.seconds / 60:.0f} min",
             "-" if self.J is None else f"{self.J:.4f}",
@@ -100,6 +117,7 @@ def origin(path: Path) -> Origin:
         seconds=made("seconds"),
         J=made("J"),
         environment=made("config", "environment", "name"),
+        plant=made("environment_sha256"),
         sha256=hashlib.sha256(content).hexdigest(),
         size=len(content),
     )
@@ -127,9 +145,39 @@ def readme(folder: Path | None = None) -> str:
     rows = [each.cells() for each in origins(folder)]
     if not rows:
         return f"{_HEAD}\nThere are none for version {VERSION} of the environments yet.\n"
-    lines = [COLUMNS, ("---",) * len(COLUMNS), *rows]
-    table = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-    return f"{_HEAD}\n![learning curves]({PICTURE})\n\n{table}"
+    return f"{_HEAD}\n![learning curves]({PICTURE})\n\n{_table(COLUMNS, rows)}{_scores(folder)}{_LIMITS}"
+
+
+def _scores(folder: Path | None) -> str:
+    """The scores of a comparison, if its table is beside the files: the environment's J on all conditions."""
+    path = (folder or FOLDER) / SCORES
+    if not path.is_file():
+        return ""
+    with path.open(newline="", encoding="utf-8") as file:
+        own = [row for row in csv.DictReader(file) if (row["part"], row["filter"]) == ("together", "online")]
+    shown = sorted(
+        (row for row in own if float(row["force_weight"]) == 1.0), key=lambda row: float(row["geometric"])
+    )
+    rows = [
+        (
+            f"`{row['policy']}`",
+            row["training_seeds"],
+            "{:.3f} ({:.3f} to {:.3f})".format(
+                *(float(row[f"geometric{end}"]) for end in ("", "_low", "_high"))
+            ),
+            f"{float(row['J']):.4f}",
+            f"{float(row['worst_vs_passive']):.2f}",
+        )
+        for row in shown
+    ]
+    heads = ("policy", "trainings", "J / best constant of each condition", "mean J", "worst / passive")
+    return (
+        f"\n## Scores\n\nOn held-out conditions, by `sayd compare`: 95 % intervals.\n\n{_table(heads, rows)}"
+    )
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return "".join(f"| {' | '.join(line)} |\n" for line in (heads, ["---"] * len(heads), *rows))
 
 
 def picture() -> bytes:
