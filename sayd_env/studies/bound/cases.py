@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sayd_env.config.base import is_multiple
 from sayd_env.config.bound import BoundCondition, BoundConfig, ConstantSearch, SequenceSearch
 from sayd_env.config.control import load_online
 from sayd_env.config.damper import SaydDamperConfig
@@ -111,7 +112,7 @@ class Candidates:
     derailed: Array
     """(p,) 1 for a run that ended early, else 0."""
     actions: Array
-    """(p, n, A) of the policies; NaN for one of other valves or another clock, and behind an early end."""
+    """(p, n, A) of the policies; NaN for other valves or a clock that does not fit, and behind an early end."""
     currents: Array
     """(c,) constant commands that were tried."""
     J_constant: Array
@@ -196,12 +197,33 @@ def _rolled_out(case: Case, policy: PolicySpec) -> Rollout:
 
 def _commands(rollout: Rollout, setup: Setup, shape: tuple[int, int], case: Case) -> Array:
     """Commands of a policy, NaN where they are not those of the search's valves and clock."""
-    own, found = case.semi_active.config, np.full(shape, np.nan)
-    same = all(
-        getattr(setup.config, key) == getattr(own, key) for key in ("damper", "valves", "control_period")
-    )
-    if same:
-        found[: len(rollout.actions)] = rollout.actions
+    own = case.semi_active.config
+    if any(getattr(setup.config, key) != getattr(own, key) for key in ("damper", "valves")):
+        return np.full(shape, np.nan)
+    return held(rollout.actions, setup.config.control_period, own.control_period, shape)
+
+
+def held(actions: Array, period: float, by: float, shape: tuple[int, int]) -> Array:
+    """Commands by a clock of a whole number of times as many periods.
+
+    Parameters
+    ----------
+    actions : ndarray, shape (m, A)
+        One for each period (s), from the beginning.
+    period, by : float
+        Theirs and that of the clock, s.
+    shape : tuple of int
+        (n, A) of what is wanted; n periods of the clock.
+
+    Returns
+    -------
+    ndarray, shape (n, A)
+        NaN behind the last action, and everywhere where the clock does not fit.
+    """
+    found = np.full(shape, np.nan)
+    if is_multiple(period, by):
+        every = np.repeat(actions, round(period / by), axis=0)[: shape[0]]
+        found[: len(every)] = every
     return found
 
 
