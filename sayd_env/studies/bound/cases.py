@@ -112,7 +112,7 @@ class Candidates:
     derailed: Array
     """(p,) 1 for a run that ended early, else 0."""
     actions: Array
-    """(p, n, A) of the policies; NaN for other valves or a clock that does not fit, and behind an early end."""
+    """(p, n, A) of the policies; NaN for other valves, a clock that does not fit, and behind an early end."""
     currents: Array
     """(c,) constant commands that were tried."""
     J_constant: Array
