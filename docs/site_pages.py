@@ -22,8 +22,11 @@ ELSEWHERE = {
     ROOT / "CHANGELOG.md": "changelog.md",
     ROOT / "CONTRIBUTING.md": "contributing.md",
     ROOT / "examples" / "README.md": "examples.md",
+    ROOT / "agents" / "pretrained" / "README.md": "ready_policies.md",
 }
 """Pages that do not lie in docs/."""
+PICTURES = (ROOT / "agents" / "pretrained" / "learning_curves.png",)
+"""Pictures on those, beside them."""
 
 
 def write(place: str, text: str) -> None:
@@ -70,6 +73,9 @@ for page in DOCS.glob("*.md"):
 for page, place in ELSEWHERE.items():
     if page.is_file():
         write(place, for_the_site(page))
+for picture in PICTURES:
+    with mkdocs_gen_files.open(picture.name, "wb") as file:
+        file.write(picture.read_bytes())
 write("claims.md", claim_figures.with_links(for_the_site(DOCS / "claims.md")))
 write("commands.md", with_links(for_the_site(DOCS / "commands.md")))
 write("figures.md", claim_figures.page(read(DOCS / "claims.md")))
