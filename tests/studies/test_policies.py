@@ -96,7 +96,10 @@ def test_origins_are_told_by_the_files(ready: Path) -> None:
     assert (first.steps, first.seconds, first.J) == (1_000_000, 1500.0, 0.0321)
     assert (first.commit, first.environment) == ("0123456789abcdef+", "training")
     assert first.sha256 == hashlib.sha256((ready / "ppo-s0.npz").read_bytes()).hexdigest()
-    assert "| ppo-s1 | ppo | 1 | 0123456789ab | training | 1,000,000 | 25 min | 0.0321 |" in cards.readme()
+    assert (
+        "| ppo-s1 | ppo | 1 | 0123456789ab | training | 000000000000 | 1,000,000 | 25 min | 0.0321 |"
+        in cards.readme()
+    )
     (ready / "ppo-s0.npz").rename(ready / "sac-s0.npz")
     with pytest.raises(DataError, match=r"sac-s0.npz: holds the training 'ppo-s0'"):
         cards.origins()
