@@ -101,6 +101,7 @@ def _trainings(result: Comparison, axes: Axes) -> None:
         axes.plot(found.J_by_training_seed, places, style.marker, color=style.colour, alpha=0.7)
         axes.plot(found.J, i, "|", color=style.colour, markersize=18)
     name_rows(axes, controlled)
+    axes.locator_params(axis="x", nbins=5)
     axes.set(title="mean J of each training seed; bar: mean of all", xlabel="J")
 
 
@@ -115,9 +116,10 @@ def _bounds(result: Comparison, axes: Axes) -> None:
         axes.plot(np.arange(len(ratio)), ratio, style.marker, color=style.colour, markersize=4)
     reference_line(axes, 1.0)
     axes.set(
-        title="J / J of the best constant current", xlabel="conditions, from easy to hard", ylabel="ratio"
+        title="J / J of the best constant command", xlabel="conditions, from easy to hard", ylabel="ratio"
     )
     axes.locator_params(axis="x", integer=True)
+    log_axis(axes)
 
 
 def _controlled(result: Comparison) -> dict[str, Score]:
@@ -142,7 +144,7 @@ def _reductions(result: Comparison, axes: Axes) -> None:
     reference_line(axes, 0.0, vertical=True)
     limit_line(axes, 100 * LEAST_REDUCTION["tuned"], vertical=True)
     name_rows(axes, list(ways))
-    axes.set(title="geometric mean of J below the best tuned controller's (%)", xlabel="%")
+    axes.set(title="J below the best tuned controller's", xlabel="%, geometric mean")
 
 
 _WORDS = {"online": "on line", "offline": "off line"}
