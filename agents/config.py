@@ -72,7 +72,12 @@ class OutputConfig(Model):
     @field_validator("schedule", mode="before")
     @classmethod
     def _read(cls, given: Any) -> Any:
-        return load_controller(given) if isinstance(given, str) else given
+        if not isinstance(given, str):
+            return given
+        found = load_controller(given)
+        if not isinstance(found, SpeedScheduleConfig):
+            raise ValueError(f"'{given}' is no speed-schedule")
+        return found.model_dump()
 
     @model_validator(mode="after")
     def _holds_commands(self) -> OutputConfig:

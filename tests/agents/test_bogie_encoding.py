@@ -143,6 +143,11 @@ def test_an_output_of_zero_is_the_command_of_its_schedule(interface: Interface) 
     np.testing.assert_allclose(above - expected, np.tile([0.0, 0.1], (5, 1)), atol=1e-7)
 
 
+def test_a_schedule_is_one_of_speed() -> None:
+    with pytest.raises(ValueError, match="'mppt2' is no speed-schedule"):
+        OutputConfig(kind="command", schedule="mppt2")
+
+
 @pytest.mark.parametrize(
     ("keywords", "inputs", "output", "message"),
     [

@@ -65,8 +65,8 @@ def test_the_search_comes_near_the_minimum_and_ships_a_training(
     assert abs(math.log(result.best.settings["discount_s"] / BEST)) < 0.5
     assert told == sorted(told)
     assert all(config.seed == 900 and not config.evaluation.references for config in trainings.configs)
-    # Two bogies of each of 64 vehicles make a step of 20 ms together.
-    assert result.simulated_s == pytest.approx(sum(trial.steps for trial in result.trials) / 2 * 0.02)
+    # Two bogies of each of 64 vehicles make a decision, of 40 ms, together.
+    assert result.simulated_s == pytest.approx(sum(trial.steps for trial in result.trials) / 2 * 0.04)
     assert any(trial.state == "pruned" and trial.steps < 131_072 for trial in result.trials)
     file = tmp_path / "ppo-tuned.yaml"
     file.write_text(result.training_file())
