@@ -200,7 +200,7 @@ def _commands(rollout: Rollout, setup: Setup, shape: tuple[int, int], case: Case
     own = case.semi_active.config
     if any(getattr(setup.config, key) != getattr(own, key) for key in ("damper", "valves")):
         return np.full(shape, np.nan)
-    return held(rollout.actions, setup.config.control_period, own.control_period, shape)
+    return held(rollout.actions.astype(np.float64), setup.config.control_period, own.control_period, shape)
 
 
 def held(actions: Array, period: float, by: float, shape: tuple[int, int]) -> Array:
