@@ -161,7 +161,7 @@ class BogieEncoding(Encoding):
         self._linear, self._force = columns(self.linear), columns(self.force)
         self._level, self._moment = columns(self.level), columns(self.moment)
         read = weights.reshape(interface.history, -1).any(axis=0)
-        self.sensors = tuple(interface.signals[i].name for i in np.flatnonzero(read))
+        self.sensors = self._read(interface.signals[i].name for i in np.flatnonzero(read))
 
     def encode(self, observations: Observation, memory: Array | None = None) -> Observation:
         """Inputs of the network, shape (2 N, size): front and rear bogie of each vehicle in turn."""

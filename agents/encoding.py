@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -42,8 +42,8 @@ class Encoding(ABC):
         Signals that it reads.
     memory : Memory or None
         What it remembers beside the observation.
-    speed : int
-        Place of the newest speed in a flat observation; -1 where it is not observed.
+    speed : int or None
+        Place of the newest speed in a flat observation, where the output follows a schedule over it.
     """
 
     units: int
@@ -56,12 +56,8 @@ class Encoding(ABC):
         self.interface = interface
         self.clip = clip
         self.output = output
-        names = [signal.name for signal in interface.signals]
-        if output.schedule is not None and "speed" not in names:
-            raise ConfigError(f"output.schedule: observation '{interface.observation}' has no speed")
-        self.speed = (
-            interface.history * len(names) - len(names) + names.index("speed") if "speed" in names else -1
-        )
+        newest = (interface.history - 1) * len(interface.signals)
+        self.speed = None if output.schedule is None else newest + interface.index("speed")
 
     @abstractmethod
     def encode(self, observations: Observation, memory: Array | None = None) -> Observation:
@@ -116,8 +112,13 @@ class Encoding(ABC):
         schedule = self.output.schedule
         if schedule is None:
             return self.output.middle
-        speed = flat(observations)[:, self.speed] * KMH
+        newest = observations.reshape(len(observations), -1)[:, self.speed].astype(np.float64)
+        speed = np.nan_to_num(newest) * KMH
         return np.interp(speed, schedule.speeds_kmh, schedule.commands)[:, None]
+
+    def _read(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Signals that are read: those of the inputs, and the speed that a schedule follows."""
+        return tuple(dict.fromkeys([*names, *(("speed",) if self.output.schedule is not None else ())]))
 
 
 class VehicleEncoding(Encoding):
@@ -153,7 +154,7 @@ class VehicleEncoding(Encoding):
                     f"{nearest(name, quantities)}; it has {', '.join(dict.fromkeys(quantities))}"
                 )
         self.columns = np.array([i for i, name in enumerate(quantities) if name in inputs], dtype=np.intp)
-        self.sensors = tuple(interface.signals[i].name for i in self.columns)
+        self.sensors = self._read(interface.signals[i].name for i in self.columns)
         self.scaling = Scaling.of((interface.signals[i] for i in self.columns), inputs, clip)
         self.held = _commands(interface) if output.kind == "change" else None
         self.step = output.rate * interface.control_period

@@ -23,7 +23,7 @@ from sayd_env.agents.policy_file import (
 from sayd_env.agents.state import INPUT, NEXT_STATE, OUTPUT, STATE
 from sayd_env.config import StudyError
 from sayd_env.config.storage import write_file
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import KMH
 from sayd_env.envs.scaled import FLOOR, Scaling
 
 OPSET = 17
@@ -259,7 +259,7 @@ def _decoded(graph: _Graph, encoding: Encoding, values: str, seen: str) -> str:
 def _middle(graph: _Graph, encoding: Encoding, seen: str) -> str:
     """`Encoding.middle`, one row for each network: a table is a sum of ramps between its speeds."""
     schedule, interface = encoding.output.schedule, encoding.interface
-    if schedule is None:
+    if schedule is None or encoding.speed is None:
         return graph.constant(np.float64(encoding.output.middle))
     rows = _reshaped(graph, seen, interface.history * len(interface.signals))
     speed = _part(graph, rows, encoding.speed, encoding.speed + 1, axis=1)
@@ -267,16 +267,11 @@ def _middle(graph: _Graph, encoding: Encoding, seen: str) -> str:
     speeds, commands = np.array(schedule.speeds_kmh) / KMH, np.array(schedule.commands)
     if len(speeds) == 1:
         return graph.constant(commands)
-    lengths = np.diff(speeds)
-    above = _clipped_to(graph, graph.add("Sub", speed, graph.constant(speeds[:-1])), lengths)
-    slopes = graph.constant((np.diff(commands) / lengths)[:, None])
-    middle = graph.add("Add", graph.add("MatMul", above, slopes), graph.constant(np.float64(commands[0])))
+    above = graph.add("Sub", speed, graph.constant(speeds[:-1]))
+    passed = _clipped(graph, graph.add("Div", above, graph.constant(np.diff(speeds))), 0.0, 1.0)
+    risen = graph.add("MatMul", passed, graph.constant(np.diff(commands)[:, None]))
+    middle = graph.add("Add", risen, graph.constant(np.float64(commands[0])))
     return _reshaped(graph, graph.add("Concat", *[middle] * encoding.units, axis=1), 1)
-
-
-def _clipped_to(graph: _Graph, values: str, high: Array) -> str:
-    """Between 0 and an upper end of each column."""
-    return graph.add("Min", graph.add("Max", values, graph.constant(np.float64(0.0))), graph.constant(high))
 
 
 def _reshaped(graph: _Graph, values: str, width: int) -> str:

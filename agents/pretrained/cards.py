@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import io
 from collections.abc import Iterable, Sequence
@@ -12,6 +11,7 @@ from pathlib import Path
 from sayd_env.agents.policy_file import read_policy
 from sayd_env.agents.pretrained import FOLDER, groups
 from sayd_env.agents.pretrained.curves import PICTURE, draw
+from sayd_env.agents.table import Table
 from sayd_env.config import DataError
 from sayd_env.config.palette import plain_matplotlib
 from sayd_env.config.storage import write_file
@@ -150,30 +150,25 @@ def readme(folder: Path | None = None) -> str:
 
 def _scores(folder: Path | None) -> str:
     """The scores of a comparison, if its table is beside the files: the environment's J on all conditions."""
-    path = (folder or FOLDER) / SCORES
-    if not path.is_file():
+    ends = ("geometric", "geometric_low", "geometric_high")
+    numbers = ("force_weight", "training_seeds", "J", *ends, "worst_vs_passive")
+    found = Table((folder or FOLDER) / SCORES, numbers=numbers, texts=("part", "policy", "filter")).rows
+    if not found:
         return ""
-    with path.open(newline="", encoding="utf-8") as file:
-        own = [row for row in csv.DictReader(file) if (row["part"], row["filter"]) == ("together", "online")]
-    shown = sorted(
-        (row for row in own if float(row["force_weight"]) == 1.0), key=lambda row: float(row["geometric"])
-    )
+    shown = [r for r in found if (r["part"], r["filter"], r["force_weight"]) == ("together", "online", 1.0)]
     rows = [
         (
             f"`{row['policy']}`",
-            row["training_seeds"],
-            "{:.3f} ({:.3f} to {:.3f})".format(
-                *(float(row[f"geometric{end}"]) for end in ("", "_low", "_high"))
-            ),
-            f"{float(row['J']):.4f}",
-            f"{float(row['worst_vs_passive']):.2f}",
+            f"{row['training_seeds']}",
+            "{:.3f} ({:.3f} to {:.3f})".format(*(row[end] for end in ends)),
+            f"{row['J']:.4f}",
+            f"{row['worst_vs_passive']:.2f}",
         )
-        for row in shown
+        for row in sorted(shown, key=lambda row: row["geometric"])
     ]
     heads = ("policy", "trainings", "J / best constant of each condition", "mean J", "worst / passive")
-    return (
-        f"\n## Scores\n\nOn held-out conditions, by `sayd compare`: 95 % intervals.\n\n{_table(heads, rows)}"
-    )
+    head = "## Scores\n\nOn held-out conditions, by `sayd compare`: 95 % intervals."
+    return f"\n{head}\n\n{_table(heads, rows)}"
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

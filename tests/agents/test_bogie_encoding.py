@@ -139,6 +139,7 @@ def test_an_output_of_zero_is_the_command_of_its_schedule(interface: Interface) 
     seen[:, -1, place] = [0.0, 60.0, 80.0, 100.0, 130.0]
     expected, _ = controller.predict(seen)
     np.testing.assert_allclose(encoding.decode(np.zeros((10, 1)), seen), expected, atol=1e-7)
+    assert BogieEncoding(interface, {"lateral": UNIT}, 1.0, output).sensors[-1] == "speed"
     above = encoding.decode(np.tile([[0.0], [1.0]], (5, 1)), seen)
     np.testing.assert_allclose(above - expected, np.tile([0.0, 0.1], (5, 1)), atol=1e-7)
 
