@@ -623,9 +623,11 @@ def _run_units(
             )
 
 
-run_units = kernel(announce="the control loop (first use, about 20 s)")(named(_run_units, "run_units"))
+run_units = kernel(announce="the control loop (first use, one to two minutes)")(
+    named(_run_units, "run_units")
+)
 """`_run_units`, one unit after another."""
 run_units_in_parallel = kernel(
-    parallel=True, announce="the control loop of many vehicles (first use, about 20 s)"
+    parallel=True, announce="the control loop of many vehicles (first use, one to two minutes)"
 )(named(_run_units, "run_units_in_parallel"))
 """`_run_units` on all threads: the results are the same bits."""

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 from types import FunctionType
 from typing import Any, ParamSpec, TypeVar, overload
 
@@ -24,6 +25,8 @@ from sayd_env.physics.kernel_cache import kernel_cache, kernel_folder, numba_con
 
 njit: Any = numba.njit  # its annotations leave out the option that switches reference counts off
 _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
+REMINDED_EVERY = 15.0
+"""Time after which somebody who waits for a compilation hears that it goes on (s)."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -173,14 +176,14 @@ if hasattr(os, "register_at_fork"):  # Windows does not fork
 
 @contextmanager
 def announced_compilation(say: Callable[[str], None]) -> Iterator[None]:
-    """Say, while this context is open, what is being compiled and how long it took.
+    """Say, while this context is open, what is being compiled, that it goes on, and how long it took.
 
     Kernels that come from the cache are not mentioned: Numba tells of compilations alone.
 
     Parameters
     ----------
     say : callable
-        Receives one line of text, from whichever thread compiles.
+        Receives one line of text, from whichever thread compiles, or from one that waits beside it.
     """
     with event.install_listener("numba:compile", _Announcer(say)):
         yield
@@ -189,17 +192,24 @@ def announced_compilation(say: Callable[[str], None]) -> Iterator[None]:
 class _Announcer(event.Listener):
     def __init__(self, say: Callable[[str], None]) -> None:
         self.say = say
-        self.begin: dict[tuple[str, str], float] = {}
+        self.begin: dict[tuple[str, str], tuple[float, Event]] = {}
 
     def on_start(self, event: Any) -> None:
         name = _kernel_name(event)
         if name in _ANNOUNCEMENTS:
-            self.begin[name] = time.perf_counter()
+            self.begin[name] = begin, done = time.perf_counter(), Event()
             self.say(f"compiling {_ANNOUNCEMENTS[name]} ...")
+            Thread(target=self._remind, args=(begin, done), daemon=True).start()
+
+    def _remind(self, begin: float, done: Event) -> None:
+        while not done.wait(REMINDED_EVERY):
+            self.say(f"still compiling after {time.perf_counter() - begin:.0f} s ...")
 
     def on_end(self, event: Any) -> None:
-        begin = self.begin.pop(_kernel_name(event), None)
-        if begin is not None:
+        begun = self.begin.pop(_kernel_name(event), None)
+        if begun is not None:
+            begin, done = begun
+            done.set()
             self.say(f"compiled in {time.perf_counter() - begin:.1f} s")
 
 

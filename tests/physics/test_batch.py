@@ -554,6 +554,20 @@ def fresh_kernel(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.M
     return "the test's kernel (no time at all)"
 
 
+def test_a_long_compilation_says_that_it_goes_on(fresh_kernel: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel_module, "REMINDED_EVERY", 1e-3)
+
+    @kernel(announce=fresh_kernel)
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    said: list[str] = []
+    with announced_compilation(said.append):
+        half(1.0)
+    assert said[1].startswith("still compiling after ")
+    assert sum(line.startswith("compiled in ") for line in said) == 1
+
+
 def test_compilation_is_announced_once(fresh_kernel: str) -> None:
     @kernel(announce=fresh_kernel)
     def twice(x: float) -> float:
