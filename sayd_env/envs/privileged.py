@@ -6,7 +6,7 @@ along a line is told of the place where the vehicle is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -113,10 +113,9 @@ class Conditions:
         found = {name: np.full(len(s), float(value)) for name, value in single.items()}
         if line is not None:
             found |= _along(line, s, episode.speed)
-        for name, seconds in ahead.items():
-            found[name] = _versines(
-                batch.vehicles.track(i), batch.vehicles.origin[i] + s, found["speed"] * seconds
-            )
+        if ahead:
+            track, origin = batch.vehicles.track(i), batch.vehicles.origin[i]
+            found |= _versines(track, origin + s, found["speed"], ahead)
         if "conicity" in self.names:
             found["conicity"] = _conicity(model, line, s, found["gauge"])
         return np.stack([found[name] for name in self.names], axis=1) if self.names else np.zeros((1, 0))
@@ -156,17 +155,23 @@ def _along(line: Line, s: Array, speed: float) -> dict[str, Array]:
     return found
 
 
-def _versines(track: TrackRealisation, x: Array, reach: Array) -> Array:
-    """RMS of versines (m) from positions x (m) on over distances (m), up to the track's end."""
-    last = float(np.max(x + reach))
+def _versines(
+    track: TrackRealisation, x: Array, speed: Array, ahead: Mapping[str, float]
+) -> dict[str, Array]:
+    """RMS of versines (m) over times ahead (s) of positions x (m) at speeds (m/s), up to the track's end."""
+    last = float(np.max(x + speed * max(ahead.values())))
     places: Array = np.arange(x[0], last + FINE, FINE)
     around = places + np.array([[-HALF_CHORD], [0.0], [HALF_CHORD]])
     values = track.evaluate(np.clip(around, 0.0, track.length).ravel())[0][:, ALIGNMENT].reshape(around.shape)
     squares = np.square(values[1] - 0.5 * (values[0] + values[2]))
     total = np.concatenate([[0.0], np.cumsum(squares)])
     first = np.floor((x - x[0]) / FINE).astype(np.intp)
-    end = np.minimum(first + np.maximum(np.ceil(reach / FINE), 1.0).astype(np.intp), len(squares))
-    return np.asarray(np.sqrt((total[end] - total[first]) / (end - first)))
+    found = {}
+    for name, seconds in ahead.items():
+        count = np.maximum(np.ceil(speed * seconds / FINE), 1.0).astype(np.intp)
+        end = np.minimum(first + count, len(squares))
+        found[name] = np.sqrt((total[end] - total[first]) / (end - first))
+    return found
 
 
 def _conicity(model: VehicleModel, line: Line | None, s: Array, gauge: Array) -> Array:
