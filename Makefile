@@ -90,6 +90,7 @@ clean:
 
 # PYTHON names the interpreter; without it the first of these that is new enough serves.
 # setuptools comes first and from the constraints: a build in isolation would fetch the newest one.
+# An environment that works is brought up to date and not cleared: a study may be running in it.
 $(VENV)/.installed: pyproject.toml constraints.txt
 	@set -e; \
 	for python in $(if $(PYTHON),"$(PYTHON)",python3.11 python3 python3.12 python3.13 python); do \
@@ -98,8 +99,8 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	if [ -z "$${found:-}" ]; then \
 	  echo "make: Python 3.11 or newer is needed; name one with make PYTHON=/path/to/python3.11" >&2; exit 1; \
 	fi; \
-	echo "Installing into $(VENV) with $$found ($$("$$found" --version 2>&1)), a minute or two"; \
-	"$$found" -m venv --clear $(VENV); \
+	if [ -n "$(PYTHON)" ] || ! $(BIN)/python -c '' 2>/dev/null; then "$$found" -m venv --clear $(VENV); fi; \
+	echo "Installing into $(VENV) ($$($(BIN)/python --version 2>&1)), a minute or two"; \
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt setuptools; \
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint]'; \
 	touch $@

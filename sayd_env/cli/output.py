@@ -144,7 +144,7 @@ class _Lines:
         now = time.monotonic()
         if now >= self.next:
             self.next = now + LINE_SECONDS
-            _line(self.console, f"sayd {self.command}: {done:g} of {total:g} {what}".rstrip())
+            _line(self.console, f"sayd {self.command}: {done:,.10g} of {total:,.10g} {what}".rstrip())
 
 
 class _SafeConsole(Console):

@@ -155,7 +155,8 @@ class CriticalSpeedResult:
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the trends over speed and the critical speed."""
         about = f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}"
-        title = f"{about}: medians of {len(self.sweep.seeds)} seeds"
+        seeds = len(self.sweep.seeds)
+        title = f"{about}: medians of {seeds} seed{'s' * (seeds > 1)}"
         print_table(console, title, TRENDS, self._trends(), wide=wide)
         for name in self.crossing():
             console.print(f"critical speed by {name.replace('_', ' ')}: [bold]{self.verdict(name)}[/]")

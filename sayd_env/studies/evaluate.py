@@ -216,7 +216,8 @@ class EvaluateResult:
 
     def _listings(self) -> Iterator[Listing]:
         """Costs and limits, dampers and valves, policies as a whole."""
-        about = f"{self.scenario.vehicle.name}, medians of {len({row.seed for row in self.rows})} seeds"
+        seeds = len({row.seed for row in self.rows})
+        about = f"{self.scenario.vehicle.name}, medians of {seeds} seed{'s' * (seeds > 1)}"
         for title, columns in (
             ("cost (its terms unweighted), limits, comfort", _COST_COLUMNS),
             ("dampers and valves", _DAMPER_COLUMNS),
@@ -227,8 +228,8 @@ class EvaluateResult:
             {"policy": policy, "runs": len(self.runs(policy)), **self._summary(policy)}
             for policy in self.policies
         ]
-        title = f"all {len(self.conditions)} conditions: means over the runs"
-        yield Listing(title, [column for column in _POLICY_COLUMNS if self._has(column)], policies)
+        where = f"all {len(self.conditions)} conditions" if len(self.conditions) > 1 else "the condition"
+        yield Listing(f"{where}: means over the runs", [column for column in _POLICY_COLUMNS if self._has(column)], policies)
 
     @cached_property
     def _pairs(self) -> list[tuple[float, float]]:

@@ -156,8 +156,9 @@ def _run(waiting: list[_Process], parallel: int, total: float, progress: Progres
                 waiting.pop(0).start()
                 running += 1
             failed = [each for each in every if each.failed]
-            at_work = ", ".join(str(each.seed) for each in every if each.running)
-            progress(sum(each.steps() for each in every), total, f"seeds {at_work}")
+            at_work = [str(each.seed) for each in every if each.running]
+            what = f"steps, seed{'s' if len(at_work) > 1 else ''} {', '.join(at_work)}" if at_work else ""
+            progress(sum(each.steps() for each in every), total, what)
             time.sleep(POLL_SECONDS)
     except (KeyboardInterrupt, Interrupted):
         for each in every:
