@@ -229,7 +229,8 @@ class EvaluateResult:
             for policy in self.policies
         ]
         where = f"all {len(self.conditions)} conditions" if len(self.conditions) > 1 else "the condition"
-        yield Listing(f"{where}: means over the runs", [column for column in _POLICY_COLUMNS if self._has(column)], policies)
+        title = f"{where}: means over the runs"
+        yield Listing(title, [column for column in _POLICY_COLUMNS if self._has(column)], policies)
 
     @cached_property
     def _pairs(self) -> list[tuple[float, float]]:
