@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from sayd_env.config import Model, quantity
+from sayd_env.config import ConfigError, Model, quantity
 from sayd_env.config.base import Number
 from sayd_env.config.control import SpeedScheduleConfig, load_controller
 from sayd_env.config.layers import Kind, read_layered
@@ -20,6 +20,8 @@ Count = Annotated[int, Field(strict=True, ge=1)]
 """A whole number of 1 or more."""
 View = Literal["vehicle", "bogie"]
 """What one network sees and commands."""
+MAY_CHANGE = {"total_steps"}
+"""Keys that a run may have otherwise when it is taken up again."""
 
 
 class BesideConfig(Model):
@@ -263,6 +265,10 @@ class TrainConfig(Model):
         """Networks at work side by side: steps count each of them."""
         return self.environment.together * (2 if self.view == "bogie" else 1)
 
+    def vehicle_seconds(self, steps: float) -> float:
+        """Time on the road of all vehicles together (s) after so many steps."""
+        return steps / self.networks * self.environment.together * self.decision_period
+
     @property
     def update_steps(self) -> int:
         """Steps from one update to the next."""
@@ -333,3 +339,37 @@ def load_train(name: str = "ppo", overrides: Iterable[str] = ()) -> TrainConfig:
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
     return read_layered(TrainConfig, Kind("train"), name, overrides)
+
+
+def refuse_changes(begun: TrainConfig, found: TrainConfig, where: str) -> None:
+    """Refuse to go on with a run otherwise than it began, but for `MAY_CHANGE`.
+
+    Parameters
+    ----------
+    begun, found : TrainConfig
+        Of the run, and with which it would go on.
+    where : str
+        What the message begins with.
+
+    Raises
+    ------
+    ConfigError
+        Other differences; the message names each.
+    """
+    ours, theirs = (_flat(each.model_dump(mode="json")) for each in (begun, found))
+    changed = [key for key in sorted(ours | theirs) if ours.get(key) != theirs.get(key)]
+    refused = [
+        f"{key}: the run has {ours.get(key)!r}, found {theirs.get(key)!r}"
+        for key in changed
+        if key not in MAY_CHANGE
+    ]
+    if refused:
+        raise ConfigError(f"{where}: {'; '.join(refused)}. Only {', '.join(sorted(MAY_CHANGE))} may change")
+
+
+def _flat(content: Any, above: str = "") -> dict[str, Any]:
+    if not isinstance(content, dict):
+        return {above: content}
+    return {
+        k: v for key, part in content.items() for k, v in _flat(part, f"{above}.{key}".strip(".")).items()
+    }

@@ -36,7 +36,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 
-from sayd_env.agents.config import MEANS, TrainConfig, load_train
+from sayd_env.agents.config import MEANS, TrainConfig, load_train, refuse_changes
 from sayd_env.agents.learner import (
     Progress,
     estimator_layers,
@@ -63,8 +63,6 @@ LIBRARIES = ("torch", "stable_baselines3", "gymnasium", "numpy")
 REPORT_SECONDS = 0.5
 LOGS = 10
 """Entries of the log from one checkpoint to the next."""
-MAY_CHANGE = {"total_steps"}
-"""Keys that a resumed run may have otherwise."""
 
 Report = Callable[[float, float, str], None]
 Judge = Callable[[int, float], bool]
@@ -402,16 +400,7 @@ def _starts(config: TrainConfig, folder: Path, digest: str) -> list[dict[str, An
     """Former starts of a run; refuse to go on with another configuration."""
     if not (folder / CONFIG).is_file() or not (folder / RUN).is_file():
         raise ConfigError(f"--resume {folder}: holds no run of 'sayd train' (no {CONFIG})")
-    mine, found = (_flat(c.model_dump(mode="json")) for c in (load_train(str(folder / CONFIG)), config))
-    changed = [key for key in sorted(mine | found) if mine.get(key) != found.get(key)]
-    refused = [key for key in changed if key not in MAY_CHANGE]
-    if refused:
-        differences = "; ".join(
-            f"{key}: the run has {mine.get(key)!r}, found {found.get(key)!r}" for key in refused
-        )
-        raise ConfigError(
-            f"--resume {folder}: {differences}. Only {', '.join(sorted(MAY_CHANGE))} may change"
-        )
+    refuse_changes(load_train(str(folder / CONFIG)), config, f"--resume {folder}")
     run = parse_yaml(read_text(folder / RUN, largest=MIB), str(folder / RUN))
     starts = run.get("starts") if isinstance(run, dict) else None
     if not isinstance(starts, list) or not all(isinstance(start, dict) for start in starts):
@@ -422,14 +411,6 @@ def _starts(config: TrainConfig, folder: Path, digest: str) -> list[dict[str, An
             "another one than when the run began; start a new run"
         )
     return starts
-
-
-def _flat(content: Any, above: str = "") -> dict[str, Any]:
-    if not isinstance(content, dict):
-        return {above: content}
-    return {
-        k: v for key, part in content.items() for k, v in _flat(part, f"{above}.{key}".strip(".")).items()
-    }
 
 
 def _checkpoints(folder: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from sayd_env.agents.config import MEANS
+from sayd_env.agents.config import MEANS, load_train, refuse_changes
 from sayd_env.agents.table import Table as Growing
 from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.errors import Interrupted
@@ -132,7 +132,7 @@ def train_seeds(
     Raises
     ------
     ConfigError
-        A folder in which another process trains, or that cannot be made.
+        A folder in which another process trains, that cannot be made, or with a run that began otherwise.
     StudyError
         A training has failed; the others went on to their end.
     Interrupted
@@ -141,6 +141,8 @@ def train_seeds(
     runs = {seed: folder / f"s{seed}" for seed in seeds}
     with reserved(folder, "trains"):
         waiting = [_Process(config, seed, run, wandb=wandb) for seed, run in runs.items()]
+        for each in waiting:
+            each.refuse_changes()
         _run(waiting, parallel, config.total_steps * len(seeds), progress)
     found = {seed: _rows(run / "evaluations.csv") for seed, run in runs.items()}
     return SeedsResult(config.learning.algorithm, runs, found, MEANS[config.evaluation.criterion])
@@ -148,14 +150,13 @@ def train_seeds(
 
 def _run(waiting: list[_Process], parallel: int, total: float, progress: Progress) -> None:
     """Run processes, so many at a time."""
-    every, failed = list(waiting), list[_Process]()
+    every = list(waiting)
     try:
         while any(not each.ended for each in every):
             running = sum(each.running for each in every)
             while waiting and running < parallel:
                 waiting.pop(0).start()
                 running += 1
-            failed = [each for each in every if each.failed]
             at_work = [str(each.seed) for each in every if each.running]
             what = f"steps, seed{'s' if len(at_work) > 1 else ''} {', '.join(at_work)}" if at_work else ""
             progress(sum(each.steps() for each in every), total, what)
@@ -179,6 +180,11 @@ class _Process:
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
+    def _has_begun(self) -> bool:
+        """Whether its folder holds a run."""
+        return (self.folder / CONFIG).is_file()
+
+    @property
     def running(self) -> bool:
         """Whether it has begun and not ended."""
         return self._process is not None and self._process.poll() is None
@@ -193,10 +199,15 @@ class _Process:
         """Whether it has ended otherwise than well."""
         return self._process is not None and self._process.poll() not in (None, 0)
 
+    def refuse_changes(self) -> None:
+        """Refuse to go on with a run in its folder that began otherwise."""
+        if self._has_begun:
+            refuse_changes(load_train(str(self.folder / CONFIG)), self._config, str(self.folder))
+
     def start(self) -> None:
         """Begin, or go on with the run in its folder."""
         beside = self.folder.parent
-        if (self.folder / CONFIG).is_file():
+        if self._has_begun:
             where = ["--resume", str(self.folder), "--set", f"total_steps={self._config.total_steps}"]
         else:
             content = yaml.safe_dump(self._config.model_dump(mode="json"), sort_keys=False)

@@ -10,12 +10,12 @@ import pytest
 
 from sayd_env.agents.config import load_train
 from sayd_env.cli import main
-from sayd_env.config import StudyError
+from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.errors import Interrupted
 from sayd_env.studies.seeds import train_seeds
 
 SCRIPT = """
-import os, signal, sys, time
+import os, shutil, signal, sys, time
 from pathlib import Path
 
 def ended(*_):
@@ -26,7 +26,8 @@ signal.signal(signal.SIGTERM, ended)
 words = sys.argv[1:]
 folder = Path(words[words.index("--resume" if "--resume" in words else "--out") + 1])
 folder.mkdir(exist_ok=True)
-(folder / "config.yaml").write_text("")
+if "--config" in words:
+    shutil.copy(words[words.index("--config") + 1], folder / "config.yaml")
 threads = [os.environ["OMP_NUM_THREADS"], os.environ["NUMBA_NUM_THREADS"]]
 (folder / "said").write_text(" ".join([*words, *threads]))
 if Path("hang").exists():
@@ -64,6 +65,16 @@ def test_each_seed_is_a_run_of_its_own_with_one_thread(tmp_path: Path) -> None:
     again = train_seeds(config, [1, 3], folder, parallel=2)
     assert again.best == result.best
     assert (folder / "s1" / "said").read_text().startswith(f"train --resume {folder / 's1'} --set total_")
+
+
+def test_a_run_that_began_otherwise_is_not_taken_up(tmp_path: Path) -> None:
+    config, folder = load_train("ppo"), tmp_path / "runs"
+    train_seeds(config, [1], folder, parallel=1)
+    with pytest.raises(ConfigError, match=r"s1: discount_s: the run has 2.0, found 3.0\. Only total_steps"):
+        train_seeds(load_train("ppo", ["discount_s=3"]), [1, 2], folder, parallel=1)
+    assert not (folder / "s2").exists()
+    train_seeds(load_train("ppo", ["total_steps=2_000_000"]), [1], folder, parallel=1)
+    assert "total_steps=2000000" in (folder / "s1" / "said").read_text()
 
 
 def test_one_that_fails_is_told_when_the_others_are_done(tmp_path: Path) -> None:

@@ -308,7 +308,7 @@ class _Search:
 
         trained = train(config, folder, executor=self.executor, progress=tell, judge=judge).trained
         given_up = trained.steps < config.total_steps
-        driven = trained.steps / config.networks * config.environment.together * config.decision_period
+        driven = config.vehicle_seconds(trained.steps)
         for name, value in {"cost": trained.best, "steps": trained.steps, "driven": driven}.items():
             trial.set_user_attr(name, value)
         shutil.rmtree(folder / "checkpoints", ignore_errors=True)  # replayed steps take much room

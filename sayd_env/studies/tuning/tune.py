@@ -17,7 +17,6 @@ from sayd_env.config.palette import policy_style
 from sayd_env.config.software import git_state
 from sayd_env.config.tuning import Gains, TuningConfig, TuningScenario
 from sayd_env.config.units import Array
-from sayd_env.envs.interface import BOGIES
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.cache import fingerprint
@@ -366,10 +365,9 @@ class _Tuning:
 
 
 def training_seconds() -> float:
-    """Time that one training of PPO simulates by its configuration, s: vehicles, not their bogies."""
+    """Time that one training of PPO simulates by its configuration, s: of vehicles, not of their bogies."""
     config = load_train("ppo")
-    shares = len(BOGIES) if config.view == "bogie" else 1
-    return config.total_steps * config.environment.control_period / shares
+    return config.vehicle_seconds(config.total_steps)
 
 
 def refuse_packaged(file: Path) -> None:
