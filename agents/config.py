@@ -89,6 +89,17 @@ class OutputConfig(Model):
             raise ValueError("schedule: needs kind 'command'")
         return self
 
+    @model_validator(mode="after")
+    def _says_nothing_idle(self) -> OutputConfig:
+        """Refuse what would have no effect; a default may be named, as stored policies do."""
+        idle = {"rate": "kind 'command'"} if self.kind == "command" else {"half": "kind 'change'"}
+        if self.kind == "change" or self.schedule is not None:
+            idle["middle"] = "kind 'change'" if self.kind == "change" else "a schedule"
+        for name, other in idle.items():
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"{name}: has no effect with {other}")
+        return self
+
 
 class MemoryConfig(Model):
     """What a policy remembers beside the history of its observation: averages over the past seconds."""

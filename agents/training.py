@@ -7,7 +7,7 @@ A run is a folder::
     progress.csv      what the algorithm reports, and tensorboard/ the same
     evaluations.csv   J in each scenario while it learned
     references.csv    J of the controllers to compare with
-    best.npz          policy with the lowest mean J (`agents.policy_file`)
+    best.npz          policy with the lowest J, in the mean of `evaluation.criterion` (`agents.policy_file`)
     last.npz          policy of the last checkpoint
     checkpoints/      from which a killed run goes on
 

@@ -144,6 +144,25 @@ def test_an_output_of_zero_is_the_command_of_its_schedule(interface: Interface) 
     np.testing.assert_allclose(above - expected, np.tile([0.0, 0.1], (5, 1)), atol=1e-7)
 
 
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"kind": "command", "rate": 2.0}, "rate: has no effect with kind 'command'"),
+        ({"kind": "change", "half": 0.3}, "half: has no effect with kind 'change'"),
+        ({"kind": "change", "middle": 0.3}, "middle: has no effect with kind 'change'"),
+        (
+            {"kind": "command", "schedule": "speed-schedule", "middle": 0.3},
+            "middle: has no effect with a schedule",
+        ),
+    ],
+)
+def test_what_would_have_no_effect_is_refused(keywords: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        OutputConfig(**keywords)
+    # Files of policies name every default.
+    OutputConfig(**OutputConfig(kind=keywords["kind"]).model_dump())
+
+
 def test_a_schedule_is_one_of_speed() -> None:
     with pytest.raises(ValueError, match="'mppt2' is no speed-schedule"):
         OutputConfig(kind="command", schedule="mppt2")

@@ -125,8 +125,12 @@ def make_learner(config: TrainConfig) -> Learner:
     from sayd_env.agents.learning_env import make_learning_env  # noqa: PLC0415
 
     (env, encoding), settings = make_learning_env(config), config.environment
-    hold = getattr(config.output, "hold", 1)  # an earlier commit, which `tests/bench` measures, has none
-    episode = round(settings.episode_s / settings.control_period / hold)
+    # An earlier commit, which `tests/bench` measures, has neither of both.
+    hold, beside = getattr(config.output, "hold", 1), getattr(settings, "beside", ())
+    parts = [(each.vehicles, each.episode_s) for each in (settings, *beside)]
+    # Resets of a second: each kind of episode has its own length.
+    mean = sum(count for count, _ in parts) / sum(count / seconds for count, seconds in parts)
+    episode = mean / settings.control_period / hold
     return Learner(env, make_model(config, env), env.num_envs // encoding.units, episode, hold)
 
 
@@ -141,13 +145,13 @@ class Learner:
         The algorithm of Stable-Baselines3 on it.
     vehicles : int
         Vehicles side by side.
-    episode : int
-        Steps of the environment in an episode.
+    episode : float
+        Steps of the environment in an episode, over all vehicles.
     hold : int
         Control periods of a step of the environment: an output of the network holds for so long.
     """
 
-    def __init__(self, env: Any, model: Any, vehicles: int, episode: int, hold: int = 1) -> None:
+    def __init__(self, env: Any, model: Any, vehicles: int, episode: float, hold: int = 1) -> None:
         self.env, self.model, self.vehicles, self.episode = env, model, vehicles, episode
         self.hold = hold
         self._networks = env.num_envs // vehicles

@@ -128,7 +128,7 @@ def _controlled(result: Comparison) -> dict[str, Score]:
 
 
 def _reductions(result: Comparison, axes: Axes) -> None:
-    """How far J lies below the best tuned controller's, by part and way of taking J."""
+    """How far J lies below the best tuned controller's, or the paper's best, by part and way of taking J."""
     chosen = [each.name for each in result.entrants if each.learned] or list(_controlled(result))
     ways = {
         f"{part}, {_WORDS[variant.filter]}, k_F x {variant.factor:g}": found
@@ -136,15 +136,17 @@ def _reductions(result: Comparison, axes: Axes) -> None:
         for variant, found in scores.items()
         if variant.factor in result.config.force_weights
     }
+    tuned = all("tuned" in found[name].best_of for found in ways.values() for name in chosen)
+    group, words = ("tuned", "best tuned controller's") if tuned else ("paper", "best of the paper's")
     for k, name in enumerate(chosen):
         for i, found in enumerate(ways.values()):
             place = i + 0.6 * ((k + 0.5) / len(chosen) - 0.5)
-            best = found[name].best_of.get("tuned", found[name].best_of["paper"]).geometric
+            best = found[name].best_of[group].geometric
             _draw_estimate(axes, found[name].geometric_by_controller[best], place, name, 100.0)
     reference_line(axes, 0.0, vertical=True)
-    limit_line(axes, 100 * LEAST_REDUCTION["tuned"], vertical=True)
+    limit_line(axes, 100 * LEAST_REDUCTION[group], vertical=True)
     name_rows(axes, list(ways))
-    axes.set(title="J below the best tuned controller's", xlabel="%, geometric mean")
+    axes.set(title=f"J below the {words}", xlabel="%, geometric mean")
 
 
 _WORDS = {"online": "on line", "offline": "off line"}
