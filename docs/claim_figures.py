@@ -2,8 +2,8 @@
 
     python docs/claim_figures.py results/reproduce results/compare
 
-takes the pictures of a finished ``sayd reproduce`` and ``sayd compare`` into docs/pictures, with 128 colours: a third
-of the bytes, and no colour of a thin line is lost.
+takes the pictures of a finished ``sayd reproduce`` and ``sayd compare`` into docs/pictures, with 128 colours:
+a third of the bytes, and no colour of a thin line is lost.
 """
 
 from __future__ import annotations

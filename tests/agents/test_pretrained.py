@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +47,26 @@ def test_nothing_there_is_no_error(tmp_path: Path):
         pretrained.path("ppo", tmp_path)
     for files in pretrained.groups().values():  # the package's own
         assert all(file.is_file() for file in files)
+
+
+def test_the_leaderboard_says_what_the_comparison_found():
+    """Every row of the page is a row of the table that lies beside the policies."""
+    with (Path(pretrained.__file__).parent / "scores.csv").open() as stream:
+        own = {"filter": "online", "force_weight": "1.0"}
+        rows = [row for row in csv.DictReader(stream) if own.items() <= row.items()]
+    found = {(row["part"], row["policy"]): row for row in rows}
+    page = (Path(__file__).parents[2] / "docs" / "leaderboard.md").read_text()
+    table = re.findall(r"^\| `([\w-]+)` \| (\d+) \| (.*) \|$", page, re.MULTILINE)
+    assert {name for name, *_ in table} == {row["policy"] for row in rows}
+    for name, trainings, cells in table:
+        row = found["together", name]
+        shown = []
+        for part in ("stationary", "lines", "together"):
+            numbers = [float(found[part, name][f"geometric{end}"]) for end in ("", "_low", "_high")]
+            shown.append("{:.3f} ({:.3f} to {:.3f})".format(*numbers))
+        shown += [f"{float(row['J']):.4f}", f"{float(row['worst_vs_passive']):.2f}"]
+        assert cells == " | ".join(shown)
+        assert trainings == row["training_seeds"]
 
 
 def test_a_learning_curve_shows_the_gain():
