@@ -290,12 +290,12 @@ def _placed_at(kind: Kind, keys: list[str], value: Any, folder: Path) -> Any:
 
 
 def _alone(key: str, own: Mapping[str, Any], below: Mapping[str, Any]) -> bool:
-    """Whether a section replaces the base's as a whole: one with a name or a law, or of another type."""
+    """Whether a section replaces the base's as a whole: one with a name or a law, or of another kind."""
     return (
         key == "provenance"
         or "name" in own
         or "law" in own
-        or own.get("type") not in (None, below.get("type"))
+        or any(own.get(kind) not in (None, below.get(kind)) for kind in ("type", "algorithm"))
     )
 
 
@@ -315,7 +315,7 @@ def _paths(own: Mapping[str, Any], above: tuple[str, ...] = ()) -> list[tuple[st
     for key, value in own.items():
         path = (*above, key)
         # What a section that replaces the base's lacks is not taken from there: it is blamed for that.
-        if not isinstance(value, dict) or not value or {"name", "type", "law"} & set(value):
+        if not isinstance(value, dict) or not value or {"name", "type", "algorithm", "law"} & set(value):
             found.append(path)
         if isinstance(value, dict):
             found += _paths(value, path)
