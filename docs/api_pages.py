@@ -54,7 +54,7 @@ PAGES = {
         ],
     ),
     "Controllers": (
-        "`sayd_env.baselines`: the paper's controllers and simpler ones.",
+        "`sayd_env.baselines`: the paper's controllers, simpler ones, and opponents that are tuned.",
         [
             "sayd_env.baselines.make",
             "sayd_env.baselines.parse",
@@ -66,6 +66,10 @@ PAGES = {
             "sayd_env.baselines.perturb_observe.PerturbAndObserve",
             "sayd_env.baselines.skyhook.OnOffSkyhook",
             "sayd_env.baselines.skyhook.ContinuousSkyhook",
+            "sayd_env.baselines.speed_schedule.SpeedSchedule",
+            "sayd_env.baselines.hunting_schedule.HuntingSchedule",
+            "sayd_env.baselines.lqg.Lqg",
+            "sayd_env.baselines.safe.SafeFallback",
         ],
     ),
     "Learning": (

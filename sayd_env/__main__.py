@@ -1,8 +1,6 @@
 """``python -m sayd_env`` is ``sayd``."""
 
-import sys
-
-from sayd_env.cli import main
+from sayd_env.cli import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

@@ -8,13 +8,28 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, NoReturn
 
 from threadpoolctl import threadpool_limits
 
 INPUT_ERROR = 2
 FAILURE = 1
 INTERRUPTED = 130
+
+
+def program() -> NoReturn:
+    """``sayd`` as a process of its own.
+
+    One that is interrupted ends at once: a compilation in another thread, which nothing can stop, would keep
+    it alive for minutes. All that is to be saved or closed is by then.
+    """
+    status = main()
+    if status == INTERRUPTED:
+        with suppress(OSError):  # nobody reads it
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

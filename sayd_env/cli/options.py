@@ -130,7 +130,7 @@ Environment = Annotated[
 WHICH = (
     "'sayd policies' lists all), constant:V, files of learned policies (.npz, .onnx, .zip) or of controllers "
     "(.yaml), or code of one's own (module:factory, file.py:factory), each with safe: before it inside the "
-    "safe fallback ("
+    "safe fallback (safe:mppt2"
 )
 policies = partial(policy, "--policies A,B,...", parser=ListOf(name), autocompletion=policy_names)
 EXECUTORS = one_of("threads", "processes", "ray", "dask")

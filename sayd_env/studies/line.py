@@ -37,6 +37,10 @@ WHOLE = "whole line"
 """What tables call all sections together."""
 DERAILED = "derailed"
 _STEP = 20.0  # m, of what pictures show of a line
+_NO_STRAIGHT = (
+    "Running RMS of acceleration and track shift force were not judged: no section has 500 m of straight "
+    "track."
+)
 
 
 class Place(NamedTuple):
@@ -211,7 +215,9 @@ class LineResult:
                 f"Line '{self.name}' at wear {place.wear:g}: what lies along it, and what policies make of it"
             )
             parts.append(Section(heading, [Picture(name, about, [_PICTURE_WORDS]), *tables]))
-        return Page(f"Policies along line '{self.name}'", verdict(standings, "the whole line"), parts)
+        straight = any(not math.isnan(row["acceleration_ratio"]) for row in whole)
+        found = verdict(standings, "the whole line", "" if straight else _NO_STRAIGHT)
+        return Page(f"Policies along line '{self.name}'", found, parts)
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print what lies along the line, then policies by section."""

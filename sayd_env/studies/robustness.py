@@ -240,9 +240,12 @@ class RobustnessResult:
             f"{self._asked}"
         )
         verdicts, *missed = self._listings()
-        met = sum(each.holds for each in self.outcomes)
+        met = {row["policy"]: (row["faults_met"] + row["others_met"]) for row in self.verdicts}
+        each_of = len(self.disturbances)
+        names = sorted(met, key=lambda policy: -met[policy])
         verdict = Verdict(
-            [f"{met} of {len(self.outcomes)} outcomes are as asked."], met == len(self.outcomes)
+            [f"{name}: {met[name]} of {each_of} outcomes are as asked." for name in names],
+            all(each.holds for each in self.outcomes),
         )
         everything = Listing("all outcomes", OUTCOMES, self.outcomes, "policy")
         pictures = [Picture(*each) for each in _PICTURES if each[0] in self.plots()]

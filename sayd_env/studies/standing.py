@@ -22,7 +22,7 @@ class Standing:
     """Runs."""
 
 
-def verdict(standings: Sequence[Standing], where: str) -> Verdict:
+def verdict(standings: Sequence[Standing], where: str, not_judged: str = "") -> Verdict:
     """Say which policy costs least, and which ones keep the limits.
 
     Parameters
@@ -31,6 +31,8 @@ def verdict(standings: Sequence[Standing], where: str) -> Verdict:
         At least one.
     where : str
         What was run: ``3 conditions``.
+    not_judged : str
+        A sentence on limits that could not be looked at.
 
     Returns
     -------
@@ -41,14 +43,17 @@ def verdict(standings: Sequence[Standing], where: str) -> Verdict:
     best = ranked[0]
     words = f"Lowest mean J over {where}: {best.policy}, {best.J:.4f}"
     if len(ranked) > 1 and 0.0 < ranked[1].J < math.inf:
-        words += f", {100.0 * (1.0 - best.J / ranked[1].J):.0f} % below {ranked[1].policy}"
+        below = round(100.0 * (1.0 - best.J / ranked[1].J))
+        words += f", {below} % below {ranked[1].policy}" if below else f", about as low as {ranked[1].policy}"
     within = [each for each in standings if each.largest_ratio <= 1.0 and not each.derailed]
     above = [each for each in standings if each not in within]
     lines = [f"{words}."]
     if within:
-        lines.append(f"Within all limits of EN 14363: {', '.join(each.policy for each in within)}.")
+        limits = "the limits of EN 14363 that were looked at" if not_judged else "all limits of EN 14363"
+        lines.append(f"Within {limits}: {', '.join(each.policy for each in within)}.")
     if above:
         lines.append(f"Not within them: {', '.join(map(_excess, above))}.")
+    lines += [not_judged] if not_judged else []
     return Verdict(lines, None if within and above else bool(within))
 
 

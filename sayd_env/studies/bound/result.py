@@ -201,10 +201,10 @@ class BoundResult:
 
     def page(self) -> Page:
         """What could be reached, and how far each rule is on the way."""
+        known = [each for each in self.shares() if math.isfinite(each.share)]
         words = [
             f"{each.rule}: {100.0 * each.share:.0f} % of the way from MPPT2 to the reference."
-            for each in self.shares()
-            if math.isfinite(each.share)
+            for each in sorted(known, key=lambda each: -each.share)
         ]
         picture = Picture("bound", "J of each rule over the reference, condition by condition")
         tables = [Grid.of(each, lambda _: "bound") for each in self._listings()]
