@@ -1,6 +1,6 @@
 """``python -m sayd_env`` is ``sayd``."""
 
-from sayd_env.cli import program
+from sayd_env.cli import start
 
 if __name__ == "__main__":
-    program()
+    start()

@@ -17,12 +17,14 @@ FAILURE = 1
 INTERRUPTED = 130
 
 
-def program() -> NoReturn:
+def start() -> NoReturn:
     """``sayd`` as a process of its own.
 
     One that is interrupted ends at once: a compilation in another thread, which nothing can stop, would keep
     it alive for minutes. All that is to be saved or closed is by then.
     """
+    for each in _endings():
+        signal.signal(each, _interrupt)
     status = main()
     if status == INTERRUPTED:
         with suppress(OSError):  # nobody reads it
@@ -30,6 +32,19 @@ def program() -> NoReturn:
             sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
+
+
+def _endings() -> list[signal.Signals]:
+    """Signals after which a process cleans up and ends; not those that whoever started it has it ignore."""
+    known = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    return [each for each in known if signal.getsignal(each) is not signal.SIG_IGN]
+
+
+def _interrupt(*_: object) -> NoReturn:
+    # One is enough: another one, as `timeout` and impatience send it, would break into what cleans up.
+    for each in _endings():
+        signal.signal(each, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,8 +70,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - as long as the process
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     try:
-        # A terminated run cleans up like an interrupted one.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
         status = _run(arguments)
         sys.stdout.flush()
         return status

@@ -7,7 +7,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
@@ -36,11 +36,8 @@ Refused = Callable[..., str]
 
 
 @pytest.fixture
-def refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Iterator[Refused]:
+def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refused:
     """Run a command in an empty directory; it must refuse in one line."""
-    before = signal.getsignal(signal.SIGTERM)
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments: str, status: int = 2) -> str:
@@ -54,8 +51,7 @@ def refused(
         assert list(tmp_path.rglob("result.json")) == []
         return err
 
-    yield run
-    signal.signal(signal.SIGTERM, before)
+    return run
 
 
 def write(path: str, text: str | bytes = "") -> str:

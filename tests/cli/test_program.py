@@ -9,7 +9,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ PROGRAM = """
 import sys, time
 from typing import Annotated
 import typer
-from sayd_env.cli import app, main, options
+from sayd_env.cli import app, options, start
 from sayd_env.cli.command import Plan, command
 from sayd_env.config import ConfigError, StudyError
 app.GROUPS  # all commands are there
@@ -47,12 +47,15 @@ def probe(what: Annotated[str, typer.Argument()], vehicle: options.VehicleOption
             for line in range(100000): print(line)
         if what == "sleep":
             print("ready", flush=True)
-            time.sleep(60)
+            try: time.sleep(60)
+            finally:
+                print("cleaning up", flush=True)
+                time.sleep(0.5)
         context.progress(1, 2, "half")
         return Result()
     return Plan(study, {"speeds": speeds}, 3)
 
-sys.exit(main())
+start()
 """
 
 
@@ -165,9 +168,12 @@ def test_an_interrupted_run_says_so_and_leaves_no_result(kind: signal.Signals, t
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         process.send_signal(kind)
+        assert process.stdout.readline() == "cleaning up\n"
+        process.send_signal(signal.SIGTERM)  # as `timeout` sends it to a child and to its group
+        process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert errors.startswith("sayd: interrupted")
+    assert errors == "sayd: interrupted; no result was written\n"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -249,11 +255,8 @@ Refused = Callable[..., str]
 
 
 @pytest.fixture
-def refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Iterator[Refused]:
+def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refused:
     """Run a command that must refuse its input; return the message."""
-    before = signal.getsignal(signal.SIGTERM)
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments: str) -> str:
@@ -265,8 +268,7 @@ def refused(
         assert list(tmp_path.rglob("result.json")) == []
         return err
 
-    yield run
-    signal.signal(signal.SIGTERM, before)
+    return run
 
 
 @pytest.fixture(scope="module")
