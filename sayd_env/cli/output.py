@@ -60,12 +60,15 @@ class Output:
         content = document(result, config, seed, command_text()) | ({"quick": True} if quick else {})
         if notes := _notes(config):
             content.setdefault("notes", notes)
+        former = None if self.directory is None else self.directory.former_command()
         files = [] if self.directory is None else self.directory.save(result, content)
         result.summary(self.console, wide=self.wide)
         if quick:
             self.say("--quick: a look, not a result")
         if self.directory is not None:
             self.say(f"{self.directory.path}: {', '.join(path.name for path in files)}")
+            if former not in (None, command_text()):
+                self.say(f"{self.directory.path}: replaces the result of '{former}'")
         if self.as_json:
             sys.stdout.write(json_text(content))
 

@@ -108,6 +108,15 @@ class ResultDirectory:
         self._refuse_folders(contents)
         return write_files(self.path, contents)
 
+    def former_command(self) -> str | None:
+        """What was typed for the result that lies here; None where there is none that can be read."""
+        try:
+            found = json.loads((self.path / RECORD).read_bytes())
+        except (OSError, ValueError):
+            return None
+        command = found.get("command") if isinstance(found, dict) else None
+        return command if isinstance(command, str) else None
+
     def _refuse_folders(self, names: Iterable[str]) -> None:
         for name in names:
             if (self.path / name).is_dir():

@@ -156,6 +156,14 @@ def test_json_with_a_directory_writes_the_same_document(tmp_path: Path):
     assert json.loads(done.stdout) == json.loads((tmp_path / "here/result.json").read_text())
 
 
+def test_a_result_of_another_command_is_not_replaced_in_silence(tmp_path: Path):
+    first = sayd("probe", "x", "--out", "here", cwd=tmp_path)
+    again = sayd("probe", "x", "--out", "here", cwd=tmp_path)
+    assert "replaces" not in first.stdout + again.stdout
+    other = sayd("probe", "y", "--out", "here", cwd=tmp_path)
+    assert other.stdout.endswith("here: replaces the result of 'sayd probe x --out here'\n")
+
+
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_says_so_and_leaves_no_result(kind: signal.Signals, tmp_path: Path):
     with subprocess.Popen(
