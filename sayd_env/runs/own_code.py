@@ -36,6 +36,7 @@ from sayd_env.envs.interface import Interface
 KEYWORDS = ("observation", "history", "valves", "control_period")
 """What a factory may ask of its environment."""
 _INSTALLED = tuple(sysconfig.get_path(name) for name in ("purelib", "platlib", "stdlib"))
+_PREDICT = "predict(observation, state, episode_start, deterministic) -> (action, state)"
 LARGEST = 2 * MIB
 """Of a file of code."""
 _PACKAGE = str(Path(__file__).resolve().parents[1])
@@ -96,12 +97,11 @@ class OwnPolicy:
         digest, factory = _factory(place, name)
         if digest != self.digest:
             raise ConfigError(f"{self.where}: its code has changed since the work began")
-        with _explained(self.where):
+        with _explained(self.where, "; expected a function of one argument, the environment's interface"):
             policy = factory(interface)
         if not callable(getattr(policy, "predict", None)):
             raise ConfigError(
-                f"{self.where}: returned {shown(policy)}; expected an object with a method "
-                "predict(observation, state, episode_start, deterministic) -> (action, state)"
+                f"{self.where}: returned {shown(policy)}; expected an object with a method {_PREDICT}"
             )
         return CheckedPolicy(self.where, policy, interface)
 
@@ -138,7 +138,7 @@ class CheckedPolicy:
         ConfigError
             The code fails, or its action is none.
         """
-        with _explained(self.name):
+        with _explained(self.name, f"; expected {_PREDICT}"):
             found = self._policy.predict(observation, state, episode_start, deterministic=deterministic)
         if not isinstance(found, tuple) or len(found) != 2:
             raise ConfigError(f"{self.name}: predict returned {shown(found)}; expected (action, state)")
@@ -271,8 +271,11 @@ def _digest(files: list[Path]) -> str:
 
 
 @contextmanager
-def _explained(where: str) -> Iterator[None]:
-    """Turn whatever the code of a policy raises into one message with file, line and exception."""
+def _explained(where: str, expected: str = "") -> Iterator[None]:
+    """Turn whatever the code of a policy raises into one message with file, line and exception.
+
+    What is raised before its first line runs, as by a call with other arguments, comes with what is expected.
+    """
     try:
         yield
     except SaydError as error:
@@ -281,8 +284,9 @@ def _explained(where: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:  # code of somebody else fails in any way
         frames = list(traceback.extract_tb(error.__traceback__))
         own = [frame for frame in frames if not frame.filename.startswith((*_INSTALLED, _PACKAGE, "<"))]
-        file, line = (own or frames)[-1].filename, (own or frames)[-1].lineno
+        places = [(frame.filename, frame.lineno) for frame in own[-1:]]
         if isinstance(error, SyntaxError) and error.filename:
-            file, line = error.filename, error.lineno
-        said = " ".join(str(error).split())[:300]
-        raise ConfigError(f"{where}: {file}, line {line}: {type(error).__name__}: {said}") from None
+            places = [(error.filename, error.lineno)]
+        place = "".join(f"{file}, line {line}: " for file, line in places)
+        said = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+        raise ConfigError(f"{where}: {place}{said}{'' if places else expected}") from None

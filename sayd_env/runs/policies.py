@@ -227,6 +227,8 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
     DataError
         A damaged file.
     """
+    if not isinstance(text, str):
+        raise ConfigError(f"policy: found {shown(text)}; expected a name, a file or code as text")
     given = text.strip()
     if given.startswith(baselines.SAFE):
         return safe_spec(policy_spec(given.removeprefix(baselines.SAFE), foreign))
@@ -247,6 +249,10 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
             f"policy {shown(text)}: no learned policy of this name comes with the program; train one with "
             f"'sayd train {algorithm}' and name its file, results/train-{algorithm}-s0/best.npz"
         )
+    if given.rstrip(":").endswith(".py"):
+        raise ConfigError(f"policy {shown(text)}: names no factory; expected {given.rstrip(':')}:FACTORY")
+    if given.isdecimal():
+        raise ConfigError(f"policy {shown(text)}: a number alone; commas part policies, not decimals")
     known = (*baselines.NAMES, *pretrained.names())
     raise ConfigError(
         f"policy {shown(text)}: unknown{nearest(name.partition(':')[0], known)}; expected "

@@ -63,6 +63,13 @@ class Late:
 
 def late(interface):
     return Late()
+
+def bare():
+    return None
+
+class Short:
+    def __init__(self, interface): pass
+    def predict(self, observation): return observation, None
 """
 
 
@@ -117,6 +124,8 @@ def test_a_factory_brings_its_environment(mine: Path) -> None:
         ("few", r"mine.py:few: action: found shape \(2, 3\); expected \(2, 2\)"),
         ("late", r"mine.py:late: .*mine.py, line 36: RuntimeError: no idea"),
         ("none", r"mine.py:none: has no function 'none'"),
+        ("bare", r"mine.py:bare: TypeError: bare\(\) takes 0 .* given; expected a function of one argument"),
+        ("Short", r"mine.py:Short: TypeError: .*; expected predict\(observation, state, episode_start"),
     ],
 )
 def test_code_that_fails_is_reported_in_one_message(factory: str, message: str, mine: Path) -> None:
@@ -124,6 +133,20 @@ def test_code_that_fails_is_reported_in_one_message(factory: str, message: str, 
     with pytest.raises(ConfigError, match=message) as caught:
         policy_spec(f"{mine}:{factory}").make(env).predict(np.zeros((2, 41), np.float32))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (None, "policy: found None; expected a name"),
+        ("mine.py", "'mine.py': names no factory; expected mine.py:FACTORY"),
+        ("mine.py:", "'mine.py:': names no factory; expected mine.py:FACTORY"),
+        ("3", "'3': a number alone; commas part policies, not decimals"),
+    ],
+)
+def test_what_names_no_policy_is_told_apart(given: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        policy_spec(given)
 
 
 @pytest.mark.parametrize(
