@@ -92,6 +92,15 @@ TEMPLATES: Mapping[str, Template] = {
 }
 
 
+_CALIBRATED = {
+    "emu-estimate": "emu",
+    "passive-estimate": "passive",
+    "sayd-estimate": "sayd",
+    "estimates": "nominal",
+}
+"""Files with the numbers from which calibration began, and those with what it found."""
+
+
 @dataclass(frozen=True)
 class NewResult:
     """A file that was written."""
@@ -102,6 +111,8 @@ class NewResult:
     """What it is a copy of."""
     next: tuple[str, ...]
     """Commands that use it."""
+    calibrated: str | None = None
+    """Packaged file with the calibrated numbers, where the copy has those from which calibration began."""
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd new --json``."""
@@ -120,6 +131,13 @@ class NewResult:
         lines = (f"{self.file}: a {self.kind}, copied from {self.start}. Change it, then:", *self.next)
         for number, line in enumerate(lines):
             console.print(f"  {line}" if number else line, highlight=False, markup=False, soft_wrap=True)
+        if self.calibrated is not None:
+            console.print(
+                f"Its numbers are estimates, and results differ from the packaged ones: "
+                f"--from {self.calibrated} has what calibration made of them.",
+                markup=False,
+                soft_wrap=True,
+            )
 
 
 def new(kind: str, name: str, start: str | None = None, folder: Path | None = None) -> NewResult:
@@ -156,7 +174,8 @@ def new(kind: str, name: str, start: str | None = None, folder: Path | None = No
     if template.special:
         which = layered(Kind(template.folder or kind), str(file)).data.get("kind")
         uses = template.special.get(str(which), uses)
-    return NewResult(kind, file, source, tuple(use.format(file=file.name) for use in uses))
+    next_ = tuple(use.format(file=file.name) for use in uses)
+    return NewResult(kind, file, source, next_, _CALIBRATED.get(start or template.start))
 
 
 def _text(kind: str, template: Template, name: str, start: str) -> tuple[str, str]:
