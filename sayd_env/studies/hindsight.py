@@ -23,9 +23,10 @@ from sayd_env.physics.throttle import overlap
 from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, ratio_rows
 from sayd_env.report.html import Grid, Page, Picture, Section, Verdict
-from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved, schedule_spec
+from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec, constant_spec, for_policy
+from sayd_env.runs.schedule import schedule_spec
 from sayd_env.studies.adaptation import CLOSED, DIGITS, OPEN, halfway
 
 if TYPE_CHECKING:
