@@ -155,7 +155,7 @@ class VehicleEncoding(Encoding):
                 )
         self.columns = np.array([i for i, name in enumerate(quantities) if name in inputs], dtype=np.intp)
         self.sensors = self._read(interface.signals[i].name for i in self.columns)
-        self.scaling = Scaling.of((interface.signals[i] for i in self.columns), inputs, clip)
+        self.scaling = Scaling.of((inputs[quantities[i]] for i in self.columns), clip)
         self.held = _commands(interface) if output.kind == "change" else None
         self.step = output.rate * interface.control_period
         self.size = len(self.columns) * interface.history
