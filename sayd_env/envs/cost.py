@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sayd_env.config.environment import EnvironmentConfig, charge_a_second
+from sayd_env.config.reward import MeanName
 from sayd_env.config.scenario import CostConfig
 from sayd_env.config.units import Array
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE
@@ -61,6 +63,11 @@ def mean_squares(terms: Array, period: float, seconds: float | None = None) -> t
 def weighted(cost: CostConfig, acceleration: float, force: float) -> float:
     """J of eq. (27)."""
     return float(np.dot((cost.acceleration_weight, cost.force_weight), (acceleration, force)))
+
+
+def mean_cost(costs: Array | Sequence[float], kind: MeanName) -> float:
+    """Mean of J, or of ratios of J, over conditions; for the geometric one they are positive."""
+    return float(np.exp(np.mean(np.log(costs))) if kind == "geometric" else np.mean(costs))
 
 
 def charged(
