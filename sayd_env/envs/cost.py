@@ -77,7 +77,28 @@ def charged(
     force: Array | float,
     lost: Array | float,
 ) -> Array:
-    """J of episodes from both mean squares and the shares of time that early ends have cut off."""
+    """J of episodes, or of parts of them, with the charge for what early ends have cut off.
+
+    Eq. (27) of Wang et al. (2022), and J_term, at the cost's weights, for the share l that is lost:
+
+        J = k_y (psi_y / y_lim)^2 + k_F (psi_F / F_max)^2 + J_term l.
+
+    Parameters
+    ----------
+    config : EnvironmentConfig
+        Its J_term.
+    cost : CostConfig
+        k_y and k_F (-).
+    acceleration, force : ndarray, shape (...), or float
+        Both squares (-), unweighted means over the whole time, in which what is lost counts as 0.
+    lost : ndarray, shape (...), or float
+        Share of the whole time that an early end has cut off, 0 to 1.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        J (-).
+    """
     parts = cost.acceleration_weight * acceleration + cost.force_weight * force
     return np.asarray(parts + charge_a_second(config, cost) * lost)
 

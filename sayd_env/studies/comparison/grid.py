@@ -117,7 +117,13 @@ class DrawnLines:
         return cls(environment, {seed: line for seed, line in drawn.items() if isinstance(line, Line)})
 
     def check_length(self, seed: int, shortest: float) -> None:
-        """Refuse a line of which an episode runs over less than a length (m)."""
+        """Refuse a line of which an episode runs over less than a length (m).
+
+        Raises
+        ------
+        ConfigError
+            The line of the seed is one.
+        """
         line, time = self.lines[seed], self.environment.episode_s
         found = float(Trip(line, first_speed(line)).distance(time))
         if found < shortest:
