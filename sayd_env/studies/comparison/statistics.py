@@ -156,7 +156,7 @@ def estimate(value: float, resampled: Array, name: str = "value") -> Estimate:
     return Estimate(float(value), float(low), float(high), name)
 
 
-def middle(values: Array, bootstrap: Bootstrap) -> Estimate:
+def iqm(values: Array, bootstrap: Bootstrap) -> Estimate:
     """Interquartile mean over training seeds and scenarios, stratified; values of shape (R, C, S)."""
     resampled = bootstrap.stratified(values, interquartile_mean)
     return estimate(float(interquartile_mean(values)), resampled, "iqm")
