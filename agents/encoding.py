@@ -104,10 +104,10 @@ class Encoding(ABC):
         observations : ndarray, shape (N, *obs)
         """
         bounded = np.clip(outputs.astype(np.float64), -1.0, 1.0).reshape(len(observations), -1)
-        commands = self.middle(observations) + self.output.half * bounded
+        commands = self.base_command(observations) + self.output.half * bounded
         return np.clip(commands, 0.0, 1.0).astype(np.float32)
 
-    def middle(self, observations: Observation) -> Array | float:
+    def base_command(self, observations: Observation) -> Array | float:
         """Commands at output 0 for observations of shape (N, *obs): one for all, or shape (N, 1)."""
         schedule = self.output.schedule
         if schedule is None:
@@ -155,7 +155,7 @@ class VehicleEncoding(Encoding):
                 )
         self.columns = np.array([i for i, name in enumerate(quantities) if name in inputs], dtype=np.intp)
         self.sensors = self._read(interface.signals[i].name for i in self.columns)
-        self.scaling = Scaling.of((interface.signals[i] for i in self.columns), inputs, clip)
+        self.scaling = Scaling.of((inputs[quantities[i]] for i in self.columns), clip)
         self.held = _commands(interface) if output.kind == "change" else None
         self.step = output.rate * interface.control_period
         self.size = len(self.columns) * interface.history

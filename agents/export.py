@@ -248,7 +248,7 @@ def _decoded(graph: _Graph, encoding: Encoding, values: str, seen: str) -> str:
     held = encoding.held if isinstance(encoding, VehicleEncoding) else None
     if held is None:
         scaled = graph.add("Mul", bounded, graph.constant(np.float64(encoding.output.half)))
-        command = graph.add("Add", scaled, _middle(graph, encoding, seen))
+        command = graph.add("Add", scaled, _base_command(graph, encoding, seen))
     else:
         step = graph.constant(np.float64(cast(VehicleEncoding, encoding).step))
         before = graph.add("Gather", seen, graph.constant(held.astype(np.int64)), axis=-1)
@@ -256,8 +256,8 @@ def _decoded(graph: _Graph, encoding: Encoding, values: str, seen: str) -> str:
     return _reshaped(graph, _clipped(graph, command, 0.0, 1.0), encoding.units * encoding.actions)
 
 
-def _middle(graph: _Graph, encoding: Encoding, seen: str) -> str:
-    """`Encoding.middle`, one row for each network: a table is a sum of ramps between its speeds."""
+def _base_command(graph: _Graph, encoding: Encoding, seen: str) -> str:
+    """`Encoding.base_command`, one row for each network: a table is a sum of ramps between its speeds."""
     schedule, interface = encoding.output.schedule, encoding.interface
     if schedule is None or encoding.speed is None:
         return graph.constant(np.float64(encoding.output.middle))
@@ -270,8 +270,8 @@ def _middle(graph: _Graph, encoding: Encoding, seen: str) -> str:
     above = graph.add("Sub", speed, graph.constant(speeds[:-1]))
     passed = _clipped(graph, graph.add("Div", above, graph.constant(np.diff(speeds))), 0.0, 1.0)
     risen = graph.add("MatMul", passed, graph.constant(np.diff(commands)[:, None]))
-    middle = graph.add("Add", risen, graph.constant(np.float64(commands[0])))
-    return _reshaped(graph, graph.add("Concat", *[middle] * encoding.units, axis=1), 1)
+    command = graph.add("Add", risen, graph.constant(np.float64(commands[0])))
+    return _reshaped(graph, graph.add("Concat", *[command] * encoding.units, axis=1), 1)
 
 
 def _reshaped(graph: _Graph, values: str, width: int) -> str:

@@ -14,7 +14,14 @@ from stable_baselines3 import PPO, SAC
 
 from sayd_env.agents.config import PpoConfig, TrainConfig
 from sayd_env.agents.learning_env import EncodedVecEnv
-from sayd_env.agents.networks import ACTIVATIONS, EstimatorTrainer, Layout, PpoPolicy, SacPolicy, eyes_of
+from sayd_env.agents.networks import (
+    ACTIVATIONS,
+    EstimatorTrainer,
+    Layout,
+    PpoPolicy,
+    SacPolicy,
+    asymmetric_inputs,
+)
 from sayd_env.agents.policy_file import Layers
 from sayd_env.config import DataError
 from sayd_env.config.storage import write_folder
@@ -80,7 +87,7 @@ def policy_layers(model: Any) -> tuple[Layers, str]:
 
 def estimator_layers(model: Any) -> Layers:
     """Weights of a model's estimator; empty without one."""
-    network = eyes_of(model).estimator
+    network = asymmetric_inputs(model).estimator
     return () if network is None else _layers(network)
 
 

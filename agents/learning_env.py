@@ -250,9 +250,7 @@ class Privileged:
         self.size = len(conditions)
         self._parts = [Conditions(part.vector.batch, tuple(conditions)) for part in vehicles.parts]
         self._firsts = np.cumsum([0, *(part.num_envs for part in vehicles.parts)])
-        configs = list(conditions.values())
-        middle, half = (np.array([getattr(c, name) for c in configs]) for name in ("middle", "half"))
-        self._scaling = Scaling(middle, half, clip, np.array([c.law == "log" for c in configs]))
+        self._scaling = Scaling.of(conditions.values(), clip)
 
     def begin(self, which: npt.NDArray[np.intp]) -> None:
         """Take over the episodes of vehicles that have just begun."""

@@ -100,9 +100,7 @@ class Memory:
         self.weights, self.forces = (matrix.reshape(len(matrix), -1) for matrix in (weights, forces))
         self._weights, self._forces = columns(self.weights), columns(self.forces)
         self.size, self.width = len(times_s) * len(inputs), self.units * len(times_s) * WIDTH
-        repeated = [config for _ in times_s for config in inputs.values()]
-        middle, half = (np.array([getattr(c, name) for c in repeated]) for name in ("middle", "half"))
-        self.scaling = Scaling(middle, half, clip, np.array([c.law == "log" for c in repeated]))
+        self.scaling = Scaling.of((config for _ in times_s for config in inputs.values()), clip)
 
     def remember(self, state: Array, seen: Array) -> Array:
         """State after a control period, a new array, of that before and a flat observation, (N, signals)."""

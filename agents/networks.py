@@ -66,7 +66,7 @@ class Layout:
         return self.inputs + len(self.estimated)
 
 
-class Eyes(nn.Module):
+class AsymmetricInputs(nn.Module):
     """What actor and critic see of an observation, with the estimator, which learns by `EstimatorTrainer`."""
 
     def __init__(self, layout: Layout) -> None:
@@ -106,7 +106,7 @@ class _Bodies(nn.Module):
 
     def __init__(self, layout: Layout, hidden: Sequence[int], activation: type[nn.Module]) -> None:
         super().__init__()
-        self.eyes = Eyes(layout)
+        self.eyes = AsymmetricInputs(layout)  # a name in checkpoints
         self.policy_net = self._body(layout.seen, hidden, activation)
         self.value_net = self._body(layout.seen + len(layout.critics), hidden, activation)
         self.latent_dim_pi = self.latent_dim_vf = hidden[-1] if hidden else layout.seen
@@ -146,9 +146,9 @@ class PpoPolicy(ActorCriticPolicy):
 
 
 class _ActorsView(BaseFeaturesExtractor):
-    def __init__(self, space: Any, eyes: Eyes) -> None:
-        super().__init__(space, eyes.layout.seen)
-        self.eyes = eyes
+    def __init__(self, space: Any, inputs: AsymmetricInputs) -> None:
+        super().__init__(space, inputs.layout.seen)
+        self.eyes = inputs  # a name in checkpoints
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """What the actor sees."""
@@ -176,17 +176,18 @@ class SacPolicy(SACPolicy):
 
     def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
         """The actor, which sees its inputs and estimates."""
-        return super().make_actor(_ActorsView(self.observation_space, Eyes(self.layout)))
+        return super().make_actor(_ActorsView(self.observation_space, AsymmetricInputs(self.layout)))
 
     def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
         """A critic, which sees the inputs and the conditions."""
         return super().make_critic(_CriticsView(self.observation_space, self.layout))
 
 
-def eyes_of(model: Any) -> Eyes:
+def asymmetric_inputs(model: Any) -> AsymmetricInputs:
     """What a model's actor sees."""
     actor = getattr(model, "actor", None)
-    found: Eyes = model.policy.mlp_extractor.eyes if actor is None else actor.features_extractor.eyes
+    view = model.policy.mlp_extractor if actor is None else actor.features_extractor
+    found: AsymmetricInputs = view.eyes
     return found
 
 
@@ -201,9 +202,9 @@ class EstimatorTrainer:
     """
 
     def __init__(self, model: Any, config: EstimateConfig) -> None:
-        self.eyes = eyes_of(model)
-        assert self.eyes.estimator is not None  # whoever has no estimator needs no trainer
-        self._network, self._config = self.eyes.estimator, config
+        inputs = asymmetric_inputs(model)
+        assert inputs.estimator is not None  # whoever has no estimator needs no trainer
+        self._network, self._layout, self._config = inputs.estimator, inputs.layout, config
         self.optimizer = torch.optim.Adam(self._network.parameters(), lr=config.learning_rate)
         self._kept: Observation = np.zeros((0, 0), np.float32)
         self._place = 0
@@ -232,7 +233,7 @@ class EstimatorTrainer:
 
     def update(self, observations: torch.Tensor) -> torch.Tensor:
         """Learn once from a minibatch; return the mean squares of the errors, shape (conditions)."""
-        layout = self.eyes.layout
+        layout = self._layout
         found = self._network(observations[:, : layout.inputs])
         wanted = observations[:, list(layout.estimated)]
         loss = nn.functional.smooth_l1_loss(found, wanted)

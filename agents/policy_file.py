@@ -159,7 +159,13 @@ class StoredPolicy:
         return (RememberingPolicy if remembers else LearnedPolicy)(self, interface)
 
     def encoding(self, interface: Interface) -> Encoding:
-        """What its network sees and commands in an environment."""
+        """What its network sees and commands in an environment.
+
+        Raises
+        ------
+        ConfigError
+            Inputs or outputs that do not fit the environment.
+        """
         about = self.description
         try:
             encoding = make_encoding(

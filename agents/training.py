@@ -55,6 +55,7 @@ from sayd_env.config.explain import shown
 from sayd_env.config.files import MIB
 from sayd_env.config.storage import remove_leftovers, reserved, write_files
 from sayd_env.config.units import Array
+from sayd_env.envs.cost import mean_cost
 from sayd_env.envs.keywords import configured
 from sayd_env.envs.registration import VERSION
 
@@ -266,8 +267,10 @@ class _Run:
         names = [f"J_{c['speed_kmh']:g}_kmh_wear_{c['wear']:g}_seed_{c['seed']}" for c in settings.cases]
         for each in self.config.environment.beside:
             names += [f"J_{Path(each.name).stem}_seed_{seed}" for seed in settings.beside_seeds]
-        geometric = float(np.exp(np.mean(np.log(costs))))
-        means = {MEANS["mean"]: float(np.mean(costs)), MEANS["geometric"]: geometric}
+        means = {
+            MEANS["mean"]: mean_cost(costs, "arithmetic"),
+            MEANS["geometric"]: mean_cost(costs, "geometric"),
+        }
         return means | dict(zip(names, map(float, costs), strict=True))
 
     def _policy(self, cost: float | None, judged: float | None = None) -> StoredPolicy:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -75,23 +75,11 @@ def train(
     from sayd_env.runs.executors import THREADS, ExecutorChoice  # noqa: PLC0415
     from sayd_env.studies.learning import train as study  # noqa: PLC0415
 
-    one = {"--resume": resume, "--workers": workers, "--executor": executor}
-    for name, value in one.items() if seeds is not None else ():
-        if value is not None:
-            raise ConfigError(f"--seeds: leave out {name}")
-    if parallel is not None and seeds is None:
-        raise ConfigError("--parallel: belongs to --seeds")
+    what = {"the algorithm": algorithm, "--config": config}
+    _check_train(what, out, resume, seeds, parallel, {"--workers": workers, "--executor": executor})
     evaluations = ExecutorChoice.parse(executor or THREADS, workers)
     if resume is not None:
-        left_out = {"the algorithm": algorithm, "--config": config, "--out": out}
-        for name, value in left_out.items():
-            if value is not None:
-                raise ConfigError(f"--resume: goes on with the run as it is; leave out {name}")
         config, out = str(resume / "config.yaml"), resume
-        if not Path(config).is_file():
-            raise ConfigError(f"--resume {resume}: holds no run of 'sayd train' (no config.yaml)")
-    elif config is None and algorithm is None:
-        raise ConfigError("train: what is to learn? Give ppo or sac, --config FILE, or --resume DIR")
     given = list(assignments or ())
     given += [] if seed is None else [f"seed={json.dumps(seed)}"]
     chosen = load_train(config or str(algorithm), given)
@@ -116,6 +104,33 @@ def train(
         chosen.seed,
         folder,
     )
+
+
+def _check_train(
+    what: Mapping[str, str | None],
+    out: Path | None,
+    resume: Path | None,
+    seeds: int | None,
+    parallel: int | None,
+    evaluations: Mapping[str, object],
+) -> None:
+    """Refuse options that do not go together; `what` is to learn."""
+    if seeds is not None:
+        _refuse({"--resume": resume, **evaluations}, "--seeds: leave out")
+    elif parallel is not None:
+        raise ConfigError("--parallel: belongs to --seeds")
+    if resume is not None:
+        _refuse({**what, "--out": out}, "--resume: goes on with the run as it is; leave out")
+        if not (resume / "config.yaml").is_file():
+            raise ConfigError(f"--resume {resume}: holds no run of 'sayd train' (no config.yaml)")
+    elif all(value is None for value in what.values()):
+        raise ConfigError("train: what is to learn? Give ppo or sac, --config FILE, or --resume DIR")
+
+
+def _refuse(given: Mapping[str, object], why: str) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise ConfigError(f"{why} {name}")
 
 
 def _of_seeds(

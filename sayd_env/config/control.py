@@ -14,6 +14,7 @@ from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin, nearest, shown
 from sayd_env.config.layers import Kind, layered, read_layered
 from sayd_env.config.loader import is_path, validate
+from sayd_env.config.reward import MeanName
 
 CONTROL = Kind("control")
 
@@ -218,7 +219,7 @@ class TunedProvenance(Provenance):
     scenarios: str = Field(min_length=1, description="Scenarios on which they were assessed")
     evaluations: int = quantity("-", "Sets of gains that were tried", ge=1)
     simulated_s: float | None = quantity("s", "Time that they were simulated", default=None, gt=0.0)
-    mean: Literal["geometric", "arithmetic"] = Field("arithmetic", description="Which mean of J was small")
+    mean: MeanName = Field("arithmetic", description="Which mean of J was small")
     J_before: float = quantity("-", "Mean J of the controller that was tuned", gt=0.0)
     J_after: float = quantity("-", "Mean J with these gains", gt=0.0)
     commit: str | None = Field(description="State of the software, git; null: unknown")

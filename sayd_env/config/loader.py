@@ -164,7 +164,13 @@ def packaged_names(kind: str) -> list[str]:
 
 
 def read_text(path: Path, what: str = "file", largest: int = 64 * MIB) -> str:
-    """Read a user's text file of at most so many bytes; raise `ConfigError` if that fails."""
+    """Read a user's text file of at most so many bytes.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, is larger or is no text.
+    """
     try:
         return read_bytes(path, what, largest).decode("utf-8")
     except UnicodeDecodeError:
@@ -195,6 +201,11 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
         Folder of configs/, such as ``vehicle``.
     name_or_path : str
         A packaged name (``emu``) or a path to a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name, or a file that cannot be read or is not YAML.
     """
     if is_path(name_or_path):
         return parse_yaml(read_text(Path(name_or_path), largest=MIB), name_or_path), name_or_path
@@ -215,7 +226,13 @@ def packaged_text(kind: str, name: str) -> tuple[str, str]:
 
 
 def section(data: Any, source: str) -> dict[str, Any]:
-    """Return data that consists of keys and values; raise `ConfigError` where it does not."""
+    """Return data that consists of keys and values.
+
+    Raises
+    ------
+    ConfigError
+        They are something else.
+    """
     if isinstance(data, dict):
         return data
     found = "is empty" if data is None else f"found {shown(data)}"
@@ -223,10 +240,15 @@ def section(data: Any, source: str) -> dict[str, Any]:
 
 
 def validate(model: type[M], data: Any, source: str, origins: Iterable[Origin] = ()) -> M:
-    """Validate raw data; raise `ConfigError` with one line for each problem.
+    """Validate raw data.
 
-    Each line names the file, the key, what was found and what is allowed (with its unit). `origins` says
-    which parts of the data come from other files than `source`, or from options.
+    `origins` says which parts of the data come from other files than `source`, or from options.
+
+    Raises
+    ------
+    ConfigError
+        With one line for each problem, which names the file, the key, what was found and what is allowed
+        (with its unit).
     """
     known = list(origins)
     try:

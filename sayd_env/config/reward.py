@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator
 
@@ -15,6 +15,8 @@ from sayd_env.config.explain import nearest
 from sayd_env.config.loader import read_config, section, validate
 from sayd_env.config.scenario import CostConfig, Scenario
 
+MeanName = Literal["geometric", "arithmetic"]
+"""Mean of J over conditions; in the geometric one, rough and smooth conditions count alike."""
 REPORTED = {"J_mppt2": "mppt2", "J_low_force": "low-force"}
 """Weights whose J a comparison gives in such a column, unless they are its own."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
 
@@ -12,7 +12,7 @@ from sayd_env.config.control import CONTROLLERS, gains_of, load_controller
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
 from sayd_env.config.loader import read_study
-from sayd_env.config.reward import RewardName
+from sayd_env.config.reward import MeanName, RewardName
 
 Gains = Mapping[str, float]
 """Values of a controller's gains by name."""
@@ -147,9 +147,7 @@ class TuningConfig(Model):
     episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
     reward: RewardName = Field(None, description="Weights of J, by name; null: the study's")
     initial_current: float = quantity("-", "Valve command of the run-in", ge=0.0, le=1.0)
-    mean: Literal["geometric", "arithmetic"] = Field(
-        "geometric", description="Mean of J over scenarios and lines that is to be small"
-    )
+    mean: MeanName = Field("geometric", description="Mean of J over scenarios and lines that is to be small")
     digits: int = quantity("-", "Decimal places of a gain", ge=1, le=12)
     references: tuple[str, ...] = Field((), description="Policies that are also run on the list")
     scenarios: tuple[TuningScenario, ...] = Field(min_length=1)

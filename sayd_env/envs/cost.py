@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sayd_env.config.environment import EnvironmentConfig, charge_a_second
+from sayd_env.config.reward import MeanName
 from sayd_env.config.scenario import CostConfig
 from sayd_env.config.units import Array
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE
@@ -63,6 +65,11 @@ def weighted(cost: CostConfig, acceleration: float, force: float) -> float:
     return float(np.dot((cost.acceleration_weight, cost.force_weight), (acceleration, force)))
 
 
+def mean_cost(costs: Array | Sequence[float], kind: MeanName) -> float:
+    """Mean of J, or of ratios of J, over conditions; for the geometric one they are positive."""
+    return float(np.exp(np.mean(np.log(costs))) if kind == "geometric" else np.mean(costs))
+
+
 def charged(
     config: EnvironmentConfig,
     cost: CostConfig,
@@ -70,7 +77,28 @@ def charged(
     force: Array | float,
     lost: Array | float,
 ) -> Array:
-    """J of episodes from both mean squares and the shares of time that early ends have cut off."""
+    """J of episodes, or of parts of them, with the charge for what early ends have cut off.
+
+    Eq. (27) of Wang et al. (2022), and J_term, at the cost's weights, for the share l that is lost:
+
+        J = k_y (psi_y / y_lim)^2 + k_F (psi_F / F_max)^2 + J_term l.
+
+    Parameters
+    ----------
+    config : EnvironmentConfig
+        Its J_term.
+    cost : CostConfig
+        k_y and k_F (-).
+    acceleration, force : ndarray, shape (...), or float
+        Both squares (-), unweighted means over the whole time, in which what is lost counts as 0.
+    lost : ndarray, shape (...), or float
+        Share of the whole time that an early end has cut off, 0 to 1.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        J (-).
+    """
     parts = cost.acceleration_weight * acceleration + cost.force_weight * force
     return np.asarray(parts + charge_a_second(config, cost) * lost)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 from sayd_env.config.learner import InputConfig, load_learner
 from sayd_env.config.units import Array
 from sayd_env.envs.episode_batch import EpisodeBatch
-from sayd_env.envs.interface import Interface, Signal
+from sayd_env.envs.interface import Interface
 from sayd_env.envs.options import number_array
 
 Observation = npt.NDArray[np.float32]
@@ -43,9 +43,9 @@ class Scaling:
         self.logarithmic = np.zeros(middle.shape, np.bool_) if logarithmic is None else logarithmic
 
     @classmethod
-    def of(cls, signals: Iterable[Signal], inputs: Mapping[str, InputConfig], clip: float) -> Scaling:
-        """The map of signals by their quantities."""
-        each = [inputs[signal.name.partition(".")[0]] for signal in signals]
+    def of(cls, inputs: Iterable[InputConfig], clip: float) -> Scaling:
+        """The map of n numbers, each as its configuration says."""
+        each = [*inputs]
         logarithmic = np.array([item.law == "log" for item in each], dtype=np.bool_)
         middle, half = (np.array([getattr(item, name) for item in each]) for name in ("middle", "half"))
         return cls(middle, half, clip, logarithmic)
@@ -75,7 +75,8 @@ class LearnersView:
     def __init__(self, interface: Interface) -> None:
         config = load_learner()
         self._worst = config.worst
-        self.observe = Scaling.of(interface.signals, config.inputs, config.clip)
+        quantities = (signal.name.partition(".")[0] for signal in interface.signals)
+        self.observe = Scaling.of((config.inputs[name] for name in quantities), config.clip)
         self.observation_box = Box(-config.clip, config.clip, interface.shape, np.float32)
         self.action_box = Box(-1.0, 1.0, (interface.actions,), np.float32)
 

@@ -48,7 +48,14 @@ FLOW = Role(
 
 
 def columns(table: TextTable, units: Mapping[Role, str | None]) -> Array:
-    """Columns of roles, each of which the file has once, in SI; shape (n, roles)."""
+    """Columns of roles, each of which the file has once, in SI; shape (n, roles).
+
+    Raises
+    ------
+    DataError
+        A column that is missing, unknown or twice there, a unit that is, fewer than two rows, or numbers too
+        large or small for their unit.
+    """
     places = _places(table, tuple(units))
     factors = [column_unit(table, role, units).factor for role in units]
     numbers = physical_numbers(table, [places[role] for role in units]) * factors
@@ -60,7 +67,13 @@ def columns(table: TextTable, units: Mapping[Role, str | None]) -> Array:
 
 
 def column_unit(table: TextTable, role: Role, units: Mapping[Role, str | None]) -> Unit:
-    """Unit of the column of a role; see `columns`."""
+    """Unit of the column of a role.
+
+    Raises
+    ------
+    DataError
+        Columns or units that do not fit the roles, see `columns`.
+    """
     place = _places(table, tuple(units))[role]
     unit = labelled(table, place)[1]
     return agreed_unit(
@@ -104,7 +117,13 @@ def role_of(name: str, unit: Unit | None, roles: Sequence[Role]) -> Role | None:
 
 
 def agreed_unit(where: str, role: Role, stated: Unit | None, given: str | None) -> Unit:
-    """The unit that the file states or the configuration gives."""
+    """The unit that the file states or the configuration gives.
+
+    Raises
+    ------
+    DataError
+        There is none, one of another quantity, or two that differ.
+    """
     key = f"{role.name}_unit"
     asked = None if given is None else unit_of(given)
     if given is not None and (asked is None or asked.quantity not in role.quantities):
@@ -126,7 +145,13 @@ def allowed(roles: Sequence[Role]) -> str:
 
 
 def check_size(source: str, role: Role, values: Array) -> None:
-    """Refuse numbers in a unit other than their own."""
+    """Refuse numbers (SI) in a unit other than their own.
+
+    Raises
+    ------
+    DataError
+        The largest one lies outside what the role has in practice.
+    """
     largest = float(np.max(np.abs(values)))
     if role.size is None or role.size[0] <= largest <= role.size[1]:
         return

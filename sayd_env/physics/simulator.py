@@ -198,7 +198,13 @@ class VehicleModel:
         return float(2.0 * contact.shear_modulus * area * max(table.c11[node], table.c22[node]))
 
     def realisation(self, seed: int) -> TrackRealisation:
-        """Track irregularities of a seed, long enough for an assessed run."""
+        """Track irregularities of a seed, long enough for an assessed run.
+
+        Raises
+        ------
+        ConfigError
+            No distance is assessed, or irregularities that cannot be.
+        """
         assessment = self.scenario.assessment
         if assessment.length is None:
             raise ConfigError("assessment.length: a simulation needs a distance, found null")

@@ -253,7 +253,13 @@ def state_space(model: VehicleModel, point: OperatingPoint) -> StateSpace:
 
 
 def state_space_of(model: VehicleModel, steady: Linearisation) -> StateSpace:
-    """Return the state space of a linearised vehicle."""
+    """Return the state space of a linearised vehicle.
+
+    Raises
+    ------
+    ConfigError
+        Accelerometers stand on wheelsets.
+    """
     body, n = model.multibody, model.multibody.n
     size, first = len(steady.matrix), 2 * n + len(model.dampers)
     places = [name.partition(".")[2] for name, _, _ in body.yaw_dampers]

@@ -16,6 +16,7 @@ import numpy as np
 
 from sayd_env.config.palette import LIMIT, Style, plain_matplotlib
 from sayd_env.config.units import Array
+from sayd_env.envs.cost import mean_cost
 from sayd_env.report.live import live_figure
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def ratio_rows(
     axes = figure.subplots()
     axes.grid(alpha=0.3)
     for k, (name, values) in enumerate(ratios.items()):
-        mean, colour = float(np.exp(np.mean(np.log(values)))), colours[name]
+        mean, colour = mean_cost(values, "geometric"), colours[name]
         axes.plot(values, [k] * len(values), "o", color=colour, markersize=4, alpha=0.6)
         axes.plot([mean], [k], "|", color=colour, markersize=18, markeredgewidth=2.5)
     name_rows(axes, ratios)

@@ -104,7 +104,15 @@ class ResultDirectory:
         return self.write(contents)
 
     def write(self, contents: Mapping[str, bytes]) -> list[Path]:
-        """Write several files at once, see `save`."""
+        """Write several files at once, see `save`.
+
+        Raises
+        ------
+        ConfigError
+            A folder of a file's name is in the way.
+        StudyError
+            A file cannot be written.
+        """
         self._refuse_folders(contents)
         return write_files(self.path, contents)
 

@@ -27,7 +27,13 @@ COLOURS = 255
 
 
 def write_png(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
-    """Write the last picture."""
+    """Write the last picture.
+
+    Raises
+    ------
+    StudyError
+        There is none.
+    """
     del fps, colours
     last = None
     for last in pictures:  # noqa: B007 - all of them are made on the way to the last
@@ -54,7 +60,13 @@ def write_gif(path: Path, pictures: Iterable[Picture], fps: float, colours: Pict
 
 
 def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
-    """Write a video (H.264) that browsers and slides play."""
+    """Write a video (H.264) that browsers and slides play.
+
+    Raises
+    ------
+    StudyError
+        The encoder failed.
+    """
     del colours
     waiting = iter(pictures)
     first = next(waiting)

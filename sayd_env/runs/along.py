@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +17,8 @@ from sayd_env.config.conditions import Line
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.line import LineConfig
 from sayd_env.config.scenario import CostConfig, Scenario
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import Array
 from sayd_env.envs.cost import charged, squares
-from sayd_env.envs.interface import Interface
 from sayd_env.envs.loop import (
     LOG_ACCELERATION,
     LOG_BODY,
@@ -38,10 +36,9 @@ from sayd_env.envs.vehicle import model_limits
 from sayd_env.measured.lines import load_line
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import high_frequency_power, refuse_divergence
-from sayd_env.runs.metrics import OVER_THE_LENGTH, Row, band_passed, use_of
-from sayd_env.runs.policies import PASSIVE, PolicySpec, for_policy
+from sayd_env.runs.metrics import Row, band_passed, row_of
+from sayd_env.runs.policies import PolicySpec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
 from sayd_env.stability import assess
 from sayd_env.stability.comfort import BLOCK, mean_comfort
@@ -280,24 +277,8 @@ def line_record(run: Run, rollout: Rollout) -> LineRecord:
     )
 
 
-def line_rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:
-    """Make runs along lines, or take them from the cache, and judge each as a whole.
-
-    A run is as long as its environment's episode. `what` names the runs where progress is reported.
-
-    Raises
-    ------
-    ConfigError
-        A policy that does not fit.
-    StudyError
-        A run that diverged.
-    """
-    found = context.records(judged_along, runs, Row, what)
-    return [replace(row, policy=run.policy.title) for run, row in zip(runs, found, strict=True)]
-
-
 def judged_along(runs: list[Run]) -> list[Row]:
-    """Make runs along lines that are companions, and judge each as a whole."""
+    """Make runs along lines that are companions over their episode, and judge each as a whole."""
     rollouts = roll_out_runs(runs, episode=True)
     return [whole_row(run, rollout) for run, rollout in zip(runs, rollouts, strict=True)]
 
@@ -314,29 +295,8 @@ def whole_row(run: Run, rollout: Rollout) -> Row:
         The simulation diverged.
     """
     assert run.line is not None
-    if rollout.ending is not None:
-        refuse_divergence(rollout)
-        over_the_length = dict.fromkeys(OVER_THE_LENGTH, math.inf)
-    else:
-        over_the_length = _over_the_line(run, rollout)
-    cost = rollout.episode_cost(run.environment, run.scenario)
-    time = len(rollout.terms) * rollout.control_period
-    distance = float(Trip(run.line, run.speed).distance(time))
-    passive = run.policy.name == PASSIVE
-    return Row(
-        policy=run.policy.title,
-        speed_kmh=round(run.speed * KMH, 6),
-        wear=run.scenario.wear,
-        friction=run.scenario.friction,
-        seed=rollout.episode.seed,
-        J=cost.total,
-        J_acceleration=cost.acceleration,
-        J_force=cost.force,
-        **over_the_length,
-        **({} if passive else use_of(rollout.actions, rollout.control_period, distance, rollout.intervened)),
-        ending=rollout.ending,
-        duration_s=time,
-    )
+    distance = float(Trip(run.line, run.speed).distance(len(rollout.terms) * rollout.control_period))
+    return row_of(run, rollout, _over_the_line, rollout.actions, distance)
 
 
 def _over_the_line(run: Run, rollout: Rollout) -> dict[str, float]:
@@ -491,54 +451,3 @@ def _running(run: Run, rollout: Rollout, trip: Trip) -> Mapping[str, Array]:
         return {"position": np.zeros(0), "running_acceleration": np.zeros(0)}
     position, rms = sliding_rms(filtered, rollout.sample_rate, s, settings)
     return {"position": position, "running_acceleration": rms.max(axis=1)}
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """Commands in turn, each for so many seconds: what a `PolicySpec` can hold as its content."""
-
-    commands: tuple[float, ...]
-    """0 to 1."""
-    until: tuple[float, ...]
-    """Time from step 0 at which each of them ends, s; the last one stays."""
-    where: str = "schedule"
-    needs: Mapping[str, Any] = field(default_factory=lambda: {"damper": "sayd"})
-
-    def identity(self) -> Any:
-        """What changes with its content."""
-        return {"schedule": [self.commands, self.until]}
-
-    def bound(self, interface: Interface) -> ScheduledCommands:
-        """The policy for vehicles with this interface."""
-        return ScheduledCommands(self, interface)
-
-
-class ScheduledCommands:
-    """Gives the commands of a schedule to all valves; its state is the number of control periods so far."""
-
-    name = "schedule"
-
-    def __init__(self, schedule: Schedule, interface: Interface) -> None:
-        self.interface = interface
-        self._commands = np.array(schedule.commands)
-        self._ends = np.array(schedule.until[:-1])
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any | None = None,
-        episode_start: Any | None = None,
-        deterministic: bool = True,
-    ) -> tuple[npt.NDArray[np.float32], int]:
-        """Commands for N vehicles, which have all begun together."""
-        period = 0 if state is None else int(state)
-        time = (period + 0.5) * self.interface.control_period
-        command = self._commands[np.searchsorted(self._ends, time, side="right")]
-        shape = (len(observation), self.interface.actions)
-        return np.full(shape, command, dtype=np.float32), period + 1
-
-
-def schedule_spec(commands: Sequence[float], ends: Sequence[float], label: str) -> PolicySpec:
-    """The policy of commands in turn, each until a time from step 0 (s)."""
-    content = Schedule(tuple(map(float, commands)), tuple(map(float, ends)))
-    return PolicySpec("schedule", label=label, stored=content)

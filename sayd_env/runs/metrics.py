@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -98,8 +98,27 @@ class Row:
         return float(charged(environment, weights, self.J_acceleration, self.J_force, lost))
 
 
-def rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:
-    """Make runs, or take them from the cache, and judge them; `what` names them where progress is reported.
+def judged(runs: list[Run]) -> list[Row]:
+    """Make runs that are companions over run-in and assessed length, and judge them."""
+    return [policy_row(run, rollout) for run, rollout in zip(runs, roll_out_runs(runs), strict=True)]
+
+
+def rows(
+    runs: Sequence[Run],
+    context: RunContext,
+    what: str = "",
+    judge: Callable[[list[Run]], list[Row]] = judged,
+) -> list[Row]:
+    """Make runs, or take them from the cache, and judge them.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    context : RunContext
+    what : str
+        Names the runs where progress is reported.
+    judge : callable
+        Makes and judges runs that are companions; `sayd_env.runs.along.judged_along` those along lines.
 
     Raises
     ------
@@ -108,13 +127,8 @@ def rows(runs: Sequence[Run], context: RunContext, what: str = "") -> list[Row]:
     StudyError
         A run that diverged.
     """
-    found = context.records(judged, runs, Row, what)
+    found = context.records(judge, runs, Row, what)
     return [replace(row, policy=run.policy.title) for run, row in zip(runs, found, strict=True)]
-
-
-def judged(runs: list[Run]) -> list[Row]:
-    """Make runs that are companions, and judge them."""
-    return [policy_row(run, rollout) for run, rollout in zip(runs, roll_out_runs(runs), strict=True)]
 
 
 @dataclass(frozen=True)
@@ -157,25 +171,53 @@ def policy_row(run: Run, rollout: Rollout) -> Row:
     ConfigError
         The environment's run-in is not the assessment's.
     """
-    scenario = run.scenario
-    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
+    length, period = run.scenario.assessment.length or 0.0, rollout.control_period
+    command = rollout.actions[: int(length / run.speed / period + 1e-6)]
+    return row_of(run, rollout, _measured, command, run.speed * len(command) * period)
+
+
+def row_of(
+    run: Run,
+    rollout: Rollout,
+    measure: Callable[[Run, Rollout], dict[str, float]],
+    command: npt.NDArray[np.float32],
+    distance: float,
+) -> Row:
+    """A run as a row.
+
+    Parameters
+    ----------
+    run : Run
+    rollout : Rollout
+    measure : callable
+        Gives the columns `OVER_THE_LENGTH`, which are infinite where the run ended early.
+    command : ndarray, shape (steps, valves)
+        The commands that count.
+    distance : float
+        Over which they were given, m.
+
+    Raises
+    ------
+    StudyError
+        The simulation diverged.
+    """
     if rollout.ending is not None:
         refuse_divergence(rollout)
         over_the_length = dict.fromkeys(OVER_THE_LENGTH, math.inf)
     else:
-        over_the_length = _measured(rollout, scenario, weights)
-    cost = rollout.episode_cost(run.environment, scenario)
+        over_the_length = measure(run, rollout)
+    cost = rollout.episode_cost(run.environment, run.scenario)
     return Row(
         policy=run.policy.title,
         speed_kmh=round(run.speed * KMH, 6),
-        wear=scenario.wear,
-        friction=scenario.friction,
+        wear=run.scenario.wear,
+        friction=run.scenario.friction,
         seed=rollout.episode.seed,
         J=cost.total,
         J_acceleration=cost.acceleration,
         J_force=cost.force,
         **over_the_length,
-        **valve_use(run, rollout),
+        **({} if run.policy.name == PASSIVE else _use(rollout, command, distance)),
         ending=rollout.ending,
         duration_s=len(rollout.terms) * rollout.control_period,
     )
@@ -263,9 +305,11 @@ def switchings(command: npt.NDArray[np.float32], lower: float = LOWER, upper: fl
     return float(np.mean([np.count_nonzero(np.diff(each)) for each in visited]))
 
 
-def _measured(rollout: Rollout, scenario: Scenario, weights: tuple[float, float]) -> dict[str, float]:
-    settings, speed, bounds = scenario.assessment, rollout.episode.speed, model_limits(VehicleModel(scenario))
-    run = controlled_run_of("", rollout, settings)
+def _measured(run: Run, rollout: Rollout) -> dict[str, float]:
+    scenario, speed = run.scenario, rollout.episode.speed
+    settings, bounds = scenario.assessment, model_limits(VehicleModel(scenario))
+    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
+    controlled = controlled_run_of("", rollout, settings)
     offline = offline_cost(
         rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT],
         rollout.true[:, LOG_HYDRAULIC:LOG_CURRENT],
@@ -279,11 +323,11 @@ def _measured(rollout: Rollout, scenario: Scenario, weights: tuple[float, float]
         "J_offline": float(np.dot(weights, offline)),
         "J_offline_acceleration": offline[0],
         "J_offline_force": offline[1],
-        "acceleration_ratio": float(run.acceleration.max() / bounds.acceleration),
-        "track_shift_ratio": float(run.track_shift.max() / bounds.track_shift_force),
-        "force_rms_n": run.force_rms,
-        "force_peak_n": run.force_peak,
-        "force_power_above_10_hz_n2": run.force_power_high,
+        "acceleration_ratio": float(controlled.acceleration.max() / bounds.acceleration),
+        "track_shift_ratio": float(controlled.track_shift.max() / bounds.track_shift_force),
+        "force_rms_n": controlled.force_rms,
+        "force_peak_n": controlled.force_peak,
+        "force_power_above_10_hz_n2": controlled.force_power_high,
         # Without a floor in the vehicle's description there is no place to judge.
         "comfort": math.nan if scenario.vehicle.floor_height is None else comfort_index(rollout, settings),
     }
@@ -297,36 +341,16 @@ OVER_THE_LENGTH = (
 """Columns that belong to the whole assessed length."""
 
 
-def valve_use(run: Run, rollout: Rollout) -> dict[str, Any]:
-    """What the commands did between step 0 and the end of the assessed length: columns of a `Row`.
-
-    Empty for passive dampers, and for a run that ended before step 0.
-    """
-    length, period = run.scenario.assessment.length or 0.0, rollout.control_period
-    command = rollout.actions[: int(length / run.speed / period + 1e-6)]
-    if run.policy.name == PASSIVE:
-        return {}
-    return use_of(command, period, run.speed * len(command) * period, rollout.intervened)
-
-
-def use_of(
-    command: npt.NDArray[np.float32],
-    period: float,
-    distance: float,
-    intervened: npt.NDArray[np.bool_] | None,
-) -> dict[str, Any]:
-    """Columns of a `Row` for commands, shape (steps, valves), of a control period (s) over a distance (m).
-
-    ``intervened`` says where a fallback acted, as in a `Rollout`.
-    """
+def _use(rollout: Rollout, command: npt.NDArray[np.float32], distance: float) -> dict[str, Any]:
+    """What commands of a rollout did over a distance (m); nothing where the run ended before step 0."""
     if not len(command):
         return {}
     travel = np.abs(np.diff(command, axis=0)).sum(axis=0, dtype=np.float64).mean()
     return {
         "valve_mean": float(command.mean(dtype=np.float64)),
         "valve_travel_per_km": float(travel / (distance * 1e-3)),
-        "switching_per_s": switchings(command) / (len(command) * period),
-        "fallback_share": _share(intervened, len(command)),
+        "switching_per_s": switchings(command) / (len(command) * rollout.control_period),
+        "fallback_share": _share(rollout.intervened, len(command)),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -275,7 +276,7 @@ def policy_specs(texts: Iterable[str], foreign: ForeignReader | None = None) -> 
     Raises
     ------
     ConfigError, DataError
-        As `policy_spec`, or a policy that is named twice.
+        As `policy_spec`, or a duplicate policy.
     """
     found: dict[str, PolicySpec] = {}
     for text in texts:
@@ -284,10 +285,22 @@ def policy_specs(texts: Iterable[str], foreign: ForeignReader | None = None) -> 
             place = spec.stored.where if spec.stored is not None else spec.name
             titles = (f"{spec.title}@{Path(part).name}" for part in Path(place).resolve().parents)
             spec = replace(spec, label=next((title for title in titles if title not in found), spec.title))
-        if spec.title in found:
-            raise ConfigError(f"policy '{spec.title}': duplicate")
+        refuse_duplicates([*found.values(), spec])
         found[spec.title] = spec
     return list(found.values())
+
+
+def refuse_duplicates(policies: Iterable[PolicySpec]) -> None:
+    """Refuse policies of the same title.
+
+    Raises
+    ------
+    ConfigError
+        There are some; the message names the title.
+    """
+    for title, count in Counter(policy.title for policy in policies).items():
+        if count > 1:
+            raise ConfigError(f"policy '{title}': duplicate")
 
 
 def load_policy(

@@ -19,7 +19,7 @@ from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.rollout import Rollout, assessed_steps, roll_out
 from sayd_env.envs.trace import TRACE
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.runs.policies import PASSIVE, PolicySpec, constant_spec, for_policy
+from sayd_env.runs.policies import PASSIVE, PolicySpec, constant_spec, for_policy, refuse_duplicates
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +129,12 @@ def policy_runs(
     Raises
     ------
     ConfigError
-        A policy that is named twice, or that does not fit the scenario's dampers; a speed outside the
+        A duplicate policy, or one that does not fit the scenario's dampers; a speed outside the
         vehicle's range.
     """
-    seen: set[str] = set()
-    for policy in policies:
-        if policy.title in seen:
-            raise ConfigError(f"policy '{policy.title}' is named twice")
-        seen.add(policy.title)
+    each = [*policies]
+    refuse_duplicates(each)
+    for policy in each:
         for scenario in scenarios:
             fitted = for_policy(scenario, policy)
             config = environment_of(fitted, environment)

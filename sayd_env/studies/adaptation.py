@@ -311,8 +311,7 @@ def constant_map(
         *([each for each in conditions if each.speed_kmh == speed] for speed in speeds),
         list(conditions),
     ]
-    beyond = {round(study.closed + (1.0 - study.closed) * share, DIGITS) for share in config.openings}
-    tried = {each: {CLOSED, OPEN, *beyond} for each in conditions}
+    tried = {each: spread_out(config.openings, study.closed) for each in conditions}
     costs = study.costs(tried)
     for _ in range(config.refinements):
         for each in costs.values():
@@ -386,6 +385,11 @@ class _Study:
         for condition, current in new:
             parts = [next(found) for _ in self._config.seeds]
             self._parts.setdefault(condition, {})[current] = parts
+
+
+def spread_out(openings: Iterable[float], closed: float) -> set[float]:
+    """Both ends, and commands at shares of the way from `closed`, up to which all act as one, to open."""
+    return {CLOSED, OPEN, *(round(closed + (1.0 - closed) * share, DIGITS) for share in openings)}
 
 
 def halfway(current: float, currents: Iterable[float], closed: float) -> list[float]:

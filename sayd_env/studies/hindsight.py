@@ -23,10 +23,11 @@ from sayd_env.physics.throttle import overlap
 from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, ratio_rows
 from sayd_env.report.html import Grid, Page, Picture, Section, Verdict
-from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved, schedule_spec
+from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec, constant_spec, for_policy
-from sayd_env.studies.adaptation import CLOSED, DIGITS, OPEN, halfway
+from sayd_env.runs.schedule import schedule_spec
+from sayd_env.studies.adaptation import CLOSED, halfway, spread_out
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -285,8 +286,7 @@ class _Study:
 
     def constants(self) -> dict[str, dict[float, Array]]:
         """J of the sections of each line by constant command: a grid, and more around its best ones."""
-        beyond = (self._closed + (1.0 - self._closed) * share for share in self._config.openings)
-        grid = {CLOSED, OPEN, *(round(current, DIGITS) for current in beyond)}
+        grid = spread_out(self._config.openings, self._closed)
         self._try({name: grid for name in self.lines})
         for _ in range(self._config.refinements):
             shared = sorted(set.intersection(*(set(each) for each in self._records.values())))

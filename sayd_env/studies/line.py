@@ -24,7 +24,7 @@ from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_a
 from sayd_env.report.html import Grid, Page, Picture, Section
 from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, own_speed
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.policies import PolicySpec
+from sayd_env.runs.policies import PolicySpec, refuse_duplicates
 from sayd_env.runs.rollouts import Run, conditions, own_policy
 from sayd_env.studies.standing import Standing, verdict
 
@@ -333,15 +333,13 @@ def evaluate_line(
     Raises
     ------
     ConfigError
-        A line that cannot be, a speed outside the vehicle's range, a policy that does not fit.
+        A line that cannot be, a speed outside the vehicle's range, a duplicate policy or one that does not
+        fit.
     StudyError
         A run that diverged.
     """
     specs, setup = tuple(policies) or (own_policy(scenario),), environment or load_environment()
-    titles = [each.title for each in specs]
-    for title in titles:
-        if titles.count(title) > 1:
-            raise ConfigError(f"policy '{title}' is named twice")
+    refuse_duplicates(specs)
     runs = [
         run
         for chosen in conditions(scenario, wear, friction)

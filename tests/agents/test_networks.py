@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 from sayd_env.agents.config import TrainConfig, load_train  # noqa: E402
 from sayd_env.agents.learner import estimator_layers, make_model, policy_layers  # noqa: E402
 from sayd_env.agents.learning_env import make_learning_env  # noqa: E402
-from sayd_env.agents.networks import EstimatorTrainer, eyes_of  # noqa: E402
+from sayd_env.agents.networks import EstimatorTrainer, asymmetric_inputs  # noqa: E402
 from sayd_env.config import ConfigError  # noqa: E402
 from sayd_env.envs.privileged import CONDITIONS  # noqa: E402
 
@@ -89,7 +89,7 @@ def test_an_estimator_learns_what_the_inputs_tell(learner: Any) -> None:
     config, _, encoding, model, observed = learner
     random = np.random.default_rng(0)
     rows = random.normal(size=(4096, observed.shape[1])).astype(np.float32)
-    layout = eyes_of(model).layout
+    layout = asymmetric_inputs(model).layout
     for i, column in enumerate(layout.estimated):
         rows[:, column] = 0.5 * rows[:, i]
     trainer = EstimatorTrainer(model, config.estimate.model_copy(update={"batch_size": 64}))
@@ -99,7 +99,7 @@ def test_an_estimator_learns_what_the_inputs_tell(learner: Any) -> None:
     assert set(last) == {f"estimate/{name}" for name in config.estimate.conditions}
     assert all(last[name] < 0.3 * first[name] or last[name] < 0.1 for name in last)
     with torch.no_grad():
-        seen = eyes_of(model).actor(torch.as_tensor(rows))
+        seen = asymmetric_inputs(model).actor(torch.as_tensor(rows))
     guessed = seen[:, encoding.size :].numpy()
     assert np.sqrt(np.mean((guessed - 0.5 * rows[:, : guessed.shape[1]]) ** 2)) < 0.2
 

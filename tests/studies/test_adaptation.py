@@ -21,7 +21,7 @@ from sayd_env.runs.metrics import CostParts
 from sayd_env.runs.policies import constant_spec
 from sayd_env.runs.rollouts import Run
 from sayd_env.studies import adaptation as module
-from sayd_env.studies.adaptation import ConstantMap, constant_map, halfway
+from sayd_env.studies.adaptation import ConstantMap, constant_map, halfway, spread_out
 from sayd_env.studies.evaluate import evaluate
 
 CONFIG = load_map(
@@ -126,6 +126,10 @@ def test_commands_that_leave_the_valve_closed_are_tried_once(monkeypatch: pytest
     assert 0.0 in asked
     assert [current for current in asked if 0.0 < current <= 0.4] == []
     assert len(asked) > 6 * 2 * 3
+
+
+def test_the_first_commands_lie_at_both_ends_and_beyond_the_overlap():
+    assert spread_out([0.0, 0.25, 0.5], 0.4) == {0.0, 0.4, 0.55, 0.7, 1.0}
 
 
 def test_halves_lie_beyond_the_overlap():

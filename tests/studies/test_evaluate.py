@@ -273,7 +273,7 @@ def test_the_best_stands_out_and_what_exceeds_a_limit_too(short_scenario: Scenar
 
 
 def test_a_policy_may_stand_there_once_only(short_scenario: Scenario):
-    with pytest.raises(ConfigError, match="policy 'mppt1' is named twice"):
+    with pytest.raises(ConfigError, match="policy 'mppt1': duplicate"):
         evaluate(short_scenario, [SPEED], [0], policies=[policy_spec("mppt1")] * 2)
 
 

@@ -24,11 +24,12 @@ from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.trace import WHEEL_VERTICAL
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved, schedule_spec
+from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved
 from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import constant_spec, policy_spec
 from sayd_env.runs.rollouts import Run
+from sayd_env.runs.schedule import schedule_spec
 from sayd_env.studies.evaluate import evaluate
 from sayd_env.studies.line import WHOLE, LineResult, evaluate_line
 

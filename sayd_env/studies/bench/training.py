@@ -45,7 +45,7 @@ class TrainingRates:
         rates = {name: rate.spread.median for name, rate in self.rates.items()}
         return rates | {
             "environment_share": self.environment_share,
-            "lanes": self.vehicles,
+            "vehicles": self.vehicles,
             "threads": self.threads,
         }
 

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from sayd_env.config.bound import BoundConfig, SequenceSearch
+from sayd_env.envs.cost import mean_cost
 from sayd_env.runs.clairvoyant import check_times
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec, policy_spec
@@ -116,7 +117,7 @@ def _converged(settings: SequenceSearch, found: Sequence[Searched], without: Seq
         samples=settings.samples,
         horizon_s=settings.horizon_s,
         conditions=len(found),
-        J=float(costs.mean()),
-        ratio=float(np.exp(np.mean(np.log(costs / np.array(without))))),
+        J=mean_cost(costs, "arithmetic"),
+        ratio=mean_cost(costs / np.array(without), "geometric"),
         seconds=float(np.mean([each.seconds for each in found])),
     )

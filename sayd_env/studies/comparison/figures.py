@@ -38,7 +38,7 @@ def draw(result: Comparison, figure: Figure) -> None:
         + (", --quick: a look, no result" if result.quick else "")
     )
     axes = panels(figure, 6, 3, (5.0, 4.5))
-    drawn = (_speeds, _profiles, _middles, _trainings, _bounds, _reductions)
+    drawn = (_speeds, _profiles, _iqms, _trainings, _bounds, _reductions)
     for draw_panel, panel in zip(drawn, axes, strict=True):
         draw_panel(result, panel)
     legend_below(figure, axes[0], columns=6)
@@ -84,7 +84,7 @@ def _profiles(result: Comparison, axes: Axes) -> None:
     axes.set(title="share of the runs with J / J of MPPT2 up to x", xlabel="x", ylabel="share")
 
 
-def _middles(result: Comparison, axes: Axes) -> None:
+def _iqms(result: Comparison, axes: Axes) -> None:
     controlled = _controlled(result)
     for i, (name, found) in enumerate(controlled.items()):
         _draw_estimate(axes, found.relative_to_mppt2, i, name)

@@ -22,7 +22,7 @@ from sayd_env.config.units import KMH, Array
 from sayd_env.envs.cost import charged
 from sayd_env.envs.draw import draw_episode
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.runs.along import Trip, line_rows
+from sayd_env.runs.along import Trip, judged_along
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import Row, rows
 from sayd_env.runs.policies import PolicySpec, for_policy
@@ -117,7 +117,13 @@ class DrawnLines:
         return cls(environment, {seed: line for seed, line in drawn.items() if isinstance(line, Line)})
 
     def check_length(self, seed: int, shortest: float) -> None:
-        """Refuse a line of which an episode runs over less than a length (m)."""
+        """Refuse a line of which an episode runs over less than a length (m).
+
+        Raises
+        ------
+        ConfigError
+            The line of the seed is one.
+        """
         line, time = self.lines[seed], self.environment.episode_s
         found = float(Trip(line, first_speed(line)).distance(time))
         if found < shortest:
@@ -272,7 +278,8 @@ def run_all(
     straight, lines = ([run for runs in each for run in runs[k]] for k in (0, 1))
     total, before = len(straight) + len(lines), float(len(straight))
     on_straight = iter(rows(straight, context.part(0.0, total, what), what))
-    on_lines = iter(line_rows(lines, context.part(before, total, f"{what}, lines"), what) if lines else ())
+    along = context.part(before, total, f"{what}, lines")
+    on_lines = iter(rows(lines, along, what, judged_along) if lines else ())
     return {
         policy.title: _arrays(grid, [*islice(on_straight, len(one)), *islice(on_lines, len(other))])
         for policy, (one, other) in zip(policies, each, strict=True)

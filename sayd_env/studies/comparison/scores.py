@@ -21,7 +21,7 @@ from sayd_env.studies.comparison.statistics import (
     geometric_ratio,
     geometric_reduction,
     improvement,
-    middle,
+    iqm,
     reduction,
 )
 from sayd_env.studies.map import Cell
@@ -125,8 +125,8 @@ def score(
         J_by_condition=by_condition,
         J_by_training_seed=mine.mean(axis=(1, 2)),
         geometric=geometric_ratio(mine, bound, bootstrap),
-        relative_to_passive=middle(mine / passive, bootstrap),
-        relative_to_mppt2=middle(mine / mppt2, bootstrap),
+        relative_to_passive=iqm(mine / passive, bootstrap),
+        relative_to_mppt2=iqm(mine / mppt2, bootstrap),
         probability_of_improvement={
             other: improvement(mine, theirs, bootstrap) for other, theirs in against.items()
         },

@@ -30,6 +30,7 @@ from scipy.stats import trim_mean
 
 from sayd_env.config.comparison import BootstrapConfig
 from sayd_env.config.units import Array
+from sayd_env.envs.cost import mean_cost
 
 Draws = npt.NDArray[np.int64]
 LEVEL = 0.95
@@ -155,7 +156,7 @@ def estimate(value: float, resampled: Array, name: str = "value") -> Estimate:
     return Estimate(float(value), float(low), float(high), name)
 
 
-def middle(values: Array, bootstrap: Bootstrap) -> Estimate:
+def iqm(values: Array, bootstrap: Bootstrap) -> Estimate:
     """Interquartile mean over training seeds and scenarios, stratified; values of shape (R, C, S)."""
     resampled = bootstrap.stratified(values, interquartile_mean)
     return estimate(float(interquartile_mean(values)), resampled, "iqm")
@@ -175,7 +176,7 @@ def reduction(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate
 
 def geometric_mean(values: Array, reference: Array) -> float:
     """Geometric mean over conditions of a policy's mean in each over the reference's."""
-    return float(np.exp(np.mean(np.log(values.mean(axis=(0, 2)) / reference.mean(axis=(0, 2))))))
+    return mean_cost(values.mean(axis=(0, 2)) / reference.mean(axis=(0, 2)), "geometric")
 
 
 def geometric_ratio(values: Array, reference: Array, bootstrap: Bootstrap) -> Estimate:

@@ -108,8 +108,8 @@ def claims_document(claims: Sequence[Claim]) -> list[dict[str, Any]]:
 
 def spread(values: Array, unit: str = "", digits: int = 2) -> str:
     """Median and range over the seeds, as a table shows them: ``0.21 (0.19 to 0.26)``."""
-    middle, low, high = (f"{f(values):.{digits}f}" for f in (np.median, np.min, np.max))
-    return f"{middle}{unit and ' ' + unit} ({low} to {high})"
+    median, low, high = (f"{f(values):.{digits}f}" for f in (np.median, np.min, np.max))
+    return f"{median}{unit and ' ' + unit} ({low} to {high})"
 
 
 def bootstrapped(statistic: Callable[[Seeds], float], count: int, unit: str) -> str:

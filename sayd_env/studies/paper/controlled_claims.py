@@ -303,7 +303,7 @@ def _mppt2_rows(m: ControlledMeasures) -> list[Claim]:
 def _scatter_row(m: ControlledMeasures) -> Claim:
     width, within, edge = m.scatter()
 
-    def middle(values: Array) -> Callable[[Seeds], float]:
+    def median(values: Array) -> Callable[[Seeds], float]:
         return lambda seeds: float(np.median(values[seeds]))
 
     return by_median(
@@ -312,9 +312,9 @@ def _scatter_row(m: ControlledMeasures) -> Claim:
         "none at the edge of the search",
         m.count,
         lambda seeds: (
-            middle(width)(seeds) > 2.0 and middle(within)(seeds) >= 0.8 - 1e-9 and middle(edge)(seeds) == 0.0
+            median(width)(seeds) > 2.0 and median(within)(seeds) >= 0.8 - 1e-9 and median(edge)(seeds) == 0.0
         ),
-        f"{bootstrapped(middle(width), m.count, 'Hz')}; within {spread(PERCENT * within, '%', 0)}; "
+        f"{bootstrapped(median(width), m.count, 'Hz')}; within {spread(PERCENT * within, '%', 0)}; "
         f"at the edge {spread(PERCENT * edge, '%', 0)}",
     )
 
@@ -418,12 +418,12 @@ def _switching_row(m: ControlledMeasures) -> Claim:
     two_valued = np.array([bool(np.isin(run.command, (0.0, 1.0)).all()) for run in runs])
     # A command that never switches dwells until the end.
     dwells = [dwell if dwell.size else np.array([np.inf]) for dwell in map(dwell_times, runs)]
-    short, middle = (np.array([np.quantile(d, q, method="higher") for d in dwells]) for q in (0.1, 0.5))
+    short, median = (np.array([np.quantile(d, q, method="higher") for d in dwells]) for q in (0.1, 0.5))
     return by_seed(
         "S2",
         "on-off skyhook, 400 km/h: commands 0 or 1 only, 10th percentile of dwell < 0.1 s",
         two_valued & (short < FAST_SWITCH - 1e-9),
-        f"10th percentile {spread(short, 's')}, median {spread(middle, 's')}"
+        f"10th percentile {spread(short, 's')}, median {spread(median, 's')}"
         + ("" if two_valued.all() else ", other commands than 0 and 1"),
     )
 

@@ -17,6 +17,7 @@ from sayd_env.config.palette import policy_style
 from sayd_env.config.software import git_state
 from sayd_env.config.tuning import Gains, TuningConfig, TuningScenario
 from sayd_env.config.units import Array
+from sayd_env.envs.cost import mean_cost
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.cache import fingerprint
@@ -54,7 +55,7 @@ class Evaluation:
     @property
     def mean(self) -> float:
         """Arithmetic mean of J."""
-        return float(np.mean(self.costs))
+        return mean_cost(self.costs, "arithmetic")
 
 
 @dataclass(frozen=True)
@@ -341,9 +342,7 @@ class _Tuning:
             gains,
             tuple(map(float, costs)),
             sum(each.derailed for each in found),
-            float(np.exp(np.mean(np.log(costs))))
-            if self._settings.mean == "geometric"
-            else float(costs.mean()),
+            mean_cost(costs, self._settings.mean),
         )
         self.evaluations.append(evaluation)
         self._tell(stage)

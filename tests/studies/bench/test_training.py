@@ -109,4 +109,4 @@ def test_the_packaged_trainings_are_measured(monkeypatch: pytest.MonkeyPatch, tm
     assert list(found.rates) == ["environment", "ppo", "sac", "ppo_uncapped", "sac_uncapped"]
     assert all(rate.spread.minimum > 0.0 for rate in found.rates.values())
     assert all(0.0 < share < 1.0 for share in found.environment_share.values())
-    assert found.as_dict()["lanes"] == {"environment": 2, "ppo": 2, "sac": 2}
+    assert found.as_dict()["vehicles"] == {"environment": 2, "ppo": 2, "sac": 2}

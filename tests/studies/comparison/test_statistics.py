@@ -14,7 +14,7 @@ from sayd_env.studies.comparison.statistics import (
     improvement,
     improvements,
     interquartile_mean,
-    middle,
+    iqm,
     profile,
     reduction,
 )
@@ -39,15 +39,15 @@ def test_an_interval_spans_95_percent():
 def test_constant_data_have_no_interval():
     values = np.full((3, 4, 2), 0.7)
     draws = bootstrap(4, 2, 500)
-    for found in (middle(values, draws), reduction(values, values[:1], draws)):
+    for found in (iqm(values, draws), reduction(values, values[:1], draws)):
         assert found.low == pytest.approx(found.value)
         assert found.high == pytest.approx(found.value)
-    assert middle(values, draws).value == pytest.approx(0.7)
+    assert iqm(values, draws).value == pytest.approx(0.7)
 
 
 def test_what_differs_between_conditions_alone_is_no_uncertainty_of_a_stratified_mean():
     values = np.broadcast_to(10.0 ** np.arange(5)[None, :, None], (1, 5, 3))
-    found = middle(values, bootstrap(5, 3, 500))
+    found = iqm(values, bootstrap(5, 3, 500))
     assert found.low == found.high == found.value == pytest.approx((10 + 100 + 1000) / 3)
 
 
@@ -85,9 +85,9 @@ def test_both_ways_to_a_stratified_mean_agree():
 
 def test_resamples_come_from_the_seed():
     values = RANDOM.normal(size=(3, 4, 2))
-    same, again = middle(values, bootstrap(4, 2, 300)), middle(values, bootstrap(4, 2, 300))
+    same, again = iqm(values, bootstrap(4, 2, 300)), iqm(values, bootstrap(4, 2, 300))
     assert same == again
-    assert middle(values, bootstrap(4, 2, 300, seed=1)) != same
+    assert iqm(values, bootstrap(4, 2, 300, seed=1)) != same
 
 
 def test_improvement_is_the_mann_whitney_statistic_of_each_scenario():

@@ -1,0 +1,64 @@
+"""A policy that gives commands in turn, at times that are known beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sayd_env.envs.interface import Interface
+from sayd_env.runs.policies import PolicySpec
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Commands in turn, each for so many seconds: what a `PolicySpec` can hold as its content."""
+
+    commands: tuple[float, ...]
+    """0 to 1."""
+    until: tuple[float, ...]
+    """Time from step 0 at which each of them ends, s; the last one stays."""
+    where: str = "schedule"
+    needs: Mapping[str, Any] = field(default_factory=lambda: {"damper": "sayd"})
+
+    def identity(self) -> Any:
+        """What changes with its content."""
+        return {"schedule": [self.commands, self.until]}
+
+    def bound(self, interface: Interface) -> ScheduledCommands:
+        """The policy for vehicles with this interface."""
+        return ScheduledCommands(self, interface)
+
+
+class ScheduledCommands:
+    """Gives the commands of a schedule to all valves; its state is the number of control periods so far."""
+
+    name = "schedule"
+
+    def __init__(self, schedule: Schedule, interface: Interface) -> None:
+        self.interface = interface
+        self._commands = np.array(schedule.commands)
+        self._ends = np.array(schedule.until[:-1])
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any | None = None,
+        episode_start: Any | None = None,
+        deterministic: bool = True,
+    ) -> tuple[npt.NDArray[np.float32], int]:
+        """Commands for N vehicles, which have all begun together."""
+        period = 0 if state is None else int(state)
+        time = (period + 0.5) * self.interface.control_period
+        command = self._commands[np.searchsorted(self._ends, time, side="right")]
+        shape = (len(observation), self.interface.actions)
+        return np.full(shape, command, dtype=np.float32), period + 1
+
+
+def schedule_spec(commands: Sequence[float], ends: Sequence[float], label: str) -> PolicySpec:
+    """The policy of commands in turn, each until a time from step 0 (s)."""
+    content = Schedule(tuple(map(float, commands)), tuple(map(float, ends)))
+    return PolicySpec("schedule", label=label, stored=content)
