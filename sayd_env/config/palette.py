@@ -57,8 +57,8 @@ class Style:
         return {"color": self.colour, "linestyle": self.line}
 
 
-# Those that the studies draw together by themselves have markers of their own, and where a colour-blind reader
-# would take two colours for one, lines of their own; the others share a marker with a colour that is far off.
+# Those that the studies draw together by themselves have markers of their own, and lines of their own where a
+# colour-blind reader takes two colours for one; the others share a marker with a colour that is far off.
 _POLICIES = MappingProxyType(
     {
         "passive": Style(BLACK, "o", "-"),

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 NARROW, MIDDLE, WIDE = 3.5, 15.0, 2e3
-"""Ratios of an axis' ends: to the first its numbers are evenly spaced, since 1-2-5 would leave one of them, to
-the second they are closer than 1-2-5, to the last 1-2-5, and beyond powers of ten alone."""
+"""Ratios of an axis' ends: to the first its numbers are evenly spaced, since 1-2-5 would leave one of them,
+to the second they are closer than 1-2-5, to the last 1-2-5, and beyond powers of ten alone."""
 
 
 class PlainTicks(LogLocator):
