@@ -132,7 +132,7 @@ def _controlled(result: Comparison) -> dict[str, Score]:
 
 
 def _opponents(result: Comparison) -> tuple[str, list[str]]:
-    """Whose best controller J is held against, and of whom: of learned policies, without any of all others."""
+    """Whose best controller J is held against, and of whom: learned policies, without any all controllers."""
     learned = [each.name for each in result.entrants if each.learned]
     scores = _ways(result).values()
     chosen = learned or list(_controlled(result))
