@@ -208,8 +208,8 @@ class EvaluateResult:
             if row["derailed"]:
                 console.print(
                     f"{DERAILED}: {row['policy']} at {row['speed_kmh']:g} km/h, wear {row['wear']:g}, "
-                    f"friction {row['friction']:.3g}: {row['derailed']} of {row['runs']} runs; they count with "
-                    "infinite ratios and with the environment's charge in J",
+                    f"friction {row['friction']:.3g}: {row['derailed']} of {row['runs']} runs; they count "
+                    "with infinite ratios and with the environment's charge in J",
                     markup=False,
                     style="red",
                 )
