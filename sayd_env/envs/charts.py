@@ -117,7 +117,7 @@ class Charts:
 
 def _newest(value: float, digits: int) -> str:
     """A number of no more signs than one below 10 has: there is no room for more beside the other's."""
-    whole = len(f"{abs(value):.0f}")
+    whole = len(f"{abs(value):.{digits}f}".partition(".")[0])
     return f"{value:.{max(digits + 1 - whole, 0)}f}"
 
 

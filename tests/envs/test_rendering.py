@@ -155,10 +155,11 @@ def test_a_shifted_bogie_is_drawn_shifted(quick: str) -> None:
     recorder = watched(quick, 1)
     renderer, frame = Renderer(recorder), recorder.frame()
     still = picture(renderer, at_rest(frame))
-    moved = picture(renderer, at_rest(frame, frame_front=Pose(0.0, 0.006, 0.0)))
-    # 6 mm to the left, twenty times as large: 11.4 pixels up at 95 pixels in a metre.
+    moved = picture(renderer, at_rest(frame, frame_front=Pose(0.0, 0.004, 0.0)))
+    # 4 mm to the left, twenty times as large: 7.6 pixels up at 95 pixels in a metre; farther up it is hidden
+    # in part by what the dampers' values stand on.
     shift = middle_of(moved, FRONT) - middle_of(still, FRONT)
-    np.testing.assert_allclose(shift, [0.0, -0.006 * 20.0 * SCALE], atol=0.6)
+    np.testing.assert_allclose(shift, [0.0, -0.004 * 20.0 * SCALE], atol=0.6)
     np.testing.assert_allclose(middle_of(moved, REAR), middle_of(still, REAR), atol=0.05)
 
 
