@@ -55,7 +55,7 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
     """
     found = groups(folder)
     references = {str(row["policy"]): float(row["J"]) for row in Table(folder / REFERENCES).rows}
-    figure.set_size_inches(10.0, 4.5)
+    figure.set_size_inches(10.0, 5.2)
     axes = figure.subplots(1, max(len(found), 1), sharey=True, squeeze=False)[0]
     limits: list[tuple[float, float]] = []
     for axis, (algorithm, files) in zip(axes, found.items(), strict=False):
@@ -63,7 +63,7 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
         axis.set_title(algorithm.upper())
         limits.append(axis.get_ylim())
         axis.grid(alpha=0.3)
-        axis.legend(fontsize="small", ncols=2)
+        axis.legend(fontsize="small", ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.13))
     if limits:  # the panels share their axis
         axes[0].set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
 
