@@ -32,7 +32,7 @@ class PlainTicks(LogLocator):
         if ratio < NARROW:
             if self.minor:
                 return np.array([])
-            even = MaxNLocator(nbins=7, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+            even = np.asarray(MaxNLocator(nbins=7, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
             return even[even > 0.0]
         if ratio >= WIDE:
             subs: Any = "all" if self.minor else (1.0,)
