@@ -55,7 +55,7 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
     """
     found = groups(folder)
     references = {str(row["policy"]): float(row["J"]) for row in Table(folder / REFERENCES).rows}
-    figure.set_size_inches(10.0, 4.5)
+    figure.set_size_inches(10.0, 5.2)
     axes = figure.subplots(1, max(len(found), 1), sharey=True, squeeze=False)[0]
     limits: list[tuple[float, float]] = []
     for axis, (algorithm, files) in zip(axes, found.items(), strict=False):
@@ -63,7 +63,7 @@ def draw(figure: Figure, folder: Path = FOLDER) -> None:
         axis.set_title(algorithm.upper())
         limits.append(axis.get_ylim())
         axis.grid(alpha=0.3)
-        axis.legend(fontsize="small", ncols=2)
+        axis.legend(fontsize="small", ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.13))
     if limits:  # the panels share their axis
         axes[0].set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
 
@@ -96,10 +96,14 @@ def draw_gains(
     for name, (steps, costs) in trainings.items():
         millions = [step / 1e6 for step in steps]
         axis.plot(millions, [gain(c) for c in costs], markersize=3, label=name, **policy_style(name).drawn)
-    for name, cost in references.items():
-        shown = f"{name} ({gain(cost):.1f} %)"
-        axis.axhline(gain(cost), linewidth=1.0, label=shown, **policy_style(name).plain)
     late = [gain(cost) for _, costs in trainings.values() for cost in costs[len(costs) // 2 :]] + [0.0]
     room = 0.1 * (max(late) - min(late)) or 1.0
-    axis.set_ylim(min(late) - 2.0 * room, max(late) + room)
+    lowest = min(late) - 2.0 * room
+    for name, cost in references.items():
+        shown = f"{name} ({gain(cost):.1f} %)"
+        if gain(cost) > lowest:
+            axis.axhline(gain(cost), linewidth=1.0, label=shown, **policy_style(name).plain)
+        else:  # named alone: nobody is to look for its line
+            axis.plot([], [], linestyle="none", label=f"below the axis: {shown}")
+    axis.set_ylim(lowest, max(late) + room)
     axis.set(xlabel="steps of bogies (millions)", ylabel="mean J below the best controller's (%)")

@@ -44,7 +44,7 @@ class Style:
 
     colour: str
     marker: str = "o"
-    line: str = "-"
+    line: str | tuple[float, tuple[float, ...]] = "-"
 
     @property
     def drawn(self) -> dict[str, Any]:
@@ -57,32 +57,41 @@ class Style:
         return {"color": self.colour, "linestyle": self.line}
 
 
+# Those that the studies draw together by themselves have markers of their own, and lines of their own where a
+# colour-blind reader takes two colours for one; the others share a marker with a colour that is far off.
 _POLICIES = MappingProxyType(
     {
         "passive": Style(BLACK, "o", "-"),
-        "constant": Style(GREY, "s", "-"),
-        "constant-tuned": Style(GREY, "D", "--"),
-        "mppt1": Style(SKY, "^", "--"),
+        "mppt1": Style(SKY, "v", "--"),
         "mppt2": Style(BLUE, "^", "-"),
-        "mppt2-tuned": Style(BLUE, "v", "-."),
-        "speed-schedule": Style(GREY, "^", "-"),
-        "speed-schedule-tuned": Style(GREY, "v", "-."),
-        "hunting-schedule": Style(SKY, "o", "-"),
-        "hunting-schedule-tuned": Style(SKY, "v", "-."),
-        "lqg": Style(GREEN, "o", "-"),
-        "lqg-tuned": Style(GREEN, "v", "-."),
-        "perturb-and-observe": Style(GREEN, "P", "-"),
         "skyhook-onoff": Style(ORANGE, "s", "--"),
-        "skyhook-continuous": Style(ORANGE, "o", "-"),
+        "skyhook-continuous": Style(ORANGE, "p", "-."),
+        "mppt2-tuned": Style(BLUE, "<", "-."),
+        "constant-tuned": Style(GREY, "P", "--"),
+        "speed-schedule-tuned": Style(GREY, ">", "-."),
+        "hunting-schedule-tuned": Style(SKY, "X", "-."),
+        "lqg-tuned": Style(GREEN, "h", ":"),
         "ppo": Style(VERMILION, "D", "-"),
         "sac": Style(PURPLE, "*", "-"),
+        "constant": Style(GREY, "s", "-"),
+        "speed-schedule": Style(GREY, "p", ":"),
+        "hunting-schedule": Style(SKY, "o", ":"),
+        "lqg": Style(GREEN, "o", "--"),
+        "perturb-and-observe": Style(GREEN, "D", "-."),
+        "mppt1-estimate": Style(SKY, "s", ":"),
+        "mppt2-estimate": Style(BLUE, "D", ":"),
     }
 )
+_LEARNED = ("ppo", "sac")
 _OTHERS = tuple(
     Style(colour, marker, line)
     for colour, marker, line in product((GREEN, PURPLE, SKY, BLUE), "X<>h8p", ("-", "-."))
+    if (colour, marker) not in {(style.colour, style.marker) for style in _POLICIES.values()}
 )
 _TRAINING = re.compile(r"(?P<algorithm>[a-z]+[0-9]?)-s(?P<seed>\d+)")
+_AGAIN_MARKERS = "^v<Xo>Ph8s"
+_AGAIN_LINES = (*LINES, (0, (7.0, 1.5, 1.5, 1.5, 1.5, 1.5)))
+"""Of an algorithm's trainings beside that of seed 0; the last line is a dash and two dots."""
 
 
 def policy_style(name: str) -> Style:
@@ -96,18 +105,30 @@ def policy_style(name: str) -> Style:
     """
     if name in _POLICIES:
         return _POLICIES[name]
-    calibrated = name.removesuffix("-estimate")
-    if calibrated in _POLICIES:
-        return replace(_POLICIES[calibrated], line=":")
     kind, colon, value = name.partition(":")
-    if colon and kind == "safe":  # a policy inside the fallback
-        return replace(policy_style(value), marker="h", line=":")
+    if colon and kind == "safe":  # a policy inside the fallback: a cross, seen even on top of its own marker
+        inside, learned = policy_style(value), _algorithm(value) in _LEARNED
+        line = ":" if inside.line == "-" else inside.line
+        return replace(inside, marker="x" if learned else "+", line=line)
     if colon and kind in _POLICIES:  # a variant: the same colour
         return Style(_POLICIES[kind].colour, *_nth(zlib.crc32(value.encode())))
-    training = _TRAINING.fullmatch(name)
-    if training is not None and training["algorithm"] in _POLICIES:
-        return Style(_POLICIES[training["algorithm"]].colour, *_nth(int(training["seed"])))
+    if (algorithm := _algorithm(name)) in _POLICIES:
+        return _training_style(_POLICIES[algorithm], int(name.rpartition("-s")[2]))
     return _OTHERS[zlib.crc32(name.encode()) % len(_OTHERS)]
+
+
+def _algorithm(name: str) -> str:
+    """That of a training; of anything else its name."""
+    training = _TRAINING.fullmatch(name)
+    return name if training is None else training["algorithm"]
+
+
+def _training_style(own: Style, seed: int) -> Style:
+    """Seed 0 looks as its algorithm, whose only training it is in most pictures."""
+    if seed == 0:
+        return own
+    again, first = divmod(seed - 1, len(_AGAIN_MARKERS))
+    return Style(own.colour, _AGAIN_MARKERS[first], _AGAIN_LINES[(seed + again) % len(_AGAIN_LINES)])
 
 
 def wheelset_style(place: int) -> Style:

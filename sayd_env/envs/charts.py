@@ -115,6 +115,12 @@ class Charts:
         return np.asarray(self._canvas.buffer_rgba())
 
 
+def _newest(value: float, digits: int) -> str:
+    """A number of no more signs than one below 10 has: there is no room for more beside the other's."""
+    whole = len(f"{abs(value):.{digits}f}".partition(".")[0])
+    return f"{value:.{max(digits + 1 - whole, 0)}f}"
+
+
 class _Panel:
     """Axes of a chart, and what moves in them."""
 
@@ -154,7 +160,7 @@ class _Panel:
         now = frame.time if self.film is None else 0.0
         for line, number, column in zip(self.lines, self.numbers, values.T, strict=True):
             line.set_data(frame.times - now, column)
-            number.set_text(f"{column[-1]:.{chart.digits}f}" if len(column) else "")
+            number.set_text(_newest(column[-1], chart.digits) if len(column) else "")
         limit = chart.scale * chart.limit(frame)
         largest = float(values.max(initial=0.0)) if self.film is None else chart.scale * self.film[1]
         needed = max(largest, 1.25 * limit, chart.least)

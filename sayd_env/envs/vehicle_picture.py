@@ -92,9 +92,13 @@ class VehiclePicture:
             canvas.line(np.vstack([outline, outline[:1]]), CAR_EDGE, 2.0)
             canvas.line(jagged, PANEL, 3.5)
             canvas.line(jagged, CAR_EDGE, 1.0)
-        for k in range(DAMPERS):
-            if k * BOGIES // DAMPERS in self.bogies:
-                self._damper(frame, k)
+        dampers = [k for k in range(DAMPERS) if k * BOGIES // DAMPERS in self.bogies]
+        for k in dampers:
+            self._damper(frame, k)
+        for k in dampers[::2]:
+            self._plate(k)
+        for k in dampers:
+            self._values(frame, k)
         canvas.clip(None)
         if frame.faults:
             words = ", ".join(frame.faults[:3]) + (", …" if len(frame.faults) > 3 else "")
@@ -111,11 +115,10 @@ class VehiclePicture:
         canvas.disc((float(now[0]), float(now[1])), 4.0, BOGIE_COLOURS[bogie])
 
     def _damper(self, frame: Frame, k: int) -> None:
-        """Draw a damper, its valve's bar and its force."""
+        """Draw a damper in the colour of its force, crossed out if it has a fault."""
         canvas = self.canvas
         bogie_end, car_end = self.placement.damper(frame, k)
-        force, fault = float(frame.damper_force[k]), frame.damper_faults.get(k)
-        colour = force_colour(force)
+        colour = force_colour(float(frame.damper_force[k]))
         along = bogie_end - car_end
         side = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9)
         half_way = car_end + 0.62 * along
@@ -127,19 +130,38 @@ class VehiclePicture:
         )
         for end in (bogie_end, car_end):
             canvas.disc((float(end[0]), float(end[1])), 3.5, INK)
-        middle_x, middle_y = view.centre
-        y = middle_y - view.scale * float(self.placement.plan.dampers[k, 0, 1])
-        before, length, after = self.bars
-        box = (middle_x + before, y, length, 1.15 * PAIR_OFFSET * view.scale)
-        self._bar(frame, k, box, colour)
-        words = f"{round(force * 1e-3, 1) + 0.0:+.1f} kN".replace("-", "\u2212")
-        canvas.text(words, (middle_x + before + length + after, y), 13, INK, align="right")
-        if fault is not None:
-            canvas.text(fault, (middle_x - before - 46, y), 12, BAD, align="right", bold=True)
+        if k in frame.damper_faults:
             for turn in ((1.0, 1.0), (1.0, -1.0)):
                 arm = 9.0 * np.array(turn)
                 middle = 0.5 * (bogie_end + car_end)
                 canvas.line(np.array([middle - arm, middle + arm]), BAD, 3.0)
+
+    def _height(self, k: int) -> float:
+        """Pixel of a damper's height in the picture, at rest."""
+        view = self.placement.views[k * BOGIES // DAMPERS]
+        return view.centre[1] - view.scale * float(self.placement.plan.dampers[k, 0, 1])
+
+    def _plate(self, k: int) -> None:
+        """Draw what valves and forces of a pair of dampers stand on: the frame swings as far as there."""
+        view = self.placement.views[k * BOGIES // DAMPERS]
+        low, high = sorted(map(self._height, (k, k + 1)))
+        half, width = PAIR_OFFSET * view.scale, sum(self.bars[1:]) + 12
+        plate = (view.centre[0] + self.bars[0] - 6, low - half, width, high - low + 2.0 * half)
+        self.canvas.box(plate, CAR, radius=4)
+        self.canvas.box(plate, NONE, radius=4, border=1)
+
+    def _values(self, frame: Frame, k: int) -> None:
+        """Draw a damper's valve and force."""
+        canvas, view = self.canvas, self.placement.views[k * BOGIES // DAMPERS]
+        force, fault = float(frame.damper_force[k]), frame.damper_faults.get(k)
+        before, length, after = self.bars
+        middle_x, y = view.centre[0], self._height(k)
+        left, right = middle_x + before, middle_x + before + length + after
+        self._bar(frame, k, (left, y, length, 1.15 * PAIR_OFFSET * view.scale), force_colour(force))
+        words = f"{round(force * 1e-3, 1) + 0.0:+.1f} kN".replace("-", "\u2212")
+        canvas.text(words, (right, y), 13, INK, align="right")
+        if fault is not None:
+            canvas.text(fault, (middle_x - before - 46, y), 12, BAD, align="right", bold=True)
 
     def _bar(self, frame: Frame, k: int, box: Box, colour: Colour) -> None:
         """Draw a valve: how far it is open, and what was asked; the box has its middle height at its top."""

@@ -104,13 +104,14 @@ def reference_line(axes: Axes, value: float, *, vertical: bool = False) -> None:
 
 def log_axis(axes: Axes, which: str = "y") -> None:
     """Make an axis logarithmic, as where costs differ a hundred times, with ticks that are plain numbers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: PLC0415 - as above
+    from matplotlib.ticker import FuncFormatter, NullFormatter  # noqa: PLC0415 - as above
+
+    from sayd_env.report.ticks import PlainTicks  # noqa: PLC0415
 
     axes.set(**{f"{which}scale": "log"})
     axis = axes.yaxis if which == "y" else axes.xaxis
-    low, high = sorted(axes.get_ylim() if which == "y" else axes.get_xlim())
-    near = low > 0.0 and high < 100.0 * low
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if near else (1.0,)))
+    axis.set_major_locator(PlainTicks())
+    axis.set_minor_locator(PlainTicks(minor=True))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

@@ -32,9 +32,9 @@ CLOSED, OPEN = 0.0, 1.0
 BRIGHTEST = 3.0
 """Ratio of J at which the colours of the picture end."""
 WORDS = {
-    "speed_kmh": "km/h",
+    "speed_kmh": "speed",
     "wheel": "wheels",
-    "gauge": "gauge (m)",
+    "gauge": "gauge",
     "friction": "friction",
     "level": "track level",
 }
@@ -196,11 +196,11 @@ class ConstantMap:
         """Heat maps over speed and wheels: the best command, and the ratio of the single one's J to its."""
         return {
             "map_best_constant": self._map(
-                lambda best: (best.current, f"{best.current:.2f}"), "best constant command", (0.0, 1.0)
+                lambda best: (best.current, f"{best.current:.2f}"), "best constant command (-)", (0.0, 1.0)
             ),
             "map_single": self._map(
                 lambda best: (min(best.J_single / best.J, BRIGHTEST), f"{best.J_single / best.J:.2f}"),
-                "J of the best single command over J of the best one",
+                "J of the single command / of the best one",
                 (1.0, BRIGHTEST),
             ),
         }
@@ -220,7 +220,7 @@ class ConstantMap:
         yield Listing(title, ADAPTATION, [self.adaptation(weight) for weight in self.costs])
         columns = [Column("where", "where")]
         columns += [Column(f"loss_{w:g}", f"k_F {w:g}", **_PERCENT) for w in self.costs]
-        where = [row | {"where": f"{WORDS[row['quantity']]} {row['value']}"} for row in self._where()]
+        where = [row | {"where": _in_words(row["quantity"], row["value"])} for row in self._where()]
         yield Listing("what the best for all costs", columns, where, "quantity")
         speeds = [Column(f"{kmh:g}", f"{kmh:g} km/h", digits=2) for kmh in self.config.speeds_kmh]
         first = next(iter(self.costs))
@@ -273,10 +273,17 @@ class ConstantMap:
             heat_maps,
             maps={f"k_F = {w:g}": [[cell(best) for best in bests] for _, bests in rows[w]] for w in rows},
             x=("speed (km/h)", [f"{kmh:g}" for kmh in self.config.speeds_kmh]),
-            y=("", [label for label, _ in first]),
+            y=("wheels, gauge (mm)", [label for label, _ in first]),
             values=values,
             span=span,
         )
+
+
+def _in_words(quantity: str, value: str | float) -> str:
+    """A value of a condition with its name and unit."""
+    factor, unit = {"speed_kmh": (1.0, " km/h"), "gauge": (1e3, " mm")}.get(quantity, (1.0, ""))
+    shown = value if isinstance(value, str) else f"{factor * value:g}{unit}"
+    return f"{WORDS[quantity]} {shown}"
 
 
 def constant_map(

@@ -185,7 +185,7 @@ class EvaluateResult:
         pictures = [
             Picture(
                 self._figure(*pair),
-                f"Policies over speed at wear {pair[0]:g} and friction {pair[1]:g}",
+                f"Policies over speed at wear {pair[0]:g} and friction {pair[1]:.3g}",
                 [_PICTURE_WORDS],
             )
             for pair in self._pairs
@@ -208,8 +208,8 @@ class EvaluateResult:
             if row["derailed"]:
                 console.print(
                     f"{DERAILED}: {row['policy']} at {row['speed_kmh']:g} km/h, wear {row['wear']:g}, "
-                    f"friction {row['friction']:g}: {row['derailed']} of {row['runs']} runs; they count with "
-                    "infinite ratios and with the environment's charge in J",
+                    f"friction {row['friction']:.3g}: {row['derailed']} of {row['runs']} runs; they count "
+                    "with infinite ratios and with the environment's charge in J",
                     markup=False,
                     style="red",
                 )
@@ -268,7 +268,7 @@ class EvaluateResult:
 
     def _draw(self, figure: Figure, wear: float, friction: float) -> None:
         figure.suptitle(
-            f"{self.scenario.vehicle.name}, wear {wear:g}, friction {friction:g}: medians and seeds"
+            f"{self.scenario.vehicle.name}, wear {wear:g}, friction {friction:.3g}: medians and seeds"
         )
         axes = panels(figure, len(_PANELS), 2, (5.0, 2.9), sharex=True)
         for axis, (name, title) in zip(axes, _PANELS.items(), strict=True):

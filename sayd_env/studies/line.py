@@ -210,7 +210,7 @@ class LineResult:
         for place in self.places:
             name = self._figure(place)
             tables = [Grid.of(each, lambda _, name=name: name) for each in self._listings(place)]  # type: ignore[misc]
-            heading = f"Wear {place.wear:g}, friction {place.friction:g}, {place.speed_kmh:g} km/h"
+            heading = f"Wear {place.wear:g}, friction {place.friction:.3g}, {place.speed_kmh:g} km/h"
             about = (
                 f"Line '{self.name}' at wear {place.wear:g}: what lies along it, and what policies make of it"
             )
@@ -287,9 +287,9 @@ class LineResult:
             if _place(run) == place and run.seed == seed:
                 _draw_run(axes[3:], run, record)
         for axis, name in zip(
-            axes[3:], ("command", "J", "running\nacceleration", "Y/Q, 2 m", "ΣY, 2 m"), strict=True
+            axes[3:], ("command (-)", "J", "running\nacceleration", "Y/Q, 2 m", "ΣY, 2 m"), strict=True
         ):
-            axis.set_ylabel(name if name in ("command", "J") else f"{name}\nover limit")
+            axis.set_ylabel(name if name in ("command (-)", "J") else f"{name}\nover limit")
         axes[3].set_ylim(-0.05, 1.05)
         log_axis(axes[4])
         for axis in axes[5:]:
@@ -461,14 +461,20 @@ def _draw_line(axes: Sequence[Axes], trip: Trip, gauge: float, friction: float) 
     s = np.union1d(np.arange(0.0, line.length, _STEP), line.length)
     km, first, second = 1e-3 * s, BLACK, VERMILION
     axes[0].plot(km, KMH * trip.speed_at(s), color=first)
-    axes[0].set_ylabel("km/h")
+    axes[0].set_ylabel("speed (km/h)")
     pairs = (
-        (axes[1], "1/km, left +", 1e3 * line.curvature.at(s), "cant (mm)", 1e3 * line.cant.at(s)),
+        (
+            axes[1],
+            "curvature\n(1/km, left +)",
+            1e3 * line.curvature.at(s),
+            "cant (mm)",
+            1e3 * line.cant.at(s),
+        ),
         (
             axes[2],
             "gauge (mm)",
             1e3 * (np.full(s.shape, gauge) if line.gauge is None else line.gauge.at(s)),
-            "friction",
+            "friction (-)",
             np.full(s.shape, friction) if line.friction is None else line.friction.at(s),
         ),
     )

@@ -15,8 +15,14 @@ from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.distribution import FixedDistribution
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.fault import DamperLost, Fault, PowerLost, ValveStuck
-from sayd_env.config.palette import policy_style
-from sayd_env.config.robustness import Axis, OperatingCondition, RobustnessConfig, single_faults
+from sayd_env.config.palette import SHADE, policy_style
+from sayd_env.config.robustness import (
+    Axis,
+    OperatingCondition,
+    Quantity,
+    RobustnessConfig,
+    single_faults,
+)
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.track import read_irregularity
 from sayd_env.config.units import KMH, Array
@@ -147,7 +153,8 @@ _PICTURES = (
         "J over each quantity",
         (
             "Largest J over the passive vehicle's with the same disturbance. Below the dashed line the "
-            "policy is better than passive dampers in every condition.",
+            "policy is better than passive dampers in every condition. Shaded: values of the runs without a "
+            "disturbance, over which their J is drawn as a level line.",
         ),
     ),
     (
@@ -325,19 +332,36 @@ class RobustnessResult:
 
     def _draw_axes(self, figure: Figure) -> None:
         """The largest ratio to the passive vehicle over each quantity."""
-        axes = panels(figure, len(self.config.axes), 2, (5.0, 3.2))
+        axes = panels(figure, len(self.config.axes), 2, (5.0, 3.2), sharey=True)
+        environment = load_environment(self.config.environment)
         for panel, axis in zip(axes, self.config.axes, strict=True):
-            places = range(len(axis.values) + 1)
+            trained = _as_trained(axis.quantity, self.config.conditions, environment)
+            if trained[0] < trained[1]:
+                panel.axvspan(*trained, color=SHADE, zorder=0.5, label="as trained")
             for policy in self.policies:
-                found = {e.disturbance: e.to_passive for e in self.outcomes if e.policy == policy}
-                titles = [UNDISTURBED, *(disturbance_of(axis, value).title for value in axis.values)]
-                panel.plot(
-                    places, [found[t] for t in titles], label=label(policy), **policy_style(policy).drawn
-                )
-            panel.set_xticks(places, ["as trained", *(f"{value:g}" for value in axis.values)])
-            panel.set(xlabel=axis.name, ylabel="J / passive, worst condition")
-            self._ratio_axis(panel, 1.0, "y")
-        legend_below(figure, axes[0])
+                self._draw_over(panel, axis, policy, trained)
+            panel.set_xticks(sorted({*axis.values, *trained}))
+            panel.xaxis.set_major_formatter("{x:g}")
+            panel.set_xlabel(f"{axis.name} ({_UNITS[axis.quantity]})")
+            self._ratio_axis(panel, 1.0, "y", "passive")
+        for panel in axes[::2]:
+            panel.set_ylabel("J / passive, worst condition")
+        legend_below(figure, *axes)
+
+    def _draw_over(self, panel: Axes, axis: Axis, policy: str, trained: tuple[float, float]) -> None:
+        """Draw a policy over the values of an axis, and level over those that it is trained for."""
+        found = {each.disturbance: each.to_passive for each in self.outcomes if each.policy == policy}
+        points = {value: found[disturbance_of(axis, value).title] for value in axis.values}
+        own = found[UNDISTURBED]
+        style = policy_style(policy).drawn | _OPEN
+        if any(trained[0] <= value <= trained[1] for value in points):  # no place of its own
+            panel.plot(trained, [own, own], **style | {"marker": "", "linewidth": 1.0})
+        else:
+            points |= dict.fromkeys(trained, own)
+        places = sorted(points)
+        marked = [place for place, x in enumerate(places) if x in axis.values or trained[0] == trained[1]]
+        values = [points[x] for x in places]
+        panel.plot(places, values, markevery=marked, label=label(policy), **style)
 
     def _draw_faults(self, figure: Figure) -> None:
         """The largest ratio to the passive vehicle with each fault."""
@@ -347,18 +371,48 @@ class RobustnessResult:
         axes.grid(alpha=0.3)
         for policy in self.policies:
             found = {e.disturbance: e.to_passive for e in self.outcomes if e.policy == policy}
-            style = policy_style(policy)
             values = [found[title] for title in titles]
-            axes.plot(values, range(len(titles)), style.marker, color=style.colour, label=label(policy))
+            style = policy_style(policy).drawn | _OPEN | {"linestyle": "none"}
+            axes.plot(values, range(len(titles)), label=label(policy), **style)
         name_rows(axes, titles)
         axes.set_xlabel("J / passive with the same fault, worst condition")
-        self._ratio_axis(axes, self.config.asked.to_passive, "x")
+        most = self.config.asked.to_passive
+        self._ratio_axis(axes, most, "x", f"asked: at most {most:g}")
         legend_below(figure, axes, columns=3)
 
     @staticmethod
-    def _ratio_axis(axes: Axes, limit: float, which: str) -> None:
-        limit_line(axes, limit, vertical=which == "x")
+    def _ratio_axis(axes: Axes, limit: float, which: str, name: str) -> None:
+        limit_line(axes, limit, name, vertical=which == "x")
         log_axis(axes, which)
+
+
+_OPEN: dict[str, Any] = {"markerfacecolor": "none", "markeredgewidth": 1.3}
+"""Markers through which those of equal values are seen."""
+_UNITS: Mapping[Quantity, str] = {
+    "sensor_noise": "factor",
+    "delay": "s",
+    "lag": "factor on the time constant",
+    "wear": "-",
+    "friction": "-",
+    "payload": "share of the carbody's mass",
+}
+
+
+def _as_trained(
+    quantity: Quantity, conditions: Iterable[OperatingCondition], environment: EnvironmentConfig
+) -> tuple[float, float]:
+    """Least and largest value of a quantity in the runs without a disturbance."""
+    match quantity:
+        case "delay":
+            return 0.0, 0.0
+        case "lag":
+            return 1.0, 1.0
+        case "wear" | "friction":
+            own = [getattr(each, quantity) for each in conditions]
+            return min(own), max(own)
+        case _:
+            low, high = getattr(environment.randomisation, quantity).bounds
+            return low, high
 
 
 def _picture_of(outcome: Outcome) -> str | None:

@@ -23,7 +23,7 @@ from sayd_env.config.errors import Interrupted
 from sayd_env.config.palette import policy_style
 from sayd_env.config.storage import reserved, write_file
 from sayd_env.report.columns import Column, Table, print_table
-from sayd_env.report.figures import Plot, panels
+from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.context import Progress, silent
 
 if TYPE_CHECKING:
@@ -94,10 +94,14 @@ class SeedsResult:
 
     def _draw(self, figure: Figure) -> None:
         (axes,) = panels(figure, 1, size=(8.0, 4.5))
-        style = policy_style(self.algorithm)
-        for rows in self.evaluations.values():
-            axes.plot([r["steps"] for r in rows], [r[self.criterion] for r in rows], color=style.colour)
-        axes.set(xlabel="steps", ylabel="J of the scenarios", ylim=(0.0, None), title=self.algorithm)
+        for seed, rows in self.evaluations.items():
+            name = f"{self.algorithm}-s{seed}"
+            millions = [r["steps"] / 1e6 for r in rows]
+            costs = [r[self.criterion] for r in rows]
+            axes.plot(millions, costs, label=name, markersize=4, **policy_style(name).drawn)
+        axes.set(xlabel="steps (millions)", ylabel="J of the scenarios", title=self.algorithm)
+        axes.set_ylim(bottom=0.0)
+        legend_below(figure, axes)
 
 
 def train_seeds(

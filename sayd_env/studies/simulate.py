@@ -161,7 +161,8 @@ class SimulateResult:
         pictures = [
             Picture(quantity, f"{quantity} over time", self._words(quantity)) for quantity in self._quantities
         ]
-        numbers = Grid.of(Listing("", COLUMNS, self.rows), lambda row: str(row["name"]).partition(".")[0])
+        shown = [{**row, "unit": _shown(str(row["unit"]))} for row in self.rows]
+        numbers = Grid.of(Listing("", COLUMNS, shown), lambda row: str(row["name"]).partition(".")[0])
         sections = [
             Section("Run", [Grid.facts(known), Text(span)]),
             Section("Signals over time", pictures),
@@ -185,7 +186,7 @@ class SimulateResult:
         groups = [
             {
                 "quantity": quantity,
-                "unit": QUANTITIES[quantity].unit,
+                "unit": _shown(QUANTITIES[quantity].unit),
                 "count": len(rows),
                 "minimum": min(row["minimum"] for row in rows),
                 "maximum": max(row["maximum"] for row in rows),
@@ -218,7 +219,7 @@ class SimulateResult:
 
     def _words(self, quantity: str) -> list[str]:
         about = QUANTITIES[quantity]
-        return [f"{quantity} ({about.unit}): {about.meaning}", f"Right: the last {CLOSE:g} s."]
+        return [f"{quantity} ({_shown(about.unit)}): {about.meaning}", f"Right: the last {CLOSE:g} s."]
 
     def _draw(self, rows: Sequence[Mapping[str, Any]], figure: Figure) -> None:
         parts = list(_panels(rows))
@@ -228,7 +229,7 @@ class SimulateResult:
             _draw_panel(whole, part, self.curves)
             _draw_panel(close, part, self.close)
             reference_line(whole, 0.0, vertical=True)
-            whole.set_ylabel(str(part[0]["unit"]))
+            whole.set_ylabel(_shown(str(part[0]["unit"])))
             close.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
         for axis in axes[-2:]:
             axis.set_xlabel("time (s)")
@@ -398,6 +399,11 @@ def _statistics(found: History) -> Iterator[dict[str, Any]]:
             "mean": float(these.mean()),
             "rms": float(np.sqrt(np.mean(these**2))),
         }
+
+
+def _shown(unit: str) -> str:
+    """A unit as pictures and words have it; files keep to ASCII."""
+    return unit.replace("s2", "s²")
 
 
 def _panels(rows: Sequence[Mapping[str, Any]]) -> Iterator[list[Mapping[str, Any]]]:

@@ -80,7 +80,10 @@ def test_a_learning_curve_shows_the_gain():
     assert low < 0.0
     assert high > 3.0
     assert 0.5 * (high - low) < 3.0
-    assert axes.get_legend_handles_labels()[1] == ["ppo-s0", "a (0.0 %)", "mppt2 (-22.0 %)"]
+    assert axes.get_legend_handles_labels()[1] == [
+        *("ppo-s0", "a (0.0 %)", "below the axis: mppt2 (-22.0 %)")
+    ]
+    assert len(axes.lines[-1].get_xdata()) == 0  # a line of the legend that is nowhere would be looked for
 
 
 def test_a_learning_curve_without_controllers_begins_at_its_first_evaluation():

@@ -27,7 +27,7 @@ from sayd_env.envs.single import SaydEnv
 pytest.importorskip("pygame")
 
 from sayd_env.envs import rendering, vehicle_picture
-from sayd_env.envs.charts import ACCELERATION, FORCE, VALVE, Charts
+from sayd_env.envs.charts import ACCELERATION, FORCE, VALVE, Charts, _newest
 from sayd_env.envs.plan_view import View, displaced, rectangle
 from sayd_env.envs.rendering import FRONT, HEIGHT, REAR, SCALE, WIDTH, Renderer, force_colour
 
@@ -155,10 +155,11 @@ def test_a_shifted_bogie_is_drawn_shifted(quick: str) -> None:
     recorder = watched(quick, 1)
     renderer, frame = Renderer(recorder), recorder.frame()
     still = picture(renderer, at_rest(frame))
-    moved = picture(renderer, at_rest(frame, frame_front=Pose(0.0, 0.006, 0.0)))
-    # 6 mm to the left, twenty times as large: 11.4 pixels up at 95 pixels in a metre.
+    moved = picture(renderer, at_rest(frame, frame_front=Pose(0.0, 0.004, 0.0)))
+    # 4 mm to the left, twenty times as large: 7.6 pixels up at 95 pixels in a metre; farther up it is hidden
+    # in part by what the dampers' values stand on.
     shift = middle_of(moved, FRONT) - middle_of(still, FRONT)
-    np.testing.assert_allclose(shift, [0.0, -0.006 * 20.0 * SCALE], atol=0.6)
+    np.testing.assert_allclose(shift, [0.0, -0.004 * 20.0 * SCALE], atol=0.6)
     np.testing.assert_allclose(middle_of(moved, REAR), middle_of(still, REAR), atol=0.05)
 
 
@@ -359,6 +360,30 @@ def test_the_charts_are_matplotlib_s(quick: str) -> None:
         assert panel.axes.get_ylim()[1] >= values.max()
     limits = [panel.limit.get_ydata()[0] for panel in charts._panels]
     np.testing.assert_allclose(limits[:2], [frame.acceleration_limit, 1e-3 * frame.force_reference])
+
+
+def test_newest_values_have_room_beside_each_other() -> None:
+    """Below 10 two digits behind the point, above as many signs as there."""
+    found = [_newest(value, 2) for value in (0.0, 9.99, 9.996, 12.64, 123.4)]
+    assert found == ["0.00", "9.99", "10.0", "12.6", "123"]
+
+
+def test_bars_and_words_are_not_covered_by_a_frame_that_swings(quick: str) -> None:
+    """Where a valve's bar is, nothing else is drawn, however far the bogie turns."""
+    recorder = watched(quick, 1)
+    frame, renderer = recorder.frame(), Renderer(recorder)
+    turned = replace(frame, poses=frame.poses | {"frame.front": Pose(0.0, 0.006, 0.006)})
+    left, top, width, height = (int(value) for value in rendering.ROAD)
+    before, length, after = vehicle_picture.BARS
+    middle = left + round(0.75 * width + before)  # the front bogie has the right half
+    ends = middle - 4, middle + round(length + after)
+    rows = [round(top + 0.5 * height - SCALE * float(y)) for y in renderer.placement.plan.dampers[:4, 0, 1]]
+    still, moved = picture(renderer, frame), picture(renderer, turned)
+    assert np.any(still != moved)
+    for y in rows:
+        np.testing.assert_array_equal(
+            still[y - 5 : y + 6, ends[0] : ends[1]], moved[y - 5 : y + 6, ends[0] : ends[1]]
+        )
 
 
 def test_what_moves_in_a_chart_leaves_no_trace(quick: str) -> None:

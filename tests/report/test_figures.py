@@ -118,14 +118,25 @@ def test_a_band_reaches_from_the_lowest_to_the_highest_around_the_medians():
         assert (at.min(), at.max()) == (low, high)
 
 
-def test_a_cost_axis_has_plain_numbers():
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0.01, 10.0, {"0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5", "10"}),
+        (0.013, 4.0, {"0.02", "0.05", "0.1", "0.2", "0.5", "1", "2"}),  # more than two decades
+        (0.013, 0.09, {"0.015", "0.02", "0.03", "0.05", "0.07"}),
+        (0.8, 1.9, {"0.8", "1", "1.2", "1.4", "1.6", "1.8"}),  # less than a factor of 5: as a linear axis
+        (1e-4, 100.0, {"0.0001", "0.001", "0.01", "0.1", "1", "10", "100"}),
+    ],
+)
+def test_a_cost_axis_has_plain_numbers(low: float, high: float, expected: set[str]):
     figure = Figure()
     (axes,) = panels(figure, 1)
-    axes.plot([0, 1], [0.01, 10.0])
+    axes.plot([0, 1], [low, high])
     log_axis(axes)
+    axes.set_ylim(low, high)  # ticks follow limits that are set afterwards
     figure.draw_without_rendering()
-    shown = {tick.label1.get_text() for tick in axes.yaxis.get_major_ticks()}
-    assert {"0.01", "0.1", "1", "10"} <= shown
+    ticks = axes.yaxis.get_major_ticks()
+    assert {t.label1.get_text() for t in ticks if low <= t.get_loc() <= high * (1.0 + 1e-9)} == expected
 
 
 def test_limits_are_dashed_and_maps_hold_their_words():

@@ -9,7 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from sayd_env.cli import main
@@ -29,6 +31,7 @@ from sayd_env.studies.robustness import (
     UNDISTURBED,
     Disturbance,
     RobustnessResult,
+    _as_trained,
     _Study,
     disturbance_of,
     robustness,
@@ -174,6 +177,42 @@ def test_a_result_is_shown(read_page: Callable[[str], Any]) -> None:
     assert page.pictures == [drawings["robustness_axes"].png, drawings["robustness_faults"].png]
     assert "power lost" in page.text
     assert len(result.tables()["runs"][1]) == 5 * 3 * 2  # type: ignore[arg-type]
+
+
+def test_quantities_have_their_true_places_and_what_was_trained_is_a_span() -> None:
+    """Conditions of wear 1.0 and 0.7: level over this span as without a disturbance, then to 1.1."""
+    figure = Figure()
+    made_up(RESULT).plots()["robustness_axes"](figure)
+    (panel,) = figure.axes
+    assert panel.get_xlabel() == "wear (-)"
+    assert list(panel.get_xticks()) == [0.7, 1.0, 1.1]
+    line = next(line for line in panel.lines if line.get_label() == "bad")
+    np.testing.assert_array_equal(line.get_xdata(), [0.7, 1.0, 1.1])
+    np.testing.assert_allclose(line.get_ydata(), 1.05)
+    assert line.get_markevery() == [2]  # a marker where there is a value
+    assert line.get_markerfacecolor() == "none"
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert {"as trained", "passive", "good", "bad", "off"} == {*names}
+
+
+def test_what_is_asked_with_a_fault_is_in_the_legend() -> None:
+    figure = Figure()
+    made_up(RESULT).plots()["robustness_faults"](figure)
+    assert "asked: at most 2" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "low", "high"),
+    [
+        *(("delay", 0.0, 0.0), ("lag", 1.0, 1.0), ("wear", 0.5, 1.0), ("friction", 0.25, 0.45)),
+        *(("sensor_noise", 0.5, 2.0), ("payload", -0.17, 0.0)),
+    ],
+)
+def test_spans_are_those_of_conditions_and_environment(quantity: Any, low: float, high: float) -> None:
+    """As the comments of robustness.yaml say."""
+    config = load_robustness()
+    environment = load_environment(config.environment)
+    assert _as_trained(quantity, config.conditions, environment) == pytest.approx((low, high))
 
 
 @pytest.fixture(scope="module")

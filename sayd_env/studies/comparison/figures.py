@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,11 +38,13 @@ def draw(result: Comparison, figure: Figure) -> None:
         f"{len(result.grid.conditions)} conditions x {len(config.seeds)} seeds, J on line"
         + (", --quick: a look, no result" if result.quick else "")
     )
-    axes = panels(figure, 6, 3, (5.0, 4.5))
-    drawn = (_speeds, _profiles, _iqms, _trainings, _bounds, _reductions)
+    drawn: list[Callable[[Comparison, Axes], None]] = [_speeds, _profiles, _iqms, _trainings, _bounds]
+    if _opponents(result)[1]:
+        drawn.append(_reductions)
+    axes = panels(figure, len(drawn), 3, (5.0, 4.5))
     for draw_panel, panel in zip(drawn, axes, strict=True):
         draw_panel(result, panel)
-    legend_below(figure, axes[0], columns=6)
+    legend_below(figure, axes[0], axes[-1], columns=6)
 
 
 def _speeds(result: Comparison, axes: Axes) -> None:
@@ -82,6 +85,7 @@ def _profiles(result: Comparison, axes: Axes) -> None:
         axes.fill_between(THRESHOLDS, low, high, color=style.colour, alpha=0.15, linewidth=0.0)
     reference_line(axes, 1.0, vertical=True)
     axes.set(title="share of the runs with J / J of MPPT2 up to x", xlabel="x", ylabel="share")
+    axes.set_ylim(-0.03, 1.03)
 
 
 def _iqms(result: Comparison, axes: Axes) -> None:
@@ -127,24 +131,43 @@ def _controlled(result: Comparison) -> dict[str, Score]:
     return {name: found for name, found in result.scores[OWN].items() if name != "passive"}
 
 
-def _reductions(result: Comparison, axes: Axes) -> None:
-    """How far J lies below the best tuned controller's, or the paper's best, by part and way of taking J."""
-    chosen = [each.name for each in result.entrants if each.learned] or list(_controlled(result))
-    ways = {
+def _opponents(result: Comparison) -> tuple[str, list[str]]:
+    """Whose best controller J is held against, and of whom: learned policies, without any all controllers."""
+    learned = [each.name for each in result.entrants if each.learned]
+    scores = _ways(result).values()
+    chosen = learned or list(_controlled(result))
+    tuned = all("tuned" in found[name].best_of for found in scores for name in chosen)
+    group = "tuned" if tuned else "paper"
+    # The best one is not held against itself.
+    return group, [
+        name for name in chosen if any(found[name].best_of[group].geometric != name for found in scores)
+    ]
+
+
+def _ways(result: Comparison) -> dict[str, Mapping[str, Score]]:
+    """Scores by part and way of taking J."""
+    return {
         f"{part}, {_WORDS[variant.filter]}, k_F x {variant.factor:g}": found
         for part, scores in result.parts.items()
         for variant, found in scores.items()
         if variant.factor in result.config.force_weights
     }
-    tuned = all("tuned" in found[name].best_of for found in ways.values() for name in chosen)
-    group, words = ("tuned", "best tuned controller's") if tuned else ("paper", "best of the paper's")
+
+
+def _reductions(result: Comparison, axes: Axes) -> None:
+    """How far J lies below the best tuned controller's, or the paper's best, by part and way of taking J."""
+    ways, (group, chosen) = _ways(result), _opponents(result)
+    words = {"tuned": "best tuned controller's", "paper": "best of the paper's"}[group]
     for k, name in enumerate(chosen):
         for i, found in enumerate(ways.values()):
             place = i + 0.6 * ((k + 0.5) / len(chosen) - 0.5)
             best = found[name].best_of[group].geometric
-            _draw_estimate(axes, found[name].geometric_by_controller[best], place, name, 100.0)
+            if best != name:
+                _draw_estimate(axes, found[name].geometric_by_controller[best], place, name, 100.0)
     reference_line(axes, 0.0, vertical=True)
-    limit_line(axes, 100 * LEAST_REDUCTION[group], vertical=True)
+    if any(each.learned for each in result.entrants):
+        asked = 100.0 * LEAST_REDUCTION[group]
+        limit_line(axes, asked, f"asked of learned policies: {asked:g} % below", vertical=True)
     name_rows(axes, list(ways))
     axes.set(title=f"J below the {words}", xlabel="%, geometric mean")
 

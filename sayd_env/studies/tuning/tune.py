@@ -29,6 +29,7 @@ from sayd_env.studies.tuning.search import best_of, draw_costs, minimise, proven
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from pydantic.fields import FieldInfo
     from rich.console import Console
 
 REFERENCE = "reference"
@@ -199,8 +200,7 @@ class TuneResult:
         for name, info in type(own).model_fields.items():
             if name == "provenance":
                 continue
-            extra = info.json_schema_extra
-            unit = extra.get("unit") if isinstance(extra, dict) else None
+            unit = _unit(info)
             value: Any = getattr(tuned, name)
             found = [gain for gain in ranges if gain.partition(".")[0] == name]
             spans = dict.fromkeys(ranges[gain].text for gain in found)
@@ -234,7 +234,8 @@ class TuneResult:
         if len(names) == 1:
             places = [e.gains[names[0]] for e in self.tried]
             axes.plot(places, [e.cost for e in self.tried], "o", markersize=4)
-            axes.set_xlabel(names[0])
+            fields = type(load_controller(self.controller)).model_fields
+            axes.set_xlabel(f"{names[0]} ({_unit(fields[names[0].partition('.')[0]]) or '-'})")
         else:
             draw_costs(axes, self.tried)
         for name, e in self.references.items():
@@ -242,6 +243,12 @@ class TuneResult:
                 axes.axhline(e.cost, linewidth=1.0, label=label(name), **policy_style(name).plain)
         axes.set(ylabel=f"{self.settings.mean} mean of J", title=self.title)
         log_axis(axes)
+
+
+def _unit(field: FieldInfo) -> str | None:
+    """Of a number of a configuration."""
+    extra = field.json_schema_extra
+    return str(extra["unit"]) if isinstance(extra, dict) and "unit" in extra else None
 
 
 HEAD = """\
