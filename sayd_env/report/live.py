@@ -85,8 +85,9 @@ def live_figure(figure: Figure) -> dict[str, Any]:
     -------
     dict
         ``title``; ``data`` and ``layout`` of Plotly, the axes without domains; and ``panels``: of each its
-        axes, its row and column, how many columns there are, where it begins and what it takes of their
-        width, its height over its width, the name of its x-axis, and whether both axes have one scale.
+        axes, its row and column, how many columns it spans and how many there are, where it begins and what
+        it takes of their width, its height over its width, the name of its x-axis, and whether both axes
+        have one scale.
     """
     return _Converter().whole(figure)
 
@@ -157,6 +158,7 @@ class _Converter:
             **panel.on(),
             "row": spec.rowspan.start,
             "column": columns[0],
+            "span": len(columns),
             "columns": grid.ncols,
             "left": sum(widths[: columns[0]]) / sum(widths),
             "share": sum(widths[k] for k in columns) / sum(widths),
