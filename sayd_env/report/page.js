@@ -203,7 +203,8 @@
 
   async function draw(box, figure, width) {
     let now = placed(figure, width);
-    now.data.forEach((trace, k) => { trace.visible = box.data?.[k].visible; });
+    // What a reader has hidden stays so.
+    now.data.forEach((trace, k) => { if (box.data?.[k].visible) trace.visible = box.data[k].visible; });
     await Plotly.react(box, now.data, now.layout, config);
     const legend = box.querySelector(".legend .bg")?.getBoundingClientRect().height;
     if (!legend || Math.abs(legend - now.legend) < 2) return;
