@@ -48,7 +48,7 @@
       cells.filter((c) => c.column <= k && k < c.column + c.span).reduce((a, b) => (b.line >= a.line ? b : a))));
     for (const c of cells) {
       if (!c.x.title && (narrow || lowest.has(c)) && c.name) c.x.title = { text: c.name };
-      if (c.x.title) c.x.title.text = wrapped(c.x.title.text, c.wide + (narrow ? 2 * EDGE : 0), TITLE);
+      if (c.x.title) c.x.title.text = wrapped(c.x.title.text, c.wide + (narrow ? 2 * Math.min(margin.l, margin.r) - 4 : 0), TITLE);
       c.below = tickRoom(c.x, c.wide) + (c.x.title ? 4 + TITLE_LINE * lineCount(c.x.title.text) : 0);
       c.above = c.title ? 6 + LINE * lineCount(c.title.text) : 6;
     }
@@ -161,9 +161,9 @@
 
   // Names in their rows, above what the rows show.
   function rowNames(c) {
-    Object.assign(c.y, { showticklabels: false });
-    const up = Math.sign(c.y.range[1] - c.y.range[0]);
-    return c.y.ticktext.map((text, k) => ({ text, xref: `${c.xaxis} domain`, yref: c.yaxis, x: 0, xanchor: "left",
+    const names = c.y.ticktext, up = Math.sign(c.y.range[1] - c.y.range[0]);
+    c.y.ticktext = names.map(() => "");
+    return names.map((text, k) => ({ text, xref: `${c.xaxis} domain`, yref: c.yaxis, x: 0, xanchor: "left",
       y: c.y.tickvals[k] + 0.5 * up, yanchor: "top", showarrow: false, font: { size: SIZE - 1 }, borderpad: 0 }));
   }
 
