@@ -12,7 +12,7 @@ import gzip
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from html import escape
 from importlib.resources import files
 from string import Template
@@ -21,6 +21,8 @@ from typing import Any, Protocol, TypeAlias
 from sayd_env.report.columns import Listing, is_numeric, styled
 from sayd_env.report.figures import Drawing
 
+_SHORT = 10  # characters of a cell that is not broken
+_MANY = 12  # columns, beyond which a table is printed smaller
 Drawings: TypeAlias = Mapping[str, Drawing]
 """Figures by the names of a result's plots."""
 
@@ -72,7 +74,7 @@ class Grid:
     parts: Sequence[Sequence[Sequence[Cell]]]
     """Rows, in parts that belong together."""
     links: Mapping[tuple[int, int], str] = field(default_factory=dict)
-    """The figure in which a row is seen, by its part and place."""
+    """The figure in which a row is seen, by its part and place: the first cell with a text leads there."""
     right: frozenset[int] = frozenset()
     """Columns of numbers."""
     title: str = ""
@@ -85,7 +87,7 @@ class Grid:
         ----------
         listing : Listing
         figure : callable, optional
-            Name of the figure in which a row is seen: its first cell leads there.
+            Name of the figure in which a row is seen.
         """
         columns, rows = listing.columns, listing.rows
         shown = [column for column in columns if column.header]
@@ -123,7 +125,8 @@ class Grid:
         body = "".join(f'<tbody class="part">\n{rows}</tbody>\n' for rows in parts)
         above = f"<h3>{escape(self.title)}</h3>\n" if self.title else ""
         top = f"<thead><tr>{head}</tr></thead>\n" if self.header else ""
-        return f'{above}<div class="wide"><table>\n{top}{body}</table></div>'
+        many = ' class="many"' if len(self.header) > _MANY else ""
+        return f'{above}<div class="wide"><table{many}>\n{top}{body}</table></div>'
 
     def _row(self, place: tuple[int, int], row: Sequence[Cell], drawings: Drawings) -> str:
         if self.header and len(row) != len(self.header):
@@ -131,7 +134,9 @@ class Grid:
         figure = self.links.get(place)
         cells = [escape(cell.text) for cell in row]
         if figure in drawings:
-            cells[0] = f'<a href="#{_anchor(str(figure))}">{cells[0] or "figure"}</a>'
+            # Where rows have what their part has in common once, the first cell of the others is empty.
+            first = next((k for k, text in enumerate(cells) if text), 0)
+            cells[first] = f'<a href="#{_anchor(str(figure))}">{cells[first] or "figure"}</a>'
         texts = (
             f"<td{self._class(k, cell.style)}>{text}</td>"
             for k, (cell, text) in enumerate(zip(row, cells, strict=True))
@@ -139,8 +144,16 @@ class Grid:
         mark = ' class="marked"' if any("red" in cell.style for cell in row) else ""
         return f"<tr{mark}>{''.join(texts)}</tr>\n"
 
+    @cached_property
+    def _short(self) -> frozenset[int]:
+        """Columns of words that are too short to be broken, such as ``> 430``."""
+        rows = [row for part in self.parts for row in part]
+        columns = range(min(map(len, rows), default=0))
+        return frozenset(k for k in columns if all(len(row[k].text) <= _SHORT for row in rows)) - self.right
+
     def _class(self, column: int, style: str = "") -> str:
-        names = " ".join(filter(None, (style, "number" if column in self.right else "")))
+        kind = "number" if column in self.right else "short" if column in self._short else ""
+        names = " ".join(filter(None, (style, kind)))
         return f' class="{names}"' if names else ""
 
 

@@ -40,7 +40,7 @@ _STEPS = MappingProxyType({"steps-post": "hv", "steps-pre": "vh", "steps": "vh",
 
 
 def extremes(x: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
-    """Least and largest value in parts of a long signal, so that no peak is lost.
+    """Least and largest value in parts of a long signal, each at its own place, so that no peak is lost.
 
     Parameters
     ----------
@@ -52,13 +52,30 @@ def extremes(x: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]
     Returns
     -------
     x, y : ndarray
-        The middle of each part, twice, and its two values.
+        Points of the signal in their own order, its first and its last among them. Parts without a number
+        keep one that is none.
     """
     if len(x) <= most:
         return x, y
-    edges = np.linspace(0, len(x), max(1, most // 2) + 1).astype(int)
-    values = [np.fmin.reduceat(y, edges[:-1]), np.fmax.reduceat(y, edges[:-1])]
-    return np.repeat(x[(edges[:-1] + edges[1:]) // 2], 2), np.column_stack(values).ravel()
+    edges = np.linspace(0, len(x), max(1, most // 2 - 1) + 1).astype(int)
+    first, part = edges[:-1], np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+    kept = [np.array([0, len(x) - 1])]
+    for extreme in (np.fmin, np.fmax):
+        hits = np.flatnonzero(y == extreme.reduceat(y, first)[part])
+        found, places = np.unique(part[hits], return_index=True)
+        own = first.copy()
+        own[found] = hits[places]
+        kept.append(own)
+    chosen = np.unique(np.concatenate(kept))
+    return x[chosen], y[chosen]
+
+
+def _within(x: Array, y: Array, limits: tuple[float, float]) -> tuple[Array, Array]:
+    """What a panel with these limits shows of a signal, and the point before and behind it."""
+    low, high = sorted(limits)
+    begin = int(np.searchsorted(x, low, "left")) - 1
+    end = int(np.searchsorted(x, high, "right")) + 1
+    return x[max(begin, 0) : end], y[max(begin, 0) : end]
 
 
 def live_figure(figure: Figure) -> dict[str, Any]:
@@ -68,8 +85,9 @@ def live_figure(figure: Figure) -> dict[str, Any]:
     -------
     dict
         ``title``; ``data`` and ``layout`` of Plotly, the axes without domains; and ``panels``: of each its
-        axes, its row and column, how many columns there are, where it begins and what it takes of their
-        width, its height over its width, the name of its x-axis, and whether both axes have one scale.
+        axes, its row and column, how many columns it spans and how many there are, where it begins and what
+        it takes of their width, its height over its width, the name of its x-axis, and whether both axes
+        have one scale.
     """
     return _Converter().whole(figure)
 
@@ -140,6 +158,7 @@ class _Converter:
             **panel.on(),
             "row": spec.rowspan.start,
             "column": columns[0],
+            "span": len(columns),
             "columns": grid.ncols,
             "left": sum(widths[: columns[0]]) / sum(widths),
             "share": sum(widths[k] for k in columns) / sum(widths),
@@ -195,8 +214,10 @@ class _Converter:
         if not all(own):
             self._limit(panel, line, (x, y), own)
             return
-        # Extremes are taken of what runs along x, as a history does; a loop is shown whole.
-        x, y = extremes(x, y) if np.all(np.diff(x) >= 0.0) else (x, y)
+        # Extremes are taken of what runs along x, as a history does; a loop is shown whole. A panel that
+        # shows a detail gets all its points for that.
+        if len(x) > MOST_POINTS and np.all(np.diff(x) >= 0.0):
+            x, y = extremes(*_within(x, y, panel.axes.get_xlim()))
         if len(x) == 0:
             return
         dash, marker = _DASHES.get(line.get_linestyle()), _MARKERS.get(line.get_marker())

@@ -172,8 +172,9 @@ class EvaluateResult:
 
     def page(self) -> Page:
         """Which policy is best, tables of all conditions, and the pictures."""
+        first = self._pairs[0]  # a policy over all conditions is seen from the first figure on
         costs, dampers, policies = (
-            Grid.of(each, lambda row: self._figure(row["wear"], row["friction"]) if "wear" in row else None)
+            Grid.of(each, lambda row: self._figure(row.get("wear", first[0]), row.get("friction", first[1])))
             for each in self._listings()
         )
         standings = [

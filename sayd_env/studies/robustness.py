@@ -247,7 +247,12 @@ class RobustnessResult:
             f"{self._asked}"
         )
         verdicts, *missed = self._listings()
-        met = {row["policy"]: (row["faults_met"] + row["others_met"]) for row in self.verdicts}
+        # A policy's faults are its longest story.
+        tables = [
+            Grid.of(verdicts, lambda _: "robustness_faults"),
+            *(Grid.of(each, _picture_of) for each in missed),
+        ]
+        met = {row["policy"]: row["faults_met"] + row["others_met"] for row in self.verdicts}
         each_of = len(self.disturbances)
         names = sorted(met, key=lambda policy: -met[policy])
         verdict = Verdict(
@@ -257,7 +262,7 @@ class RobustnessResult:
         everything = Listing("all outcomes", OUTCOMES, self.outcomes, "policy")
         pictures = [Picture(*each) for each in _PICTURES if each[0] in self.plots()]
         sections = [
-            Section("What is asked, and met", [Text(words), *map(Grid.of, (verdicts, *missed))]),
+            Section("What is asked, and met", [Text(words), *tables]),
             Section("Pictures", pictures),
             Section("All outcomes", [Grid.of(everything, _picture_of)]),
         ]
@@ -416,8 +421,8 @@ def _as_trained(
 
 
 def _picture_of(outcome: Outcome) -> str | None:
-    """The figure in which an outcome is seen."""
-    return {FAULT: "robustness_faults", UNDISTURBED: None}.get(outcome.axis, "robustness_axes")
+    """The figure in which an outcome is seen; the one without a disturbance begins each axis."""
+    return "robustness_faults" if outcome.axis == FAULT else "robustness_axes"
 
 
 def asked_text(to_passive: float, to_best_constant: float, worse_than_passive: float) -> str:

@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sayd_env.config.bound import load_bound
 from sayd_env.config.comparison import load_comparison
 from sayd_env.config.environment import load_environment
 from sayd_env.config.hindsight import load_hindsight
 from sayd_env.config.map import load_map
+from sayd_env.config.robustness import load_robustness, single_faults
 from sayd_env.config.scenario import Scenario
 from sayd_env.report.files import ResultDirectory, document
 from sayd_env.report.html import Page
@@ -31,6 +33,8 @@ from sayd_env.runs.rollouts import Run
 from sayd_env.stability import Crossing, Limits
 from sayd_env.studies.adaptation import ConstantMap, Costs
 from sayd_env.studies.assess import Train, assess_file
+from sayd_env.studies.bound.cases import CONSTANT, SCHEDULE
+from sayd_env.studies.bound.result import CLAIRVOYANT, BoundResult, Reached
 from sayd_env.studies.comparison import compare as comparison
 from sayd_env.studies.comparison.compare import CompareResult
 from sayd_env.studies.comparison.entrants import read_entrants
@@ -42,9 +46,16 @@ from sayd_env.studies.map import CRITERIA, Cell, MapGrid, MapResult
 from sayd_env.studies.paper.controlled_claims import controlled_claims
 from sayd_env.studies.paper.figures import controlled_plots
 from sayd_env.studies.paper.page import reproduce_page
+from sayd_env.studies.robustness import FAULT, UNDISTURBED, Disturbance, RobustnessResult, disturbance_of
 from sayd_env.studies.simulate import SimulateResult, Target
 
 PHONE = {"width": 390, "height": 844}
+TOUCH: dict[str, Any] = {"is_mobile": True, "has_touch": True}
+MANY = (
+    *("mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous", "mppt2-tuned", "constant-tuned"),
+    *("speed-schedule-tuned", "hunting-schedule-tuned", "lqg-tuned"),
+)
+"""As many policies as a comparison has."""
 FAULTS = """
 [...document.querySelectorAll('.plot')]
     .map((plot) => Plotly.validate(plot.data, plot.layout) || [])
@@ -54,6 +65,38 @@ FAULTS = """
     .map((fault) => fault.msg)
 """
 """What Plotly itself finds wrong."""
+OVERLAPS = """
+(plot) => {
+    const whole = plot.querySelector('.svg-container').getBoundingClientRect(), found = [], boxes = [];
+    const add = (kind, elements) => {
+        for (const element of elements) {
+            const box = element.getBoundingClientRect();
+            if (box.width && box.height) boxes.push({ kind, text: element.textContent.trim(), box });
+        }
+    };
+    add('ticks', plot.querySelectorAll("[class$='tick'] text"));
+    add('title', plot.querySelectorAll(".infolayer [class*='title'] text"));
+    plot.layout.annotations.forEach((note, k) => note.xref.endsWith('domain') && note.y === 1 &&
+        add('heading', plot.querySelectorAll(`.annotation[data-index='${k}'] .annotation-text`)));
+    add('legend', plot.querySelectorAll('.legend .bg'));
+    add('bar', plot.querySelectorAll('.modebar-group'));
+    add('panel', plot.querySelectorAll('.draglayer .nsewdrag'));
+    const across = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left);
+    const along = (a, b) => Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+    boxes.forEach((one, k) => {
+        const out = Math.max(whole.left - one.box.left, one.box.right - whole.right,
+            whole.top - one.box.top, one.box.bottom - whole.bottom);
+        if (out > 2) found.push(`${one.kind} '${one.text}' is cut by ${out.toFixed(1)} px`);
+        for (const other of boxes.slice(k + 1)) {
+            if (one.kind === other.kind && ['bar', 'panel'].includes(one.kind)) continue;
+            const common = Math.min(across(one.box, other.box), along(one.box, other.box)).toFixed(1);
+            if (common > 2) found.push(`${one.kind} ${one.text}, ${other.kind} ${other.text}: ${common} px`);
+        }
+    });
+    return { found, kinds: [...new Set(boxes.map((each) => each.kind))] };
+}
+"""
+"""Which titles, names at ticks, legends, buttons and panels lie over each other, or are cut."""
 WAIT = 60_000
 """Longest wait for a page, ms."""
 
@@ -70,7 +113,11 @@ def evaluated(scenario: Scenario) -> EvaluateResult:
     count = [field.name for field in fields(Row)].index("valve_mean") - 5
     rows = [
         Row(policy, kmh, wear, 0.4, seed, *[level * kmh / 300.0 * (1.0 + wear) * (1.0 + 0.1 * seed)] * count)
-        for policy, level in (("passive", 0.7), ("mppt2", 0.3), ("constant:0.3", 0.28))
+        for policy, level in (
+            ("passive", 0.7),
+            ("constant:0.3", 0.28),
+            *((each, 0.5 - 0.03 * k) for k, each in enumerate(MANY)),
+        )
         for wear in (0.0, 1.0)
         for kmh in (300.0, 350.0, 400.0)
         for seed in range(3)
@@ -204,7 +251,7 @@ def compared(folder: Path) -> CompareResult:
         speed = np.array([each.speed_kmh for each in grid.conditions])[:, None]
         level = speed / 300.0 * (1.0 + 0.1 * np.arange(len(grid.config.seeds)))
         return {
-            policy.title: dict.fromkeys(MEASURED, (0.9 - 0.1 * k) * level)
+            policy.title: dict.fromkeys(MEASURED, (0.9 - 0.05 * k) * level)
             | dict.fromkeys(("lost", "offline_lost"), 0.0 * level)
             for k, policy in enumerate(policies)
         }
@@ -217,9 +264,54 @@ def compared(folder: Path) -> CompareResult:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "run_all", run_all)
         patch.setattr(comparison, "_critical_speeds", critical)
-        return comparison.compare(
-            load_comparison(str(folder / "small.yaml")), read_entrants(["skyhook-continuous"])
+        return comparison.compare(load_comparison(str(folder / "small.yaml")), read_entrants(MANY))
+
+
+def disturbed() -> RobustnessResult:
+    """Policies of which one is above what is asked, with every disturbance and single fault of the study."""
+    config = load_robustness()
+    environment = load_environment(config.faults)
+    assert environment.faults is not None
+    faults = single_faults(environment.faults.kinds, config.places, environment.sensors, config.onset)
+    disturbances = (
+        Disturbance(UNDISTURBED),
+        *(disturbance_of(axis, value) for axis in config.axes for value in axis.values),
+        *(Disturbance(FAULT, fault=fault, title=name) for name, fault in faults.items()),
+    )
+    count = [field.name for field in fields(Row)].index("valve_mean") - 5
+    constants = tuple(f"constant:{each:g}" for each in config.constants)
+    runs = {
+        (policy, each.title): [
+            Row(policy, c.speed_kmh, c.wear, c.friction, seed, *[(0.4 + 0.07 * k) * (1.0 + 0.01 * n)] * count)
+            for c in config.conditions
+            for seed in config.seeds
+        ]
+        for k, policy in enumerate(("mppt1", "mppt2", "passive", *MANY[2:], *constants))
+        for n, each in enumerate(disturbances)
+    }
+    return RobustnessResult(config, disturbances, MANY, constants, runs)
+
+
+def bounded() -> BoundResult:
+    """Two conditions; rules cost the more the later they are named, the search least."""
+    rules = (*MANY, CONSTANT, SCHEDULE, CLAIRVOYANT)
+    reached = tuple(
+        Reached(
+            condition=condition,
+            J={rule: level * (1.5 - 0.04 * k) for k, rule in enumerate(rules)},
+            derailed={},
+            current=0.3,
+            section_currents=(0.3,),
+            start="mppt2",
+            changes=3,
+            decisions=20,
+            seconds=100.0,
+            period=0.01,
+            commands=np.full((4, 2), 0.3),
         )
+        for condition, level in (("350 km/h", 0.02), ("400 km/h", 0.03))
+    )
+    return BoundResult(load_bound(), reached, MANY)
 
 
 @dataclass(frozen=True)
@@ -262,6 +354,8 @@ def pages(
         "simulate": lambda: simulated(short_scenario),
         "line": lambda: lined(short_scenario),
         "compare": lambda: compared(folder),
+        "robustness": disturbed,
+        "bound": bounded,
         "reproduce": lambda: Reproduced(paper_runs(1), limits),
     }
 
@@ -272,7 +366,10 @@ def pages(
     return page
 
 
-COMMANDS = ("evaluate", "map", "assess", "hindsight", "simulate", "line", "compare", "reproduce")
+COMMANDS = (
+    *("evaluate", "map", "assess", "hindsight", "simulate", "line", "compare", "robustness", "bound"),
+    "reproduce",
+)
 
 
 def shown(page: Any) -> None:
@@ -284,7 +381,7 @@ def shown(page: Any) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_page_is_complete_and_fits_a_phone(name: str, pages: Callable[[str], Path], visit: Any) -> None:
     """`visit` fails on any error in the console and on any use of the network."""
-    page = visit(pages(name).as_uri(), PHONE["width"], PHONE["height"], is_mobile=True, has_touch=True)
+    page = visit(pages(name).as_uri(), PHONE["width"], PHONE["height"], **TOUCH)
     order = page.eval_on_selector_all("h1, h2", "all => all.map((each) => each.textContent)")
     assert order[1:3] == ["Verdict", "Contents"]
     assert page.text_content("#verdict p").strip()
@@ -299,6 +396,34 @@ def test_a_page_is_complete_and_fits_a_phone(name: str, pages: Callable[[str], P
     assert page.evaluate(FAULTS) == []
     width = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert width[0] <= width[1] == PHONE["width"]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("width", [390, 1280])
+def test_nothing_lies_over_another_thing_in_a_figure(
+    name: str, width: int, pages: Callable[[str], Path], visit: Any
+) -> None:
+    """Titles, names at ticks, legend, buttons and panels, with as many policies as a comparison has."""
+    page = visit(pages(name).as_uri(), width, 900, **(TOUCH if width < 640 else {}))
+    shown(page)
+    for figure in page.query_selector_all("figure"):
+        figure.scroll_into_view_if_needed()
+        figure.wait_for_selector(".plot .main-svg", timeout=WAIT)
+        plot = figure.query_selector(".plot")
+        plot.hover()  # the buttons come
+        found = plot.evaluate(OVERLAPS)
+        assert found["found"] == [], figure.get_attribute("id")
+        assert {"ticks", "bar", "panel"} <= set(found["kinds"])
+
+
+@pytest.mark.parametrize("name", ["evaluate", "compare", "robustness", "bound", "line", "hindsight", "map"])
+def test_every_row_about_policies_leads_to_a_figure(
+    name: str, pages: Callable[[str], Path], visit: Any
+) -> None:
+    page = visit(pages(name).as_uri())
+    rows = page.locator("table:has(thead) tbody tr")
+    assert rows.count() == page.locator("table:has(thead) tbody tr:has(td a[href^='#figure-'])").count() > 0
+    assert page.get_by_role("link", name="figure", exact=True).count() == 0
 
 
 def test_a_row_leads_to_its_figure_which_zooms_and_hovers(pages: Callable[[str], Path], visit: Any) -> None:
@@ -335,9 +460,10 @@ def test_a_row_leads_to_its_figure_which_zooms_and_hovers(pages: Callable[[str],
     assert before[0] < after[0] < after[1] < before[1]  # the panel beside it follows
 
 
-def test_a_printed_page_shows_every_picture(pages: Callable[[str], Path], visit: Any) -> None:
-    """On paper the still pictures stand in place of the live ones, none wider than the sheet."""
-    page = visit(pages("assess").as_uri())
+@pytest.mark.parametrize("name", ["assess", "compare", "robustness"])
+def test_a_printed_page_shows_every_picture(name: str, pages: Callable[[str], Path], visit: Any) -> None:
+    """On paper the still pictures stand in place of the live ones; neither they nor a table are wider."""
+    page = visit(pages(name).as_uri())
     shown(page)
     paper = page.pdf(format="A4")
     assert paper.startswith(b"%PDF-")
@@ -346,6 +472,14 @@ def test_a_printed_page_shows_every_picture(pages: Callable[[str], Path], visit:
     assert page.locator("figure img:visible").count() == page.locator("figure").count()
     assert page.locator(".plot:visible, nav:visible").count() == 0
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    right = page.eval_on_selector_all("table", "all => all.map((t) => t.getBoundingClientRect().right)")
+    assert max(right) <= 700.5
+    heights = page.eval_on_selector_all(
+        "td.short, td.number",
+        "all => all.map((d) => { const r = document.createRange(); r.selectNodeContents(d);"
+        " return new Set([...r.getClientRects()].map((each) => Math.round(each.top))).size; })",
+    )
+    assert max(heights) == 1  # no number is broken
 
 
 def test_without_scripts_the_pictures_stay(pages: Callable[[str], Path], visit: Any) -> None:

@@ -70,9 +70,25 @@ def test_a_grid_has_what_the_console_has_and_leads_to_figures(read_page: Callabl
     text = grid.html({"seen": Drawing(PNG, {})})
     assert read_page(text).text == "share (%) holds 85 no 50 yes"
     assert '<tr class="marked"><td class="number"><a href="#figure-seen">85</a></td>' in text
-    assert '<td class="red">no</td>' in text
+    assert '<td class="red short">no</td>' in text
     assert '<td class="bold number">50</td>' in text
     assert text.count("<a ") == 1
+
+
+def test_a_row_leads_to_its_figure_from_its_first_text():
+    """Rows have what their section has in common once; the others begin with an empty cell."""
+    columns = (Column("section", "section"), Column("policy", "policy"))
+    rows = [{"section": "curve", "policy": "mppt2"}, {"section": "", "policy": "ppo"}]
+    text = Grid.of(Listing("", columns, rows), lambda _: "seen").html({"seen": Drawing(PNG, {})})
+    for link in ("curve", "ppo"):
+        assert f'<a href="#figure-seen">{link}</a>' in text
+    assert text.count("<a ") == 2
+
+
+def test_short_words_are_not_broken():
+    rows = [{"speed": "> 430", "words": "a text that is long"}, {"speed": "-", "words": "short"}]
+    text = Grid.of(Listing("", (Column("speed", "km/h"), Column("words", "words")), rows)).html({})
+    assert '<td class="short">&gt; 430</td><td>a text that is long</td>' in text
 
 
 def test_a_page_says_where_its_numbers_come_from(read_page: Callable[[str], Any]):
