@@ -167,6 +167,26 @@ def test_irregularities_of_a_line_are_those_of_its_file(tmp_path: Path) -> None:
         value[1:, 0], 2e-3 * np.sin(2 * np.pi * np.array([200.0, 205.0, 295.0]) / 20), atol=1e-7
     )
     assert abs(value[0, 0]) < 1e-3  # within the ramp
+    # What lies before the line, behind it, and the blends at its ends are not asked of its file.
+    same = realise_line(line, track, 800.0, 0, origin=350.0, judged=(300.0, 800.0))
+    np.testing.assert_array_equal(same.coefficients, realised.coefficients)
+
+
+def test_a_section_lies_on_the_file_of_its_track(tmp_path: Path) -> None:
+    """Of the second section, 300 to 600 m, the blends of 25 m at its ends are not asked for."""
+    rows = "\n".join(f"{a},{np.sin(a / 5):.6f}" for a in range(301))
+    write(tmp_path, f"x_m,alignment_mm\n{rows}", "own.csv")
+    own = write(tmp_path, "base: own.csv\nirregularity: {offset: 300.0, ramp: 25.0}\n", "own.yaml")
+    sections = "sections:\n  - {length: 300.0}\n  - {length: %s, track: %s}\n"
+    good, bad = (
+        load_line(write(tmp_path, sections % (length, own), "mine.yaml"), speed=80.0)
+        for length in (300.0, 310.0)
+    )
+    track = read_track("german_low")
+    realise_line(good, track, 1200.0, 0, origin=500.0, judged=(500.0, 1150.0))
+    realise_line(bad, track, 1200.0, 0, origin=500.0, judged=(500.0, 1050.0))
+    with pytest.raises(DataError, match=r"own\.csv: covers 800 to 1100 m, .* judged from 825 to 1085 m"):
+        realise_line(bad, track, 1200.0, 0, origin=500.0, judged=(500.0, 1150.0))
 
 
 @pytest.mark.parametrize(
