@@ -97,6 +97,9 @@ class Torsion(_Element):
     damping: float = quantity("N m s/rad", "Torsional damping", default=0.0, ge=0.0)
 
 
+# Shock absorbers of cars are tested to 3 m/s, dampers of any vehicle give 100 N to 100 kN or so there.
+_FASTEST = 10.0  # m/s
+_WEAKEST, _STRONGEST = 50.0, 1e6  # N
 Curve = tuple[tuple[Number, Number], ...]
 _POINTS = TypeAdapter(Curve, config=ConfigDict(allow_inf_nan=False))
 
@@ -125,13 +128,23 @@ def checked_law(points: Curve) -> Curve:
     Raises
     ------
     ValueError
-        As `checked_curve`, or equal forces.
+        As `checked_curve`, equal forces, or numbers that no damper has in these units.
     """
     for (_, f0), (v1, f1) in pairwise(points):
         if f1 == f0:
             # The force is the state of the element: a flat part would have no one velocity.
             raise ValueError(f"the force must rise up to {v1:g} m/s; give a saturated damper a small slope")
-    return checked_curve(points, "velocity (m/s)")
+    checked_curve(points, "velocity (m/s)")
+    velocity, force = points[-1]
+    if velocity > _FASTEST:
+        raise ValueError(
+            f"velocity (m/s): found {velocity:g}; at most {_FASTEST:g} is allowed, is it in mm/s?"
+        )
+    if not _WEAKEST <= force <= _STRONGEST:
+        raise ValueError(
+            f"force (N): found {force:g} at the end; allowed are {_WEAKEST:g} to {_STRONGEST:g}, is it in kN?"
+        )
+    return points
 
 
 class MeasuredCurve(Model):
@@ -155,7 +168,7 @@ class MaxwellLaw(Model):
     curve: Curve | MeasuredCurve = Field(
         description="Points (velocity (m/s), force (N)) for v >= 0; the last slope goes on"
     )
-    series_stiffness: float = quantity("N/m", "Series stiffness", gt=0.0)
+    series_stiffness: float = quantity("N/m", "Series stiffness", ge=1e5, le=1e9)
 
     @field_validator("curve", mode="wrap")
     @classmethod
