@@ -192,6 +192,18 @@ def test_a_section_lies_on_the_file_of_its_track(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (
+            "x_m,speed_kmh\n0,300\n500,-300\n",
+            "line 3: column 'speed_kmh': found -300 km/h; expected more than 0",
+        ),
+        (
+            "x_m,cant_mm\n0,0\n500,0.12\n",
+            "line 1: column 'cant_mm': no number is above 0.12 mm; .* unit mm right",
+        ),
+        (
+            "x_m,radius_m,cant_mm\n0,0,0\n400,7000,-120\n900,7000,-120\n",
+            "line 3: column 'cant_mm': found -120 mm in a curve to the left, and alike in most",
+        ),
         ("x_m\n0\n100\n", "nothing to read beside 'x_m'; expected any of speed_kmh, "),
         ("x_m,x_km,cant_mm\n0,0,0\n", "found x_m and x_km; expected one of them"),
         ("x_m,raduis_m\n0,0\n100,0\n", "unknown column 'raduis_m', did you mean 'radius_m'"),
