@@ -15,6 +15,10 @@ DAMPER = Kind("damper", data=("throttle.file", "curve.file"))
 SAYD = replace(DAMPER, only=("type", "sayd"))
 
 
+# Limits of the quantities here are no bounds of good design: far beyond what railway dampers have on both
+# sides, they refuse a number in another unit, MN/m for N/m, mm2 for m2, bar for Pa.
+
+
 class PassiveDamperConfig(MaxwellLaw, Part):
     """The passive yaw damper: piecewise-linear damper in series with a spring (paper, section 2.1)."""
 
@@ -26,15 +30,15 @@ class PassiveDamperConfig(MaxwellLaw, Part):
 class MountConfig(Model):
     """Elastic bearing at an end of the damper, eq. (2) and (5)."""
 
-    stiffness: float = quantity("N/m", "c_b, stiffness", gt=0.0)
-    damping: float = quantity("N s/m", "d_b, damping", ge=0.0)
+    stiffness: float = quantity("N/m", "c_b, stiffness", ge=1e5, le=1e9)
+    damping: float = quantity("N s/m", "d_b, damping", ge=0.0, le=1e7)
 
 
 class FrictionConfig(Model):
     """Coulomb friction between piston and housing, eq. (11)."""
 
-    stiction: float = quantity("N", "F_C, friction at standstill", ge=0.0)
-    sliding: float = quantity("N", "F_S, friction while sliding", ge=0.0)
+    stiction: float = quantity("N", "F_C, friction at standstill", ge=0.0, le=1e4)
+    sliding: float = quantity("N", "F_S, friction while sliding", ge=0.0, le=1e4)
 
     @model_validator(mode="after")
     def _stiction_is_larger(self) -> Self:
@@ -48,11 +52,11 @@ class FrictionConfig(Model):
 class CylinderConfig(Model):
     """Through-rod cylinder: chamber volumes of eq. (18) to (21)."""
 
-    area: float = quantity("m2", "A, piston area less the rod's, both sides", gt=0.0)
-    bore: float = quantity("m", "d_p, diameter of the dead volumes", gt=0.0)
-    stroke: float = quantity("m", "st, whole stroke between the ends", gt=0.0)
-    dead_length_a: float = quantity("m", "L_pA, length of the dead volume of chamber A", gt=0.0)
-    dead_length_b: float = quantity("m", "L_pB, length of the dead volume of chamber B", gt=0.0)
+    area: float = quantity("m2", "A, piston area less the rod's, both sides", ge=1e-5, le=0.1)
+    bore: float = quantity("m", "d_p, diameter of the dead volumes", ge=0.005, le=0.5)
+    stroke: float = quantity("m", "st, whole stroke between the ends", ge=0.01, le=2.0)
+    dead_length_a: float = quantity("m", "L_pA, length of the dead volume of chamber A", gt=0.0, le=1.0)
+    dead_length_b: float = quantity("m", "L_pB, length of the dead volume of chamber B", gt=0.0, le=1.0)
 
 
 class OilConfig(Model):
@@ -61,7 +65,7 @@ class OilConfig(Model):
     bulk_modulus: float = quantity(
         "Pa", "E, effective bulk modulus, entrained air included; no liquid's is above 4 GPa", gt=1e7, le=4e9
     )
-    tank_pressure: float = quantity("Pa", "Pressure in the tank", gt=0.0)
+    tank_pressure: float = quantity("Pa", "Pressure in the tank", ge=1e3, le=1e7)
     vapour_pressure: float = quantity("Pa", "Pressure below which no chamber falls", ge=0.0)
 
     @model_validator(mode="after")
@@ -83,9 +87,9 @@ class OrificeThrottle(Model):
 
     type: Literal["orifice"]
     discharge: float = quantity("-", "C_d, discharge coefficient", gt=0.0, le=1.0)
-    density: float = quantity("kg/m3", "rho, density of the oil", gt=0.0)
-    closed_area: float = quantity("m2", "a_0, area at current 0: leakage", gt=0.0)
-    open_area: float = quantity("m2", "a_1, area at current 1", gt=0.0)
+    density: float = quantity("kg/m3", "rho, density of the oil", ge=500.0, le=2000.0)
+    closed_area: float = quantity("m2", "a_0, area at current 0: leakage", gt=0.0, le=1e-4)
+    open_area: float = quantity("m2", "a_1, area at current 1", ge=1e-9, le=1e-3)
     overlap: float = quantity(
         "-", "i_0, current up to which the spool's overlap keeps the throttle closed", ge=0.0, le=0.9
     )
@@ -127,8 +131,8 @@ class EqualPercentageThrottle(Model):
 
     type: Literal["equal_percentage"]
     discharge: float = quantity("-", "C_d, discharge coefficient", gt=0.0, le=1.0)
-    density: float = quantity("kg/m3", "rho, density of the oil", gt=0.0)
-    closed_area: float = quantity("m2", "a_0, area at current 0", gt=0.0)
+    density: float = quantity("kg/m3", "rho, density of the oil", ge=500.0, le=2000.0)
+    closed_area: float = quantity("m2", "a_0, area at current 0", gt=0.0, le=1e-4)
     ratio: float = quantity("-", "R, area at current 1 over that at current 0", ge=1.0, le=1e4)
 
 
@@ -138,10 +142,10 @@ Throttle = Annotated[OrificeThrottle | EqualPercentageThrottle | TableThrottle, 
 class SpringValve(Model):
     """A relief or check valve by eq. (22) to (24)."""
 
-    opening: float = quantity("Pa", "p_o, pressure drop at which it begins to open", gt=0.0)
-    full: float = quantity("Pa", "p_s, pressure drop at which it is fully open", gt=0.0)
-    nominal_flow: float = quantity("m3/s", "Q_N, flow of the open valve at its nominal drop", gt=0.0)
-    nominal_drop: float = quantity("Pa", "dp_N, nominal pressure drop", gt=0.0)
+    opening: float = quantity("Pa", "p_o, pressure drop at which it begins to open", ge=100.0, le=1e8)
+    full: float = quantity("Pa", "p_s, pressure drop at which it is fully open", ge=100.0, le=1e8)
+    nominal_flow: float = quantity("m3/s", "Q_N, flow of the open valve at its nominal drop", ge=1e-7, le=0.1)
+    nominal_drop: float = quantity("Pa", "dp_N, nominal pressure drop", ge=100.0, le=1e8)
 
     @model_validator(mode="after")
     def _opens_gradually(self) -> Self:
@@ -172,8 +176,8 @@ class SaydDamperConfig(Part):
     failsafe_current: float = quantity(
         "-", "Current that the unpowered valve's opening corresponds to", ge=0.0, le=1.0
     )
-    rod_mass: float = quantity("kg", "m_1, piston rod, on the bogie's side", gt=0.0)
-    housing_mass: float = quantity("kg", "m_2, housing, on the carbody's side", gt=0.0)
+    rod_mass: float = quantity("kg", "m_1, piston rod, on the bogie's side", ge=0.1, le=1e3)
+    housing_mass: float = quantity("kg", "m_2, housing, on the carbody's side", ge=0.1, le=1e3)
     bogie_mount: MountConfig
     carbody_mount: MountConfig
     friction: FrictionConfig

@@ -172,15 +172,16 @@ def _wrong_tag(model: type[BaseModel], detail: ErrorDetails, key: str) -> str:
     members = [m for m in _walk(model, detail["loc"]) if field in m.model_fields]
     allowed = allowed or [tag for m in members for tag in get_args(m.model_fields[field].annotation)]
     tags = f"; expected {', '.join(allowed)}" if allowed else ""
+    key = f"{key}." if key else ""
     if detail["type"] == "union_tag_invalid":
         found = str(detail["ctx"]["tag"])
-        return f"{key}.{field}: found '{found}'{nearest(found, allowed)}{tags}"
+        return f"{key}{field}: found '{found}'{nearest(found, allowed)}{tags}"
     names = detail["input"] if isinstance(detail["input"], Mapping) else {}
     known = _fields_at(model, detail["loc"])
     close = _closest(field, [str(name) for name in names if name not in known])
     if close is not None:
-        return f"unknown key '{key}.{close}', did you mean '{field}'?"
-    return f"key '{key}.{field}' is missing: it says of which kind the entry is{tags}"
+        return f"unknown key '{key}{close}', did you mean '{field}'?"
+    return f"key '{key}{field}' is missing: it says of which kind the entry is{tags}"
 
 
 _EXPECTATIONS = {

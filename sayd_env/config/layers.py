@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 from pydantic import BaseModel
 
 from sayd_env.config.errors import ConfigError
-from sayd_env.config.explain import Origin, shown
+from sayd_env.config.explain import Origin, nearest, shown
 from sayd_env.config.loader import (
     DATA,
     YAML,
@@ -34,6 +34,15 @@ from sayd_env.config.loader import (
 )
 
 M = TypeVar("M", bound=BaseModel)
+
+_TELLING: Mapping[str, tuple[str, ...]] = {
+    "vehicle": ("bodies", "elements", "wheel_radius"),
+    "line": ("sections", "section_length"),
+    "lines": ("sections", "curves"),
+    "track": ("irregularity",),
+    "damper": ("curve", "series_stiffness", "throttle", "cylinder"),
+}
+"""Keys that tell of which kind a file is; those of a line and of a distribution over lines are alike."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +136,7 @@ def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     """A file over its base; parts that nothing was set in are still names."""
     content, source = _measured(kind, name) or read_config(kind.folder, name)
     own, folder = dict(section(content, source)), Path(source).parent
+    _refuse_another_kind(kind, own, source)
     _refuse_other(kind, own, source)
     below = _base(kind, own, source, (*users, _identity(name)))
     numbers = own.pop("set", None)
@@ -177,6 +187,14 @@ def _base(kind: Kind, own: dict[str, Any], source: str, users: tuple[str, ...]) 
     if not isinstance(base, str):
         raise ConfigError(f"{source}: base: found {shown(base)}; expected a name, a path or null")
     base = beside(base, Path(source).parent)
+    if not is_path(base) and base not in packaged_names(kind.folder):
+        names = packaged_names(kind.folder)
+        other = next((each for each in _TELLING if base in packaged_names(each)), None)
+        hint = nearest(base, names) if other is None else f", which is a {other}"
+        raise ConfigError(
+            f"{source}: base: unknown {kind.folder} {shown(base)}{hint}; available: {', '.join(names)}, or a "
+            "path to a YAML file"
+        )
     if _identity(base) in users:
         raise ConfigError(f"{source}: base: '{base}' refers back to this file")
     below = _overlaid(kind, base, users)
@@ -188,6 +206,18 @@ def _base(kind: Kind, own: dict[str, Any], source: str, users: tuple[str, ...]) 
 
 def _identity(name_or_path: str) -> str:
     return str(Path(name_or_path).resolve()) if is_path(name_or_path) else name_or_path
+
+
+def _refuse_another_kind(kind: Kind, own: dict[str, Any], source: str) -> None:
+    """Refuse a vehicle where a damper is expected, and the like, by keys that only one kind has."""
+    if any(key in own for key in _TELLING.get(kind.folder, ())):
+        return
+    for other, keys in _TELLING.items():
+        found = [key for key in keys if key in own]
+        if found and other != kind.folder:
+            raise ConfigError(
+                f"{source}: seems to be a {other}, by its keys {', '.join(found)}; expected a {kind.folder}"
+            )
 
 
 def _refuse_other(kind: Kind, own: dict[str, Any], source: str) -> None:

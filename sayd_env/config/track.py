@@ -241,8 +241,8 @@ class FileConfig(_Irregularity, GeometryConfig):
     offset: float = quantity("m", "position on the run of the file's x = 0", default=0.0, ge=-1e7, le=1e7)
     ramp: float | None = quantity(
         "m",
-        "length of smooth ramps at the file's ends, the track being even outside; "
-        "when absent the file must cover the whole run",
+        "length of smooth ramps at the file's ends, the track being even outside, though not where a run is "
+        "judged; when absent the file must cover the whole run",
         default=None,
         gt=0,
         le=1e6,

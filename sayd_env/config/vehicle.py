@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, TypeAdapter, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, field_validator, model_validator
 
 from sayd_env.config.base import Model, Number, Part, quantity
 from sayd_env.config.layers import Kind
@@ -16,6 +16,25 @@ VEHICLE = Kind("vehicle", data=("elements.*.curve.file",))
 
 Vector = tuple[Number, Number, Number]
 NotNegative = Annotated[float, Field(ge=0, strict=True)]
+
+# What no vehicle has, by a wide margin, is a number in another unit: t for kg, MN/m for N/m, mm for m.
+_LIGHTEST = {"carbody": 1000.0, "frame": 100.0, "wheelset": 100.0}  # kg
+_GYRATION = (0.1, 50.0)  # m, of these
+_SOFTEST, _LEAST_DAMPING, _LEAST_TORSION = 1e3, 50.0, 100.0  # N/m, N s/m, N m/rad; 0 is none
+_FARTHEST, _HIGHEST, _WIDEST_STOP, _FASTEST_TRAIN = 100.0, 10.0, 1.0, 200.0  # m, m, m, m/s
+
+
+def _plain(value: float, least: float, unit: str) -> float:
+    """A number that is 0 or not too small for its unit."""
+    if 0.0 < value < least:
+        raise ValueError(f"expected 0, or {least:g} {unit} and more (is the unit {unit}?)")
+    return value
+
+
+Stiffness = Annotated[NotNegative, AfterValidator(lambda value: _plain(value, _SOFTEST, "N/m"))]
+Damping = Annotated[NotNegative, AfterValidator(lambda value: _plain(value, _LEAST_DAMPING, "N s/m"))]
+Place = Annotated[Number, Field(ge=-_FARTHEST, le=_FARTHEST)]
+Position = tuple[Place, Place, Place]
 Dof = Literal["x", "y", "z", "roll", "pitch", "yaw"]
 Axis = Literal["x", "y", "z"]
 DOFS: tuple[Dof, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -25,7 +44,9 @@ GROUND = "ground"
 class Member(Model):
     """One member of an index set: where its local frame stands and how it is mirrored."""
 
-    origin: Vector = Field((0.0, 0.0, 0.0), description="Origin, added to the origins of the outer sets (m)")
+    origin: Position = Field(
+        (0.0, 0.0, 0.0), description="Origin, added to the origins of the outer sets (m)"
+    )
     sign: tuple[Literal[-1, 1], Literal[-1, 1], Literal[-1, 1]] = Field(
         (1, 1, 1), description="Mirroring of the local x, y, z (-)"
     )
@@ -43,7 +64,7 @@ class Body(Model):
     inertia: tuple[NotNegative, NotNegative, NotNegative] = Field(
         description="Principal moments of inertia about x, y, z (kg m2)"
     )
-    position: Vector = Field(description="Centre of gravity in the local frame, z above the rail (m)")
+    position: Position = Field(description="Centre of gravity in the local frame, z above the rail (m)")
     dofs: tuple[Dof, ...] = Field(DOFS, description="Degrees of freedom")
     carrier: str | None = Field(None, description="Body that a hinged part is mounted on")
 
@@ -58,14 +79,30 @@ class Body(Model):
                 raise ValueError("a hinged body has no mass of its own and a positive pitch inertia")
         elif self.mass <= 0.0 or min(self.inertia) <= 0.0:
             raise ValueError("mass and moments of inertia must be positive")
+        elif self.mass < _LIGHTEST.get(self.role, 0.0):
+            raise ValueError(
+                f"mass: found {self.mass:g} kg; a {self.role} has {_LIGHTEST[self.role]:g} kg and more (is "
+                "the unit kg?)"
+            )
+        elif self.role in _LIGHTEST:
+            self._check_inertia()
         return self
+
+    def _check_inertia(self) -> None:
+        low, high = (radius**2 * self.mass for radius in _GYRATION)
+        for value in self.inertia:
+            if not low <= value <= high:
+                raise ValueError(
+                    f"inertia: found {value:g} kg m2; of {self.mass:g} kg it is {low:.3g} to {high:.3g}, with"
+                    f" radii of gyration of {_GYRATION[0]:g} to {_GYRATION[1]:g} m (is the unit kg m2?)"
+                )
 
 
 class Attachment(Model):
     """A point of a body, in the local frame of the element that uses it."""
 
     body: str = Field(description="Name of a body, or 'ground'")
-    at: Vector = Field(description="Position in the element's local frame, z above the rail (m)")
+    at: Position = Field(description="Position in the element's local frame, z above the rail (m)")
 
 
 class _Element(Model):
@@ -79,10 +116,8 @@ class Bush(_Element):
     """Linear springs and dampers along x, y, z between two points: springs, bushes, links."""
 
     type: Literal["bush"]
-    stiffness: tuple[NotNegative, NotNegative, NotNegative] = Field(
-        description="Stiffness along x, y, z (N/m)"
-    )
-    damping: tuple[NotNegative, NotNegative, NotNegative] = Field(
+    stiffness: tuple[Stiffness, Stiffness, Stiffness] = Field(description="Stiffness along x, y, z (N/m)")
+    damping: tuple[Damping, Damping, Damping] = Field(
         (0.0, 0.0, 0.0), description="Damping along x, y, z (N s/m)"
     )
     carries_weight: bool = Field(False, description="Carries static weight (gives its gravity stiffness)")
@@ -96,7 +131,15 @@ class Torsion(_Element):
     stiffness: float = quantity("N m/rad", "Torsional stiffness", ge=0.0)
     damping: float = quantity("N m s/rad", "Torsional damping", default=0.0, ge=0.0)
 
+    @field_validator("stiffness")
+    @classmethod
+    def _stiff(cls, value: float) -> float:
+        return _plain(value, _LEAST_TORSION, "N m/rad")
 
+
+# Shock absorbers of cars are tested to 3 m/s, dampers of any vehicle give 100 N to 100 kN or so there.
+_FASTEST = 10.0  # m/s
+_WEAKEST, _STRONGEST = 50.0, 1e6  # N
 Curve = tuple[tuple[Number, Number], ...]
 _POINTS = TypeAdapter(Curve, config=ConfigDict(allow_inf_nan=False))
 
@@ -125,13 +168,23 @@ def checked_law(points: Curve) -> Curve:
     Raises
     ------
     ValueError
-        As `checked_curve`, or equal forces.
+        As `checked_curve`, equal forces, or numbers that no damper has in these units.
     """
     for (_, f0), (v1, f1) in pairwise(points):
         if f1 == f0:
             # The force is the state of the element: a flat part would have no one velocity.
             raise ValueError(f"the force must rise up to {v1:g} m/s; give a saturated damper a small slope")
-    return checked_curve(points, "velocity (m/s)")
+    checked_curve(points, "velocity (m/s)")
+    velocity, force = points[-1]
+    if velocity > _FASTEST:
+        raise ValueError(
+            f"velocity (m/s): found {velocity:g}; at most {_FASTEST:g} is allowed, is it in mm/s?"
+        )
+    if not _WEAKEST <= force <= _STRONGEST:
+        raise ValueError(
+            f"force (N): found {force:g} at the end; allowed are {_WEAKEST:g} to {_STRONGEST:g}, is it in kN?"
+        )
+    return points
 
 
 class MeasuredCurve(Model):
@@ -155,7 +208,7 @@ class MaxwellLaw(Model):
     curve: Curve | MeasuredCurve = Field(
         description="Points (velocity (m/s), force (N)) for v >= 0; the last slope goes on"
     )
-    series_stiffness: float = quantity("N/m", "Series stiffness", gt=0.0)
+    series_stiffness: float = quantity("N/m", "Series stiffness", ge=1e5, le=1e9)
 
     @field_validator("curve", mode="wrap")
     @classmethod
@@ -183,6 +236,10 @@ class Stop(_Element):
     @field_validator("curve")
     @classmethod
     def _curve(cls, points: Curve) -> Curve:
+        if points and points[-1][0] > _WIDEST_STOP:
+            raise ValueError(
+                f"displacement (m): found {points[-1][0]:g}; at most {_WIDEST_STOP:g} is allowed, in mm?"
+            )
         return checked_curve(points, "displacement (m)")
 
 
@@ -205,10 +262,14 @@ class VehicleConfig(Part):
     elements: tuple[Element, ...]
     wheel_radius: float = quantity("m", "Nominal rolling radius at the tape circle", gt=0.1, lt=1.0)
     measuring_height: float = quantity(
-        "m", "Height above the rail of the bogie-frame accelerometers over the wheelsets", gt=0.0
+        "m", "Height above the rail of the bogie-frame accelerometers over the wheelsets", gt=0.0, le=_HIGHEST
     )
     floor_height: float | None = quantity(
-        "m", "Height above the rail of the floor, where ride comfort is measured", gt=0.0, default=None
+        "m",
+        "Height above the rail of the floor, where ride comfort is measured",
+        gt=0.0,
+        le=_HIGHEST,
+        default=None,
     )
     speed_range: tuple[Number, Number] = Field(
         description="Lowest and highest speed for which the model stands (m/s)"
@@ -219,6 +280,8 @@ class VehicleConfig(Part):
     def _speeds(cls, limits: tuple[float, float]) -> tuple[float, float]:
         if not 0.0 < limits[0] < limits[1]:
             raise ValueError("needs 0 < lowest < highest")
+        if limits[1] > _FASTEST_TRAIN:
+            raise ValueError(f"at most {_FASTEST_TRAIN:g} m/s is allowed (is the unit m/s?)")
         return limits
 
     @model_validator(mode="after")

@@ -185,6 +185,7 @@ class EpisodeBatch:
         listen: bool = False,
         watch: Callable[[int], None] | None = None,
         whole_track: bool = True,
+        steps: Sequence[int] | None = None,
     ) -> list[Array]:
         """Begin episodes: build the vehicles and run them in.
 
@@ -202,18 +203,25 @@ class EpisodeBatch:
             Called after each control period of the run-in with its number, see `VehicleBatch.run_in`.
         whole_track : bool
             Make the track for an assessed run. False: so far as the episode goes by its configuration.
+        steps : sequence of int, optional
+            Control periods that count of each, for what a measured track has to cover; by default those of
+            the configuration.
 
         Raises
         ------
         ConfigError
             An episode that cannot be, such as a speed beyond the vehicle's.
+        DataError
+            A measured track that does not cover the episode.
         """
         models = [self._model_of(episode) for episode in episodes]
         lines = [self._line(model, episode) for model, episode in zip(models, episodes, strict=True)]
         episodes = [_on_line(episode, line) for episode, line in zip(episodes, lines, strict=True)]
         built = [
-            self._vehicle(model, episode, line, whole_track)
-            for model, episode, line in zip(models, episodes, lines, strict=True)
+            self._vehicle(model, episode, line, whole_track, n)
+            for model, episode, line, n in zip(
+                models, episodes, lines, steps or [self.steps] * len(models), strict=True
+            )
         ]
         if self._vehicles is None:
             if sorted(which) != list(range(self.count)):
@@ -258,13 +266,15 @@ class EpisodeBatch:
         self.heard.observations[period] = np.nan_to_num(self._newest())
 
     def _vehicle(
-        self, model: VehicleModel, episode: Episode, line: Line | None, whole_track: bool
+        self, model: VehicleModel, episode: Episode, line: Line | None, whole_track: bool, steps: int
     ) -> Vehicle:
-        distance = self._distance(episode, line)
+        period = self.config.control_period
+        distance = _way(episode, line, self.config.episode_s + period)
+        judged = _way(episode, line, steps * period)
         return make_vehicle(
             model,
             episode.speed,
-            self._track(model, episode, line, distance, whole_track),
+            self._track(model, episode, line, distance, judged, whole_track),
             self.config.sensors,
             self.settings,
             band_constants=self._band,
@@ -285,18 +295,18 @@ class EpisodeBatch:
         )
         return None if line.plain else line
 
-    def _distance(self, episode: Episode, line: Line | None) -> float:
-        """How far an episode goes by its configuration (m)."""
-        time = self.config.episode_s + self.config.control_period
-        along = None if line is None else line.distance_at(time)
-        return episode.speed * time if along is None else float(along)
-
     def _model_of(self, episode: Episode) -> VehicleModel:
         scenario = episode_scenario(self.scenario, episode)
         return self._model if scenario is self.scenario else VehicleModel(scenario)
 
     def _track(
-        self, model: VehicleModel, episode: Episode, line: Line | None, distance: float, whole: bool
+        self,
+        model: VehicleModel,
+        episode: Episode,
+        line: Line | None,
+        distance: float,
+        judged: float,
+        whole: bool,
     ) -> TrackRealisation:
         """The episode's track: of an assessed run, so that the episode's length does not change it."""
         track, assessment = model.scenario.track, model.scenario.assessment
@@ -304,10 +314,16 @@ class EpisodeBatch:
         needed = self.config.run_in + distance
         length = assessed * max(1, math.ceil(needed / assessed)) + RUN_OUT
         covered = length if whole else needed + RUN_OUT
-        if line is None:
-            return realise(track.irregularity, length, episode.track_seed, covered=covered)
         origin = run_in_distance(model, episode.speed, self.settings)
-        return realise_line(line, track, length, episode.track_seed, origin, covered=covered)
+        # What an assessed run goes beyond the assessed length is not judged.
+        to_assess = assessment.length or 0.0
+        end = origin + (to_assess if to_assess <= judged <= to_assess + RUN_OUT else judged)
+        if line is None:
+            part = [(origin, end)]
+            return realise(track.irregularity, length, episode.track_seed, covered=covered, judged=part)
+        return realise_line(
+            line, track, length, episode.track_seed, origin, covered=covered, judged=(origin, end)
+        )
 
     def _noise(self, episode: Episode) -> np.random.Generator | None:
         """Source of the noise of an episode's sensors, if any of them has or gets some."""
@@ -492,6 +508,12 @@ def _in_turn(calls: Sequence[Callable[[int], None]]) -> Callable[[int], None]:
             call(period)
 
     return every
+
+
+def _way(episode: Episode, line: Line | None, time: float) -> float:
+    """How far an episode gets within a time from step 0 on (m)."""
+    along = None if line is None else line.distance_at(time)
+    return episode.speed * time if along is None else float(along)
 
 
 def _on_line(episode: Episode, line: Line | None) -> Episode:

@@ -142,7 +142,12 @@ def roll_out(
         seen.append(batch.vehicles.trace[:, :, columns])
 
     run_in = batch.reset(
-        range(count), episodes, log=True, listen=listens(policy), watch=watch if columns else None
+        range(count),
+        episodes,
+        log=True,
+        listen=listens(policy),
+        watch=watch if columns else None,
+        steps=steps,
     )
     before = [len(rows) for rows in run_in]
     lengths = [first + n * samples for first, n in zip(before, steps, strict=True)]

@@ -76,8 +76,9 @@ def damper_settings(file: str) -> list[str]:
         return _assignments("sayd", named | {"throttle": {"type": "table", "file": file}})
     if _any_column(table, (VELOCITY, FORCE)):
         return _assignments("passive", named | {"curve": {"file": file}})
+    found = f"{table.source}: line {table.head.line}: found {shown(table.names)}"
     raise DataError(
-        f"{table.source}: line {table.head.line}: found {shown(table.names)}; expected columns of a curve "
+        f"{found if table.names else table.no_header()}; expected columns of a curve "
         "('velocity [mm/s]', 'force [kN]') or of a valve map ('current [A]', 'drop [bar]', 'flow [l/min]')"
     )
 

@@ -30,6 +30,7 @@ _SAMPLE = 500
 # Excel writes the separator into the first line, and a cell of a header may go over several lines.
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)
 _LONGEST_CELL, _LONGEST_HEAD = 5, 200
+_HOLLOW = re.compile(r"[ \t]*[;,|][ \t;,|]*|[ \t]*\t[ \t]*")
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
 # Looser than a number: how 1.234,5 is meant is not decided here.
 _NUMBER = re.compile(r"[-+]?(?:[.,]?\d[\d.,]*(?:[eEdD][-+]?\d+)?|inf(?:inity)?|nan)", re.IGNORECASE)
@@ -81,7 +82,10 @@ def _unmarked(content: bytes) -> tuple[str, str]:
 
 
 def lines_of(text: str) -> tuple[list[Line], list[Line], str]:
-    """Lines that count, comments, and the separator that the file itself names, "" if it does not."""
+    """Lines that count, comments, and the separator that the file itself names, "" if it does not.
+
+    Lines that are blank, or have separators alone, do not count; see `hollow`.
+    """
     texts = text.split("\n")
     named = _SEPARATOR_LINE.fullmatch(texts[0])
     lines: list[Line] = []
@@ -97,6 +101,12 @@ def lines_of(text: str) -> tuple[list[Line], list[Line], str]:
         elif line.strip(" \t;,|"):
             lines.append(Line(start + 1, line))
     return lines, comments, named[1] if named else ""
+
+
+def hollow(text: str, first: int, last: int) -> int | None:
+    """Number of the first line between two others that has separators and nothing else, None without one."""
+    texts = text.split("\n")[first : last - 1]
+    return next((first + 1 + k for k, line in enumerate(texts) if _HOLLOW.fullmatch(line)), None)
 
 
 def _whole(texts: list[str], start: int) -> tuple[str, int]:
@@ -285,8 +295,12 @@ def find_separator(lines: Sequence[Line]) -> str:
         return BLANKS
     if found[","].regular and found[","].share >= 0.5:
         return ","
-    most = max(SEPARATORS, key=lambda each: (found[each].numbers, found[each].width))
-    return most if found[most].width > 1 else ";"
+    # In a header alone, or mostly text, blanks are within names: "Bogie 1 [m/s2]" has no number.
+    apart = [each for each in SEPARATORS if found[each].width > 1]
+    sure = [each for each in apart if each != BLANKS or found[each].share > 0.5]
+    return max(
+        sure or apart or [";"], key=lambda each: (found[each].numbers, each != BLANKS, found[each].width)
+    )
 
 
 class _Judged(NamedTuple):

@@ -176,7 +176,7 @@ def read_table(path: str | Path, needed: Collection[str], rows: int, ignore: Col
     text = read_text_table(path, "table over distance")
     where = f"{text.source}: line {text.head.line}"
     if not text.names:
-        raise DataError(f"{where}: found no header; expected x_m or x_km and any of {_examples(needed)}")
+        raise DataError(f"{text.no_header()}; expected x_m or x_km and any of {_examples(needed)}")
     for name in ignore:
         if name not in text.names:
             raise DataError(f"{where}: ignore: no column '{name}'{nearest(name, text.names)}")

@@ -150,24 +150,28 @@ def _refusals(path: Path, kind: str) -> Iterator[None]:
 @contextmanager
 def _text(path: Path) -> Iterator[Contents]:
     try:
-        table = read_text_table(path, "recording")
+        table = read_text_table(path, "recording", may_end_short=True)
     except ConfigError as error:
         if "is not a text file" in str(error):
             raise ConfigError(f"{path}: is in no format that is read: {FORMATS}") from None
         raise
     if not table.names:
-        above = f" (what stands above has not {table.head.width} names)" if table.head.preamble else ""
         raise DataError(
-            f"{table.source}: line {table.head.line}: found no header{above}; expected a name and a unit for"
-            f" each of {table.head.width} columns, such as time_s, speed_kmh, bogie1_front_m_s2, wheelset1_kn"
+            f"{table.no_header()}; expected a name and a unit for each of {table.head.width} columns, such as"
+            " time_s, speed_kmh, bogie1_front_m_s2, wheelset1_kn"
+        )
+    if not len(table):
+        raise DataError(
+            f"{table.source}: line {table.head.line}: found a header and no rows of numbers below it;"
+            " expected a recording of at least 500 m"
         )
     units = table.head.units or ("",) * len(table.names)
-    clocks = [k for k in range(len(table.names)) if not units[k] and len(table) and _is_clock(table, k)]
+    clocks = [k for k in range(len(table.names)) if not units[k] and _is_clock(table, k)]
 
     def values(places: Sequence[int]) -> list[Array]:
         plain = [k for k in places if k not in clocks]
         for k in plain:
-            if len(table) and _LIKE_A_DATE.match(table.first(k)):
+            if _LIKE_A_DATE.match(table.first(k)):
                 raise _no_time(table, 0, k, table.first(k))
         found = dict(zip(plain, table.numbers(plain, gaps=True).T, strict=True))
         return [found[k] if k in found else _seconds(table, k) for k in places]
@@ -180,7 +184,7 @@ def _text(path: Path) -> Iterator[Contents]:
         ),
         values,
         lambda place, row: table.where(row, place),
-        notes=[] if table.encoding == "UTF-8" else [f"The text is {table.encoding}."],
+        notes=[*([] if table.encoding == "UTF-8" else [f"The text is {table.encoding}."]), *table.notes],
     )
 
 

@@ -22,6 +22,8 @@ from sayd_env.measured.tracks import stated_gauge
 
 # A shorter line is one of kilometres in a column of metres.
 _SHORTEST = 100.0  # m
+# Where a line has cant it has centimetres: less is one of metres in a column of millimetres.
+_LEAST_CANT = 1e-3  # m
 
 
 def load_line(
@@ -109,6 +111,7 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
         )
     if "rail" in table.columns and config.rails is None:
         raise DataError(f"{table.source}: column 'rail': the line's two rails are missing, which YAML names")
+    _check_signs(table)
     try:
         line = checked(_line(table, config), speed)
     except ValueError as error:
@@ -119,6 +122,31 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
             "begin where the transition does, with 0"
         )
     return line
+
+
+def _check_signs(table: Table) -> None:
+    """Refuse speeds backwards, and a cant that is in another unit or of the other sign."""
+    speed, cant, curvature = table.columns.get("speed"), table.columns.get("cant"), _curvature(table)
+    if speed is not None and (back := np.flatnonzero(speed.values <= 0.0)).size:
+        row = int(back[0])
+        raise DataError(
+            f"{table.where(row)}: column '{speed.header}': found {speed.shown(row)}; expected more than 0"
+        )
+    if cant is None:
+        return
+    largest = float(np.max(np.abs(cant.values)))
+    if 0.0 < largest < _LEAST_CANT:
+        raise DataError(
+            f"{table.head}: column '{cant.header}': no number is above {1e3 * largest:.2g} mm; no line "
+            f"has so little cant (is the unit {cant.unit} right?)"
+        )
+    if curvature is not None and float(cant.values @ curvature) < 0.0:
+        row = int(np.argmin(cant.values * curvature))
+        raise DataError(
+            f"{table.where(row)}: column '{cant.header}': found {cant.shown(row)} in a curve to the "
+            f"{'left' if curvature[row] > 0.0 else 'right'}, and alike in most: the inner rail would be the "
+            "higher one; cant is positive where the right rail is higher, a radius in curves to the left"
+        )
 
 
 def _line(table: Table, config: LineConfig) -> Line:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import re
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -89,6 +89,8 @@ _FAR, _NEARLY_ALL = 20.0, 0.999
 # Nothing on rails is faster: a speed beyond it was given in another unit than its header says.
 _FASTEST = 200.0
 _FASTEST_RATE = 1e6
+# No bogie frame is as calm for so long that its acceleration does not move.
+_STILL = 1.0  # s
 
 
 class _Column(NamedTuple):
@@ -156,12 +158,15 @@ def read_recording(
     count = len(roles.channels)
     along = series[count] if roles.speed else None
     result = sampled(series[:count], along, settings.minimum_sample_rate, contents.source)
+    still = [
+        note for each, column in zip(series, roles.channels, strict=False) for note in _still(each, column)
+    ]
     return Recording(
         sample_rate=result.rate,
         speed=float(speed or 0.0) if result.speed is None else result.speed,
         channels=tuple(Channel(c.name, _QUANTITIES[c.unit.quantity], c.unit.name) for c in roles.channels),
         signals=result.signals,
-        notes=(*contents.notes, *timing, *result.notes, *_said(roles, speed)),
+        notes=(*contents.notes, *timing, *result.notes, *still, *_said(roles, speed)),
     )
 
 
@@ -351,7 +356,10 @@ def _series(
     clocks: dict[bytes, Array] = {}
     for column, numbers in zip(columns, values, strict=True):
         if not len(numbers):
-            raise DataError(f"{contents.source}: found 0 samples; expected a recording of at least 500 m")
+            raise DataError(
+                f"{contents.source}: column '{column.header}': found 0 samples; expected a recording of at"
+                " least 500 m"
+            )
         times, place = _times(contents, column, numbers, common, given), column.place
         at = time.place if time is not None and times is common else place
 
@@ -425,6 +433,25 @@ def _check_size(column: _Column, numbers: Array, where: Callable[[int], str]) ->
         found = f"{numbers[row] / column.unit.factor:g} {column.unit.name}"
         raise DataError(
             f"{where(row)}: found {found}; {why} (is the unit right? an error code of the logger?)"
+        )
+
+
+def _still(series: Series, column: _Column) -> Iterator[str]:
+    """Refuse a sensor that is dead all along; tell where one has stood still."""
+    changes = np.flatnonzero(np.diff(series.values)) + 1
+    if not changes.size:
+        raise DataError(
+            f"{series.place(0)}: found {series.values[0] / column.unit.factor:g} {column.unit.name} all"
+            " along, as of a dead sensor; take its column out, or name those to assess with --column"
+        )
+    begun, ended = np.concatenate(([0], changes)), np.concatenate((changes, [len(series.values)])) - 1
+    lasted = series.time[ended] - series.time[begun]
+    if lasted.max() >= _STILL:
+        first = int(begun[lasted.argmax()])
+        start = series.time[first]
+        yield (
+            f"Column '{column.header}' stands at {series.values[first] / column.unit.factor:g}"
+            f" {column.unit.name} from {start:.5g} to {start + lasted.max():.5g} s, as a dead sensor does."
         )
 
 

@@ -88,7 +88,7 @@ def _places(table: TextTable, roles: Sequence[Role]) -> dict[Role, int]:
     where = f"{table.source}: line {table.head.line}"
     expected = " and ".join(f"'{role.example}'" for role in roles)
     if not table.names:
-        raise DataError(f"{where}: found no header; expected columns {expected}")
+        raise DataError(f"{table.no_header()}; expected columns {expected}")
     places: dict[Role, int] = {}
     for k in range(len(table.names)):
         name, unit = labelled(table, k)

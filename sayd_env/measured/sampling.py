@@ -145,6 +145,10 @@ def sampled(channels: Sequence[Series], speed: Series | None, minimum_rate: floa
         if clock.uniform and _same(series.time, grid):
             columns.append(series.values)
             continue
+        if clock.uniform and (part := _part(series, grid)) is not None:
+            notes[f"Read is what all channels have, {grid[0]:.6g} to {grid[-1]:.6g} s."] = None
+            columns.append(part)
+            continue
         notes[_resampled(series, clock, fastest.rate)] = None
         columns.append(_spline(series, clock)(grid))
     along = None if speed is None else _speed(speed, grid, notes)
@@ -221,6 +225,14 @@ def _same(time: Array, grid: Array) -> bool:
     return len(time) == len(grid) and bool(np.abs(time - grid).max() < _SCATTER * step)
 
 
+def _part(series: Series, grid: Array) -> Array | None:
+    """Values at the times of a grid that are times of the series, None where they are others."""
+    step = grid[1] - grid[0]
+    first = max(0, round(float(grid[0] - series.time[0]) / step))
+    part = slice(first, first + len(grid))
+    return series.values[part] if _same(series.time[part], grid) else None
+
+
 def _resampled(series: Series, clock: _Clock, rate: float) -> str:
     """Refuse long gaps; say what happens to short ones and to other times."""
     steps = np.diff(series.time)
@@ -234,6 +246,8 @@ def _resampled(series: Series, clock: _Clock, rate: float) -> str:
             f" {series.time[i + 1]:.6g} s{others}; at most {1e3 * LONGEST_GAP:g} ms are bridged:"
             " cut the recording"
         )
+    if clock.uniform and abs(clock.rate - rate) < 1e-6 * rate:
+        return f"Signals of {rate:.6g} Hz have times of their own: put on common ones by cubic splines."
     if clock.uniform:
         return f"Signals of {clock.rate:.6g} Hz were resampled to {rate:.6g} Hz by cubic splines."
     short = steps > 1.5 / clock.rate

@@ -21,6 +21,7 @@ from sayd_env.measured.dialect import (
     Line,
     decimal_mark,
     decode,
+    hollow,
     is_number,
     lines_of,
     read_head,
@@ -54,9 +55,11 @@ class TextTable:
     lines : ndarray of int, shape (n,)
         Line of each row in the file.
     width : int
-        Most cells of a row; may be less than the columns of the header.
+        Most cells of a row.
     encoding : str
         Of the file, as people call it.
+    notes : tuple of str
+        What of the file was left out.
     """
 
     source: str
@@ -65,6 +68,7 @@ class TextTable:
     width: int
     encoding: str
     _body: str = field(repr=False)
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -73,6 +77,22 @@ class TextTable:
     def names(self) -> tuple[str, ...]:
         """Cells of the header; empty without one. A name may be empty or appear twice."""
         return self.head.names
+
+    def no_header(self) -> str:
+        """What messages say of a table whose columns have no names."""
+        lines = self.head.preamble
+        text = f"{self.source}: line {self.head.line}: found no header"
+        if not lines:
+            return text
+        text += f" (what stands above has not {self.head.width} names)"
+        names = lines[-1].lstrip("#!%/ ").count(",") + 1
+        # 0,5,1,5 below x,y: each of its numbers may have been cut into two.
+        if self.head.separator == "," and 1 < names < self.head.width <= 2 * names:
+            text += (
+                "; commas stand between columns and seem to stand for decimal points as well, so that "
+                "numbers cannot be told apart: write another separator, or decimal points"
+            )
+        return text
 
     def where(self, row: int, column: int | None = None) -> str:
         """Line of a row in the file, and a column, as messages name them."""
@@ -195,6 +215,7 @@ class TextTable:
         )
 
 
+_UNFINISHED = re.compile(r"[-+.,]$|\d[eEdD]$")
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:([,.' \u2019\u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d*)?")
 _TRUTH = re.compile("true|false", re.IGNORECASE)
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[-+]?\d)")
@@ -213,7 +234,9 @@ def _value(cell: str, mark: str) -> float:
         return np.inf
 
 
-def read_text_table(path: str | Path, what: str = "table", largest: int = LARGEST) -> TextTable:
+def read_text_table(
+    path: str | Path, what: str = "table", largest: int = LARGEST, *, may_end_short: bool = False
+) -> TextTable:
     """Read a text table as measuring systems, spreadsheets and programs write it.
 
     Encoding, separator (semicolon, tab, bar, comma or blanks), decimal mark, quotes, comments (lines that
@@ -228,20 +251,34 @@ def read_text_table(path: str | Path, what: str = "table", largest: int = LARGES
         What it should be, for messages.
     largest : int
         Most bytes that are read.
+    may_end_short : bool
+        A last line that was cut off, as where a logger lost its power, is left out, with a note.
 
     Raises
     ------
     ConfigError
         The file cannot be read, is too large, or is no text.
     DataError
-        It is empty, a quotation mark is not closed, or a row has more cells than there are columns.
+        It is empty, a quotation mark is not closed, or a row has more or fewer cells than there are columns.
     """
     source = str(path)
     text, encoding = decode(read_bytes(Path(path), what, largest), source)
     lines, comments, separator = lines_of(text)
     if not lines:
         raise DataError(f"{source}: is empty; expected a header and rows of numbers")
-    return table_of(lines, source, comments=comments, separator=separator, encoding=encoding)
+    cut = may_end_short and not text.endswith("\n")
+    table = table_of(
+        lines,
+        source,
+        comments=comments,
+        separator=separator,
+        encoding=encoding,
+        may_end_short=may_end_short,
+        cut=cut,
+    )
+    if len(table) and (number := hollow(text, int(table.lines[0]), int(table.lines[-1]))):
+        raise DataError(f"{source}: line {number}: found separators alone; expected a row of numbers")
+    return table
 
 
 def table_of(
@@ -251,6 +288,8 @@ def table_of(
     comments: Sequence[Line] = (),
     separator: str = "",
     encoding: str = "UTF-8",
+    may_end_short: bool = False,
+    cut: bool = False,
 ) -> TextTable:
     """Table of lines, one at least: of a whole file, or of a part of it whose beginning is told otherwise.
 
@@ -260,17 +299,42 @@ def table_of(
         See `sayd_env.measured.dialect.lines_of`.
     source, encoding : str
         The file and its encoding.
+    may_end_short : bool
+        See `read_text_table`.
+    cut : bool
+        The last line has no end, so that its last number may have been cut.
 
     Raises
     ------
     DataError
-        A quotation mark is not closed, or a row has more cells than there are columns.
+        A quotation mark is not closed, or a row has more or fewer cells than there are columns.
     """
     head = read_head(lines, comments, separator, source)
     rows = lines[head.rows :]
+    notes: tuple[str, ...] = ()
+    if may_end_short and len(rows) > 1 and (why := _cut_off(rows, head, cut)):
+        notes = (f"Line {rows[-1].number}, the last one, is left out: it {why}.",)
+        rows = rows[:-1]
     width = _width(rows, head, source)
     numbers = np.array([line.number for line in rows], dtype=np.int64)
-    return TextTable(source, head, numbers, width, encoding, "\n".join(line.text for line in rows))
+    body = "\n".join(line.text for line in rows)
+    return TextTable(source, head, numbers, width, encoding, body, notes)
+
+
+def _count(text: str, separator: str) -> int:
+    """Cells of a line without quotation marks, empty ones at its end included."""
+    return text.count(separator) + 1 if separator != BLANKS else len(text.split())
+
+
+def _cut_off(rows: Sequence[Line], head: Head, cut: bool) -> str:
+    """What shows that the last line was not written to its end, "" for nothing."""
+    *_, above, last = rows
+    cells = _count(last.text, head.separator)
+    if cells < head.width and '"' not in last.text:
+        return f"has {cells} of {head.width} cells"
+    if cut and _UNFINISHED.search(last.text) and not _UNFINISHED.search(above.text):
+        return f"ends within a number ('{last.text[-20:]}')"
+    return ""
 
 
 def _width(rows: Iterable[Line], head: Head, source: str) -> int:
@@ -278,7 +342,7 @@ def _width(rows: Iterable[Line], head: Head, source: str) -> int:
     widest = 0
     separator = head.separator
     for row in rows:
-        cells = row.text.count(separator) + 1 if separator != BLANKS else len(row.text.split())
+        cells = _count(row.text, separator)
         if cells > head.width or '"' in row.text:
             found = split(row, separator, source)
             filled = max((k + 1 for k, cell in enumerate(found) if cell), default=0)
@@ -288,6 +352,11 @@ def _width(rows: Iterable[Line], head: Head, source: str) -> int:
                     f"{source}: line {row.number}: found {filled} cells; expected {head.width}{hint}"
                 )
             cells = len(found)
+        if cells < head.width:
+            raise DataError(
+                f"{source}: line {row.number}: found {cells} cell{'s' * (cells != 1)}, "
+                f"'{row.text.strip()[:40]}'; expected {head.width}"
+            )
         widest = max(widest, cells)
     return widest
 

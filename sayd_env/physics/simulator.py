@@ -208,8 +208,9 @@ class VehicleModel:
         assessment = self.scenario.assessment
         if assessment.length is None:
             raise ConfigError("assessment.length: a simulation needs a distance, found null")
-        length = assessment.run_in + assessment.length + RUN_OUT
-        return realise(self.scenario.track.irregularity, length, seed)
+        end = assessment.run_in + assessment.length
+        judged = [(assessment.run_in, end)]
+        return realise(self.scenario.track.irregularity, end + RUN_OUT, seed, judged=judged)
 
     def plant(
         self,

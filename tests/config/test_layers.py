@@ -224,7 +224,7 @@ def test_a_file_cannot_stand_on_itself(write: Write):
 @pytest.mark.parametrize(
     ("read", "text", "expected"),
     [
-        (load_sayd, "base: sayed", "unknown damper 'sayed', did you mean 'sayd'?; available: "),
+        (load_sayd, "base: sayed", "base: unknown damper 'sayed', did you mean 'sayd'?; available: "),
         (load_sayd, "base: ./sayd.yaml", "sayd.yaml: no such file"),
         (load_sayd, "base: 5", "mine.yaml: base: found 5; expected a name, a path or null"),
         (
@@ -252,3 +252,50 @@ def test_a_damper_cannot_stand_on_one_of_another_type(write: Write):
     expected = f"{path}: type: found 'passive'; its base 'sayd' is a sayd one"
     assert expected in refused(load_scenario, None, [f"damper={path}"])
     assert isinstance(load_scenario(None, ["damper=sayd"]).damper, SaydDamperConfig)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "bodies: []\nelements: []\n",
+            "seems to be a vehicle, by its keys bodies, elements; expected a damper",
+        ),
+        ("sections: []\n", "seems to be a line, by its keys sections; expected a damper"),
+        ("irregularity: {}\n", "seems to be a track, by its keys irregularity; expected a damper"),
+        ("base: emu\n", "base: unknown damper 'emu', which is a vehicle; available: passive"),
+        ("name: mine\n", "key 'type' is missing: it says of which kind the entry is; expected passive, sayd"),
+    ],
+)
+def test_a_file_of_another_kind_is_named(write: Write, text: str, message: str) -> None:
+    path = write(text, "mine.yaml")
+    with pytest.raises(ConfigError) as caught:
+        load_scenario(None, [f"damper={path}"])
+    assert str(caught.value).startswith(f"{path}: {message}")
+
+
+@pytest.mark.parametrize(
+    ("base", "assignment"),
+    [
+        ("passive", "series_stiffness=6.0"),
+        ("passive", "series_stiffness=6000.0"),
+        ("passive", "curve=[[0, 0], [4.0, 9.8], [250.0, 12.0]]"),
+        ("passive", "curve=[[0, 0], [0.004, 9.8], [0.25, 12.0]]"),
+        ("passive", "curve=[[0, 0], [4.0, 9800], [250.0, 12000]]"),
+        ("sayd", "bogie_mount.stiffness=30.0"),
+        ("sayd", "cylinder.area=1860.0"),
+        ("sayd", "cylinder.area=18.6"),
+        ("sayd", "cylinder.bore=63.0"),
+        ("sayd", "cylinder.stroke=200.0"),
+        ("sayd", "oil.tank_pressure=1.0"),
+        ("sayd", "throttle.density=0.86"),
+        ("sayd", "throttle.closed_area=0.167"),
+        ("sayd", "relief.opening=66.0"),
+        ("sayd", "rectifier.nominal_flow=40.0"),
+        ("sayd", "housing_mass=0.017"),
+    ],
+)
+def test_a_dampers_number_in_another_unit_is_refused(base: str, assignment: str) -> None:
+    key = assignment.partition("=")[0]
+    with pytest.raises(ConfigError, match=rf"damper\.{key}: "):
+        load_scenario(None, [f"damper={base}", f"damper.{assignment}"])

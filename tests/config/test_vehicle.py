@@ -131,3 +131,30 @@ def test_a_vehicle_that_cannot_run_is_refused_when_it_is_assembled(items: list[s
 def test_every_packaged_vehicle_is_assembled():
     for name in packaged_names("vehicle"):
         assert VehicleModel(load_scenario("estimates", [f"vehicle={name}"])).multibody.n > 0
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("bodies.carbody.mass", "49.962"),
+        ("bodies.frame.mass", "2.5"),
+        ("bodies.wheelset.mass", "1.55"),
+        ("bodies.carbody.inertia", "[135.0, 2040.0, 1920.0]"),
+        ("elements.air_spring.stiffness", "[0.18, 0.18, 0.28]"),
+        ("elements.air_spring.damping", "[0.0, 0.0, 40.0]"),
+        ("elements.air_spring.a.at", "[0.0, 1230.0, 930.0]"),
+        ("elements.arm_joint.stiffness", "[99.0, 11.0, 17.1]"),
+        ("elements.anti_roll_bar.stiffness", "2.0"),
+        ("elements.lateral_damper.series_stiffness", "17.15"),
+        ("elements.lateral_stop.curve", "[[0.0, 0.0], [20.0, 0.0], [48.0, 49.0e+3]]"),
+        ("sets.bogie.front.origin", "[8750.0, 0.0, 0.0]"),
+        ("measuring_height", "540.0"),
+        ("speed_range", "[30.0, 500.0]"),
+    ],
+)
+def test_a_number_in_another_unit_is_refused(key: str, value: str) -> None:
+    """Tonnes, MN/m, kN s/m, millimetres and km/h in their places of SI."""
+    section, _, last = key.rpartition(".")
+    named = rf"vehicle\.{section}" if last in ("mass", "inertia") else rf"vehicle\.{key}"
+    with pytest.raises(ConfigError, match=named):
+        load_scenario(None, [f"vehicle.{key}={value}"])

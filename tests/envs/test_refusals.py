@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from sayd_env import baselines
-from sayd_env.config import ConfigError
+from sayd_env.config import ConfigError, DataError
 from sayd_env.envs.single import SaydEnv
 from sayd_env.envs.vector import SaydVectorEnv
 
@@ -196,3 +197,15 @@ def test_observations_of_controllers(name: str) -> None:
     assert np.all(np.isfinite(policy.predict(np.full(41, 3.4e38))[0]))
     for other in (["a"] * 41, ["1"] * 41, [np.datetime64("now")] * 41, [1j] * 41, [HUGE] * 41, 5.0, None):
         assert "observation" in message_of(policy.predict, other)
+
+
+def test_an_episode_beyond_the_measured_track_is_refused(tmp_path: Path) -> None:
+    """Two seconds at 360 km/h behind a run-in of 500 m, on a file of 650 m whose ramps are even track."""
+    rows = "\n".join(f"{x},{np.sin(x / 5):.6f}" for x in range(651))
+    (tmp_path / "own.csv").write_text(f"x_m,alignment_mm\n{rows}\n", encoding="utf-8")
+    settings = [f"track={tmp_path / 'own.csv'}", "track.irregularity.ramp=25.0"]
+    SaydEnv(settings=settings, speed_kmh=360.0, episode_s=1.0).reset(seed=0)
+    with pytest.raises(
+        DataError, match=r"covers 0 to 650 m, .* judged from 4\d\d.* to 69\d.* m; give a long"
+    ):
+        SaydEnv(settings=settings, speed_kmh=360.0, episode_s=2.0).reset(seed=0)

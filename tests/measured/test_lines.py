@@ -167,11 +167,43 @@ def test_irregularities_of_a_line_are_those_of_its_file(tmp_path: Path) -> None:
         value[1:, 0], 2e-3 * np.sin(2 * np.pi * np.array([200.0, 205.0, 295.0]) / 20), atol=1e-7
     )
     assert abs(value[0, 0]) < 1e-3  # within the ramp
+    # What lies before the line, behind it, and the blends at its ends are not asked of its file.
+    same = realise_line(line, track, 800.0, 0, origin=350.0, judged=(300.0, 800.0))
+    np.testing.assert_array_equal(same.coefficients, realised.coefficients)
+
+
+def test_a_section_lies_on_the_file_of_its_track(tmp_path: Path) -> None:
+    """Of the second section, 300 to 600 m, the blends of 25 m at its ends are not asked for."""
+    rows = "\n".join(f"{a},{np.sin(a / 5):.6f}" for a in range(301))
+    write(tmp_path, f"x_m,alignment_mm\n{rows}", "own.csv")
+    own = write(tmp_path, "base: own.csv\nirregularity: {offset: 300.0, ramp: 25.0}\n", "own.yaml")
+    sections = "sections:\n  - {length: 300.0}\n  - {length: %s, track: %s}\n"
+    good, bad = (
+        load_line(write(tmp_path, sections % (length, own), "mine.yaml"), speed=80.0)
+        for length in (300.0, 310.0)
+    )
+    track = read_track("german_low")
+    realise_line(good, track, 1200.0, 0, origin=500.0, judged=(500.0, 1150.0))
+    realise_line(bad, track, 1200.0, 0, origin=500.0, judged=(500.0, 1050.0))
+    with pytest.raises(DataError, match=r"own\.csv: covers 800 to 1100 m, .* judged from 825 to 1085 m"):
+        realise_line(bad, track, 1200.0, 0, origin=500.0, judged=(500.0, 1150.0))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (
+            "x_m,speed_kmh\n0,300\n500,-300\n",
+            "line 3: column 'speed_kmh': found -300 km/h; expected more than 0",
+        ),
+        (
+            "x_m,cant_mm\n0,0\n500,0.12\n",
+            "line 1: column 'cant_mm': no number is above 0.12 mm; .* unit mm right",
+        ),
+        (
+            "x_m,radius_m,cant_mm\n0,0,0\n400,7000,-120\n900,7000,-120\n",
+            "line 3: column 'cant_mm': found -120 mm in a curve to the left, and alike in most",
+        ),
         ("x_m\n0\n100\n", "nothing to read beside 'x_m'; expected any of speed_kmh, "),
         ("x_m,x_km,cant_mm\n0,0,0\n", "found x_m and x_km; expected one of them"),
         ("x_m,raduis_m\n0,0\n100,0\n", "unknown column 'raduis_m', did you mean 'radius_m'"),

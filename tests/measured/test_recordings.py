@@ -252,6 +252,45 @@ def test_several_rates_in_one_table(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.signals[:, 1], 25e3 * np.sin(2 * np.pi * 5 * at), atol=10.0)
 
 
+def test_a_last_line_that_was_cut_off_is_left_out_with_a_note(ride: Path) -> None:
+    whole = read_recording(ride, SETTINGS)
+    text = ride.read_text(encoding="utf-8")
+    ride.write_text(text[: text.rstrip().rindex(",")], encoding="utf-8")
+    found = read_recording(ride, SETTINGS)
+    np.testing.assert_array_equal(found.signals, whole.signals[:-1])
+    assert found.notes[0] == f"Line {len(TIME) + 1}, the last one, is left out: it has 3 of 4 cells."
+    assert not [note for note in found.notes if "resampled" in note]
+
+
+def test_channels_of_one_rate_are_read_as_long_as_all_have_values(ride: Path) -> None:
+    """Nothing is resampled where one of them ends earlier, or begins later."""
+    whole = read_recording(ride, SETTINGS)
+    lines = ride.read_text(encoding="utf-8").splitlines()
+    lines[-1] = lines[-1][: lines[-1].rindex(",") + 1]
+    time, speed, _, force = lines[1].split(",")
+    lines[1] = f"{time},{speed},,{force}"
+    ride.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    found = read_recording(ride, SETTINGS)
+    np.testing.assert_array_equal(found.signals, whole.signals[1:-1])
+    assert "Read is what all channels have, 0.004 to 19.992 s." in found.notes
+    assert not [note for note in found.notes if "splines" in note]
+
+
+def test_a_dead_sensor_is_refused_and_one_that_died_is_told(tmp_path: Path) -> None:
+    header = "time_s,speed_kmh,bogie1_m_s2,bogie2_m_s2"
+    speed = np.full_like(TIME, SPEED * 3.6)
+    path = write(tmp_path / "a.csv", header, [TIME, speed, STABLE, 0.0 * TIME])
+    with pytest.raises(
+        DataError, match=r"line 2: column 'bogie2_m_s2': found 0 m/s2 all along, as of a dead"
+    ):
+        assess_file(path, SETTINGS, TRAIN)
+    assert read_recording(path, SETTINGS, columns=["bogie1"]).channels[0].name == "bogie1"
+    died = np.where(TIME < 12.0, STABLE, 1.5)
+    path = write(tmp_path / "b.csv", header, [TIME, speed, STABLE, died])
+    (note,) = (note for note in read_recording(path, SETTINGS).notes if "dead sensor" in note)
+    assert note == "Column 'bogie2_m_s2' stands at 1.5 m/s2 from 12 to 19.996 s, as a dead sensor does."
+
+
 FAST = np.arange(11000) / 500.0
 
 
@@ -361,7 +400,10 @@ SHORT = "time_s,speed_kmh,a_n"
     [
         ("", "is empty"),
         ("# nothing\n\n", "is empty"),
-        (f"{SHORT}\n", "found 0 samples"),
+        (f"{SHORT}\n", "line 1: found a header and no rows of numbers below it"),
+        ("Time [s];Speed [km/h];Bogie 1 front [m/s2]\n", "line 1: found a header and no rows of numbers"),
+        (f"{SHORT}\n0,0,300,1,5\n0,1,300,1,5\n", "line 2: found no header .*; commas stand between columns"),
+        (f"{SHORT}\n0,300,1\n0.1,300\n0.2,300,1\n", "line 3: found 2 cells, '0.1,300'; expected 3"),
         ("0,300,1\n0.1,300,1\n0.2,300,1\n", "line 1: found no header"),
         ("time_s,speed_kmh\n0,300\n0.001,300\n", "no column to assess"),
         ("time_s,a_m_s2\n0,1\n0.001,1\n", "no column speed_kmh"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ def test_what_stands_above_the_rows(
 
 
 def test_numbers_of_some_columns_and_cells_without_a_value(file: Path) -> None:
-    file.write_text("t;place;a\n0;Ulm, 3 4 5;1D+01\n1;;NaN\n2;x;\n\n3;y\n4;z;n/a\n5;x;-0,5\n")
+    file.write_text("t;place;a\n0;Ulm, 3 4 5;1D+01\n1;;NaN\n2;x;\n\n3;y;\n4;z;n/a\n5;x;-0,5\n")
     table = read_text_table(file)
     np.testing.assert_array_equal(
         table.numbers([0, 2], gaps=True),
@@ -94,7 +95,12 @@ def test_numbers_of_some_columns_and_cells_without_a_value(file: Path) -> None:
         ("t;a\n0;1\n1;\n", "line 3: column 'a': found ''; expected a number"),
         ("t;a\n0;1\n1;0x10\n", "line 3: column 'a': found '0x10'"),
         ("t;a\n0;1\n1;1_0\n", "line 3: column 'a': found '1_0'"),
-        ("t;a\n0;1\n1;2\nEnd\n", "line 4: column 't': found 'End'"),
+        ("t;a\n0;1\n1;2\nEnd\n", "line 4: found 1 cell, 'End'; expected 2"),
+        ("t;a\n0;1\n1;2\nEnd;\n", "line 4: column 't': found 'End'"),
+        ("t;a;b\n0;1;2\n1;2\n2;3;4\n", "line 3: found 2 cells, '1;2'; expected 3"),
+        ("t a b\n0 1 2\n1 2\n2 3 4\n", "line 3: found 2 cells, '1 2'; expected 3"),
+        ('t;a;b\n0;1;2\n1;"2"\n2;3;4\n', "line 3: found 2 cells"),
+        ("t;a\n0;1\n;\n2;3\n", "line 3: found separators alone"),
         ('t;a\n0;1\n1;"2\n', "line 3: a quotation mark is not closed"),
     ],
 )
@@ -103,6 +109,38 @@ def test_what_is_refused_by_its_place(file: Path, text: str, message: str) -> No
     with pytest.raises(DataError, match=message) as caught:
         (table := read_text_table(file)).numbers(range(len(table.names)))
     assert str(caught.value).startswith(str(file))
+
+
+@pytest.mark.parametrize("header", ["t [s];Bogie 1 front [m/s²]", "t [s],a [N]", "t [s]\ta [N]", "t|a 1"])
+def test_a_header_alone_is_one(file: Path, header: str) -> None:
+    file.write_text(f"{header}\n", encoding="utf-8")
+    table = read_text_table(file)
+    assert (len(table), len(table.names)) == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("last", "why"),
+    [
+        ("2;3", "has 2 of 3 cells"),
+        ("2;3\n", "has 2 of 3 cells"),
+        ("2;3;-0.", r"ends within a number \('2;3;-0\.'\)"),
+        ("2;3;-", "ends within a number"),
+        ("2;3;1.5e", "ends within a number"),
+    ],
+)
+def test_a_last_line_that_was_cut_off_may_be_left_out(file: Path, last: str, why: str) -> None:
+    file.write_text(f"t;a;b\n0;1;2.5\n1;2;3.5\n{last}", encoding="utf-8")
+    table = read_text_table(file, may_end_short=True)
+    assert table.numbers(range(3)).tolist() == [[0, 1, 2.5], [1, 2, 3.5]]
+    (note,) = table.notes
+    assert re.fullmatch(rf"Line 4, the last one, is left out: it {why}.*\.", note)
+
+
+@pytest.mark.parametrize("last", ["2;3;4", "2;3;\n", "2;3;-\n"])
+def test_a_last_line_that_is_whole_stays(file: Path, last: str) -> None:
+    file.write_text(f"t;a;b\n0;1;2.\n1;2;3.5\n{last}", encoding="utf-8")
+    table = read_text_table(file, may_end_short=True)
+    assert (len(table), table.notes) == (3, ())
 
 
 def test_no_wait_and_no_memory_for_what_is_no_file(file: Path) -> None:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from sayd_env.config import ConfigError, DataError
+from sayd_env.config.scenario import load_scenario
 from sayd_env.config.track import FileConfig, read_track
 from sayd_env.measured.notes import measured_notes
 from sayd_env.measured.tracks import MeasuredTrack, check_gauge
+from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.track import read_measured, realise
 
 HEADER = "x_m,alignment_mm"
@@ -77,6 +79,49 @@ def test_a_file_shorter_than_the_run_is_refused(tmp_path: Path, offset: float) -
 
 
 @pytest.mark.parametrize(
+    ("judged", "refused"),
+    [
+        ((110.0, 150.0), False),
+        ((110.0, 150.5), True),
+        ((109.5, 150.0), True),
+        ((500.0, 5500.0), True),
+        ((0.0, 150.0), True),
+    ],
+)
+def test_what_is_judged_lies_on_the_file_and_not_on_its_ramps(
+    tmp_path: Path, judged: tuple[float, float], refused: bool
+) -> None:
+    """The file covers 100 to 160 m, with ramps of 10 m."""
+    config = FileConfig(type="file", path=str(wave_file(tmp_path, 0.0, 60.0)), offset=100.0, ramp=10.0)
+    if not refused:
+        realise(config, 6000.0, 0, judged=[judged])
+        return
+    start = max(judged[0], 50.0)  # where the run itself has faded in
+    message = f"covers 100 to 160 m, .* 10 m are its ramp, .* judged from {start:g} to {judged[1]:g} m; give"
+    with pytest.raises(DataError, match=message):
+        realise(config, 6000.0, 0, judged=[judged])
+
+
+def test_a_file_may_begin_with_the_run(tmp_path: Path) -> None:
+    config = FileConfig(type="file", path=str(wave_file(tmp_path)), ramp=25.0)
+    realise(config, 700.0, 0, judged=[(0.0, 575.0)])
+
+
+def test_an_assessed_run_lies_on_the_file(tmp_path: Path) -> None:
+    """Assessed are 500 to 1100 m: the file with its ramps goes from 480 to 1120 m."""
+    settings = ["irregularity.ramp=20.0", "irregularity.offset=480.0"]
+
+    def model(length: float) -> VehicleModel:
+        track = read_track(str(wave_file(tmp_path, 0.0, length)), settings)
+        scenario = load_scenario("estimates", ["assessment.length=600.0"])
+        return VehicleModel(scenario.model_copy(update={"track": track}))
+
+    model(640.2).realisation(0)
+    with pytest.raises(DataError, match=r"covers 480 to 1080 m, .* judged from 500 to 1100 m; give a longer"):
+        model(600.0).realisation(0)
+
+
+@pytest.mark.parametrize(
     ("lines", "message"),
     [
         ([""], "is empty"),
@@ -85,7 +130,10 @@ def test_a_file_shorter_than_the_run_is_refused(tmp_path: Path, offset: float) -
         (["x_m", "0", "1", "2", "3"], "line 1: nothing to read beside 'x_m'; expected any of alignment_mm, "),
         (["alignment_mm", "0"], "line 1: column 'x_m' or 'x_km' is missing"),
         (["x_m,alignement_mm", *ROWS], "unknown column 'alignement_mm', did you mean 'alignment_mm'?"),
-        (["x_m,alignment_mm,alignment_mm", *ROWS], "line 1: column 'alignment_mm' appears twice"),
+        (
+            ["x_m,alignment_mm,alignment_mm", *(f"{row},0" for row in ROWS)],
+            "line 1: column 'alignment_mm' appears twice",
+        ),
         ([HEADER, *ROWS, "9,nan"], r"line 8: column 'alignment_mm': found 'nan'; expected a finite number"),
         ([HEADER, "inf,1", *ROWS], r"line 2: column 'x_m': found 'inf'"),
         ([HEADER, *ROWS, "6,abc"], r"line 8: column 'alignment_mm': found 'abc'; expected a number"),
@@ -95,6 +143,13 @@ def test_a_file_shorter_than_the_run_is_refused(tmp_path: Path, offset: float) -
         ([HEADER, *ROWS, "5,0"], "line 8: x_m 5 appears twice"),
         ([HEADER, *ROWS, "50,0"], "line 8: a gap of 45 m before x_m 50"),
         ([HEADER, *ROWS, "6,1435"], r"line 8: column 'alignment_mm': found 1435 mm; .*is the unit mm"),
+        ([HEADER, *ROWS, "6", "7,1"], "line 8: found 1 cell, '6'; expected 2"),
+        ([HEADER, *ROWS, "6"], "line 8: found 1 cell, '6'; expected 2"),
+        ([HEADER, *ROWS, ",", "7,1"], "line 8: found separators alone; expected a row of numbers"),
+        (
+            ["x_m,alignment_mm", "0,0,0,5", "0,5,0,7"],
+            "line 2: found no header .*; commas stand between columns",
+        ),
         ([HEADER, *ROWS, '6,"1'], "line 8: a quotation mark is not closed"),
     ],
 )

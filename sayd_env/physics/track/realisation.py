@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +37,8 @@ _MARGIN = 16
 _SETTLED = 64
 # 128 MB of coefficients; 1000 km at the usual step.
 _MAX_POINTS = 4_000_000
+# A file's distances are printed to a millimetre at best.
+_ENOUGH = 1e-3  # m
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,7 @@ def realise(
     fade_in: float = FADE_IN,
     grid_step: float = GRID_STEP,
     covered: float | None = None,
+    judged: Sequence[tuple[float, float]] = (),
 ) -> TrackRealisation:
     """Irregularities from position 0 to `length`.
 
@@ -95,18 +99,23 @@ def realise(
         Distance of the spline's samples (m).
     covered : float, optional
         Length (m) that the table needs to cover, for a run that ends before `length`: so far it is the same.
+    judged : sequence of pairs of float
+        Parts of the run (m) whose results count. A measured file has to cover them with its ramps left out:
+        even track may lie in the run-in and behind what is judged, never in it.
 
     Raises
     ------
     ConfigError
         Length, seed, fade or step out of range; waves shorter than eight grid steps.
     DataError
-        A measured file that is wrong or too short for the run.
+        A measured file that is wrong or too short for the run, or for what is judged of it.
     """
     _check(config, length, seed, fade_in, grid_step)
     points = math.ceil(length / grid_step) + 1 + 2 * _MARGIN
     x = grid_step * np.arange(-_MARGIN, points - _MARGIN, dtype=np.float64)
-    samples = _samples(config, x, length, seed)
+    # What fades in is no less even in a file that begins with its ramp.
+    parts = [(max(start, fade_in), end) for start, end in judged]
+    samples = _samples(config, x, length, seed, parts)
     if covered is not None and covered < length:
         length = covered
         points = min(points, math.ceil(length / grid_step) + 1 + 2 * _MARGIN + _SETTLED)
@@ -123,6 +132,7 @@ def realise_line(
     seed: int,
     origin: float,
     covered: float | None = None,
+    judged: tuple[float, float] | None = None,
 ) -> TrackRealisation:
     """Irregularities and gauge of a line, from position 0 of a run to `length`.
 
@@ -138,6 +148,9 @@ def realise_line(
         counted from s = 0; one without, which has to cover the run, on the run.
     origin : float
         Position on the run of the line's s = 0 (m).
+    judged : pair of float, optional
+        Part of the run (m) whose results count. A file with ramps has to cover what of it lies in its pieces
+        and on the line, but for the line's blend at their ends.
 
     Raises
     ------
@@ -148,7 +161,12 @@ def realise_line(
     parts: dict[IrregularityConfig, list[TrackPiece]] = {}
     for piece in pieces:
         parts.setdefault(_of_piece(piece, base.irregularity, origin), []).append(piece)
-    tracks = {config: realise(config, length, seed, covered=covered) for config in parts}
+    tracks = {
+        config: realise(
+            config, length, seed, covered=covered, judged=_judged(pieces_of, line, origin, judged)
+        )
+        for config, pieces_of in parts.items()
+    }
     first = next(iter(tracks.values()))
     knots: Array = first.x0 + first.step * np.arange(-1.0, len(first.coefficients) - 1.0)
     s = knots - origin
@@ -172,6 +190,20 @@ def _of_piece(piece: TrackPiece, base: IrregularityConfig, origin: float) -> Irr
     return config if piece.scale is None else config.model_copy(update={"scale": piece.scale})
 
 
+def _judged(
+    pieces: Sequence[TrackPiece], line: Line, origin: float, judged: tuple[float, float] | None
+) -> list[tuple[float, float]]:
+    """Parts of the run that are judged on pieces of a track, without the blends into others."""
+    if judged is None:
+        return []
+    ends = [
+        (max(judged[0], origin + piece.start + line.blend), origin + min(piece.end, line.length) - line.blend)
+        for piece in pieces
+    ]
+    cut = [(start, min(end, judged[1])) for start, end in ends]
+    return [(start, end) for start, end in cut if start < end]
+
+
 def _share(piece: TrackPiece, line: Line, s: Array) -> Array:
     """Share of a piece of the track at distances s: 1 within it, passing into its neighbours."""
     begun = smooth_step((s - piece.start) / line.blend + 0.5) if piece.start > 0.0 else np.ones_like(s)
@@ -179,7 +211,9 @@ def _share(piece: TrackPiece, line: Line, s: Array) -> Array:
     return np.asarray(begun - ended)
 
 
-def _samples(config: IrregularityConfig, x: Array, length: float, seed: int) -> Array:
+def _samples(
+    config: IrregularityConfig, x: Array, length: float, seed: int, judged: Sequence[tuple[float, float]]
+) -> Array:
     match config:
         case SpectrumConfig():
             return random_irregularity(config, len(x), float(x[1] - x[0]), seed)
@@ -190,7 +224,7 @@ def _samples(config: IrregularityConfig, x: Array, length: float, seed: int) -> 
             t = np.clip((x - config.position) / config.length, 0.0, 1.0)
             return _single_channel(config, 0.5 * (1.0 - np.cos(2.0 * np.pi * t)))
         case FileConfig():
-            return config.scale * _measured(config, x, length)
+            return config.scale * _measured(config, x, length, judged)
         case NoIrregularityConfig():
             return np.zeros((len(x), len(CHANNELS)))
 
@@ -201,19 +235,34 @@ def _single_channel(config: SineConfig | DefectConfig, shape: Array) -> Array:
     return samples
 
 
-def _measured(config: FileConfig, x: Array, length: float) -> Array:
+def _measured(config: FileConfig, x: Array, length: float, judged: Sequence[tuple[float, float]]) -> Array:
     measured = read_measured(config)
     first, last = measured.x[0] + config.offset, measured.x[-1] + config.offset
     values = measured.at(x - config.offset)
     if config.ramp is not None:
+        _check_judged(config, first, last, judged)
         window = smooth_step((x - first) / config.ramp) * smooth_step((last - x) / config.ramp)
         return values * window[:, None]
     if first > 0.0 or last < length:
         raise DataError(
             f"{config.path}: covers {first:g} to {last:g} m of a run from 0 to {length:g} m; "
-            f"shorten the run, change 'offset', or give 'ramp' (m) to run on even track outside the file"
+            f"shorten the run, change 'offset', or give 'ramp' (m) to run in and out on even track"
         )
     return values
+
+
+def _check_judged(
+    config: FileConfig, first: float, last: float, judged: Sequence[tuple[float, float]]
+) -> None:
+    """Refuse even track, or a file that has not grown to its full size, where results count."""
+    assert config.ramp is not None
+    for start, end in judged:
+        if first + config.ramp > start + _ENOUGH or last - config.ramp < end - _ENOUGH:
+            raise DataError(
+                f"{config.path}: covers {first:g} to {last:g} m, of which the first and last {config.ramp:g} "
+                f"m are its ramp, but the run is judged from {start:g} to {end:g} m; give a longer file, "
+                "shorten what is judged (assessment.length, episode_s), or change 'offset' or 'ramp'"
+            )
 
 
 def _check(config: IrregularityConfig, length: float, seed: int, fade_in: float, grid_step: float) -> None:
