@@ -44,7 +44,8 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         assert main(arguments) == status
         out, err = capsys.readouterr()
         assert out == ""
-        err = re.sub(r"^sayd [\w-]+: (still )?compil(ing|ed in) .*\n", "", err, flags=re.MULTILINE)  # in a cold cache
+        # In a cold cache.
+        err = re.sub(r"^sayd [\w-]+: (still )?compil(ing|ed in) .*\n", "", err, flags=re.MULTILINE)
         assert err.startswith("sayd: error: ")
         assert err.count("\n") == 1
         assert "Traceback" not in err
