@@ -164,7 +164,17 @@ def test_the_wheel_holds_every_module_configuration_and_policy(wheel: Path) -> N
     names = set(zipfile.ZipFile(wheel).namelist())
     expected = {"sayd_env/py.typed"}
     for place, inside in (("sayd_env", ""), *((name, "sayd_env/") for name in OUTSIDE)):
-        for pattern in ("*.py", "*.c", "*.h", "*.yaml", "*.npz", "page.*", "pretrained/*.md"):
+        for pattern in (
+            "*.py",
+            "*.c",
+            "*.h",
+            "*.yaml",
+            "*.npz",
+            "page.*",
+            "pretrained/*.md",
+            "pretrained/*.csv",
+            "pretrained/*.png",
+        ):
             expected |= {inside + path.relative_to(ROOT).as_posix() for path in (ROOT / place).rglob(pattern)}
     information = {name for name in names if ".dist-info/" in name}
     assert names - information == expected

@@ -18,7 +18,10 @@ Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
 
 
 _GAP = 2  # characters between columns
-_UNBROKEN = 22  # characters of a word that is not broken, such as the name of a policy
+_UNBROKEN = (
+    22,
+    20,
+)  # characters of a word that is not broken, such as the name of a policy; where room lacks
 _LONG = 10_000  # from here on a whole number is easier to read with its thousands apart
 
 
@@ -204,10 +207,11 @@ def _widths(columns: Sequence[Column], rows: Sequence[Any], room: float) -> list
     lines = [[column.heading, *(column.words(column.of(row)) for row in rows)] for column in columns]
     widths = [max(map(len, texts)) for texts in lines]
     words = [[word for text in texts for word in text.split()] for texts in lines]
-    least = [max((min(len(word), _UNBROKEN) for word in each), default=1) for each in words]
-    while sum(widths) > room and any(width > low for width, low in zip(widths, least, strict=True)):
-        widest = max(range(len(widths)), key=lambda i: (widths[i] > least[i], widths[i]))
-        widths[widest] -= 1
+    for unbroken in _UNBROKEN:
+        least = [max((min(len(word), unbroken) for word in each), default=1) for each in words]
+        while sum(widths) > room and any(width > low for width, low in zip(widths, least, strict=True)):
+            widest = max(range(len(widths)), key=lambda i: (widths[i] > least[i], widths[i]))
+            widths[widest] -= 1
     return widths
 
 

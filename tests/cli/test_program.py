@@ -46,8 +46,9 @@ def probe(what: Annotated[str, typer.Argument()], vehicle: options.VehicleOption
         if what == "lines":
             for line in range(100000): print(line)
         if what == "sleep":
-            print("ready", flush=True)
-            try: time.sleep(60)
+            try:
+                print("ready", flush=True)
+                time.sleep(60)
             finally:
                 print("cleaning up", flush=True)
                 time.sleep(0.5)

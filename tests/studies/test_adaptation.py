@@ -96,7 +96,7 @@ def test_json_keeps_its_keys_and_tells_all_weights(found: ConstantMap):
     for listing in found.listings():
         listing.print(console)
     text = console.file.getvalue()  # type: ignore[attr-defined]
-    assert "km/h 200" in text
+    assert "speed 200 km/h" in text
     assert "worn, 1435" in text
 
 

@@ -231,5 +231,5 @@ def test_speeds_of_a_line_are_its_own(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_a_policy_is_named_once(short_scenario: Scenario) -> None:
-    with pytest.raises(ConfigError, match="twice"):
+    with pytest.raises(ConfigError, match="duplicate"):
         evaluate_line(short_scenario, lined(SLOW), [SPEED], policies=[constant_spec(0.1)] * 2)
