@@ -159,22 +159,25 @@ def test_the_wheel_has_licence_and_version(wheel: Path) -> None:
     assert zipfile.ZipFile(wheel).read(licence) == (ROOT / "LICENSE").read_bytes()
 
 
+PACKED = (
+    "*.py",
+    "*.c",
+    "*.h",
+    "*.yaml",
+    "*.npz",
+    "page.*",
+    "pretrained/*.md",
+    "pretrained/*.csv",
+    "pretrained/*.png",
+)
+
+
 @pytest.mark.slow
 def test_the_wheel_holds_every_module_configuration_and_policy(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     expected = {"sayd_env/py.typed"}
     for place, inside in (("sayd_env", ""), *((name, "sayd_env/") for name in OUTSIDE)):
-        for pattern in (
-            "*.py",
-            "*.c",
-            "*.h",
-            "*.yaml",
-            "*.npz",
-            "page.*",
-            "pretrained/*.md",
-            "pretrained/*.csv",
-            "pretrained/*.png",
-        ):
+        for pattern in PACKED:
             expected |= {inside + path.relative_to(ROOT).as_posix() for path in (ROOT / place).rglob(pattern)}
     information = {name for name in names if ".dist-info/" in name}
     assert names - information == expected
