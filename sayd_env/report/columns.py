@@ -18,7 +18,7 @@ Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
 
 
 _GAP = 2  # characters between columns
-_UNBROKEN = (22, 20)  # characters of a word that is not broken, such as a policy's name; where there is no room
+_UNBROKEN = (22, 20)  # characters of a word that is not broken; the second where room lacks
 _LONG = 10_000  # from here on a whole number is easier to read with its thousands apart
 
 
