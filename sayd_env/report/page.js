@@ -65,7 +65,7 @@
       c.x.domain = inside([c.left / full, (c.left + c.wide) / full]);
       for (const y of c.ys) {
         y.domain = inside([1 - (c.top + c.high) / high, 1 - c.top / high]);
-        if (y.type === "log") y.nticks = logTicks(y, Math.min(Math.max(c.high / 40, 4), 9) + 1);
+        if (y.type === "log") logRows(y, c.high);
       }
       if (c.inRows) layout.annotations.push(...rowNames(c));
     }
@@ -119,10 +119,11 @@
     if (c.title) c.title.text = wrapped(c.title.text, c.wide, SIZE);
   }
 
-  const leftRoom = (c) => (c.inRows ? 10 : sideRoom(c.y, c.high));
+  const leftRoom = (c) => (c.inRows ? 10 + titleRoom(c.y) : sideRoom(c.y, c.high));
   const rightRoom = (c) => Math.max(EDGE, ...c.ys.filter((y) => y.overlaying).map((y) => sideRoom(y, c.high)));
-  const sideRoom = (y, high) => 14 + Math.max(...tickTexts(y, high / 40).map((text) => measured(text, SIZE))) +
-    (y.title ? 8 + TITLE_LINE * lineCount(y.title.text) : 0);
+  const titleRoom = (y) => (y.title ? 8 + TITLE_LINE * lineCount(y.title.text) : 0);
+  const sideRoom = (y, high) =>
+    14 + Math.max(...tickTexts(y, high / 40).map((text) => measured(text, SIZE))) + titleRoom(y);
 
   // Height of what stands at the ticks of an x-axis. Words that have no room side by side are broken, or lean.
   function tickRoom(x, wide) {
@@ -133,6 +134,10 @@
       if (x.type === "log") x.nticks = logTicks(x, x.nticks);
       return 8 + LINE;
     }
+    if (x.ticktext.every((text) => text && !Number.isNaN(Number(text.replace("\u2212", "-"))))) {
+      x.ticktext = thinned(x, wide);
+      return 8 + LINE;
+    }
     const room = Math.max(wide / Math.abs(x.range[1] - x.range[0]) - 8, 16);
     const texts = x.ticktext.map((text) => wrapped(text, room, SIZE));
     if (texts.every((text) => measured(text, SIZE) <= room)) {
@@ -141,6 +146,18 @@
     }
     x.tickangle = -45;
     return 12 + 0.71 * (LINE + Math.max(...x.ticktext.map((text) => measured(text, SIZE))));
+  }
+
+  // Numbers at places of their own: those that have room behind the one before.
+  function thinned(x, wide) {
+    const [first, last] = x.range, on = (value) => (x.type === "log" ? Math.log10(value) : value);
+    let end = -Infinity;
+    return x.ticktext.map((text, k) => {
+      const half = measured(text, SIZE) / 2, at = (wide * (on(x.tickvals[k]) - first)) / (last - first);
+      if (at - half < end + 4) return "";
+      end = at + half;
+      return text;
+    });
   }
 
   // What will stand at the ends of an axis of about so many ticks.
@@ -157,6 +174,13 @@
   function logTicks(axis, count) {
     const decades = Math.abs(axis.range[1] - axis.range[0]);
     return decades < 1 ? Math.round(count) : Math.max(2, Math.min(Math.round(count), Math.floor(decades / 0.31)));
+  }
+
+  // 1, 2 and 5 of each decade up a logarithmic axis where they have room, else the decades.
+  function logRows(y, high) {
+    const decades = Math.abs(y.range[1] - y.range[0]);
+    if (decades < 1) y.nticks = logTicks(y, Math.min(Math.max(high / 40, 4), 9) + 1);
+    else Object.assign(y, { tick0: 0, dtick: 0.3 * high > LINE * decades ? "D2" : 1 });
   }
 
   // Names in their rows, above what the rows show.
