@@ -173,7 +173,7 @@ GOOD = "\n".join(f"{y}, {z}" for y, z in [(-70 + 2 * i, 28 - 0.5 * i) for i in r
         (GOOD.replace("-60, 25.5", "-60, nan"), "line 6: column 2: found 'nan'; expected a finite number"),
         (GOOD.replace("-60, 25.5", "-60, inf"), "line 6: column 2: found 'inf'; expected a finite number"),
         (GOOD.replace("-60, 25.5", "-60, abc"), "line 6: column 2: found 'abc'; expected a number"),
-        (GOOD.replace("-60, 25.5", "-60"), "line 6: column 2: found ''; expected a number"),
+        (GOOD.replace("-60, 25.5", "-60"), "line 6: found 1 cell, '-60'; expected 2"),
     ],
 )
 def test_faulty_files(tmp_path: Path, text: str, message: str) -> None:

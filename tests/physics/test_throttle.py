@@ -185,7 +185,7 @@ def test_a_table_is_looked_for_beside_the_file_that_names_it(tmp_path: Path) -> 
         ("0,1\n0,0,1e-6\n1e5,1e-5,1e-4\n", "line 2: found a flow at pressure drop 0"),
         ("0,1\n-1e5,1e-6,1e-5\n1e5,1e-5,1e-4\n", "line 2: found a pressure drop of -100000 Pa"),
         ("0,1\n0,0,0\n1e5,nan,1e-4\n", "line 3: column '0': found 'nan'; expected a finite number"),
-        ("0,1\n0,0,0\n1e5,1e-4\n", "line 3: column '1': found ''; expected a"),
+        ("0,1\n0,0,0\n1e5,1e-4\n", "line 3: found 2 cells, '1e5,1e-4'; expected 3"),
         ("0,1\n1e5,1e-5,1e-4\n", "found 1 pressure drops and 2 currents; at least 2 of each"),
         ("0,1\n", "line 1: found no header"),
         # Cells over several lines, which once ended in an internal error.
