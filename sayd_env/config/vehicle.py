@@ -90,8 +90,8 @@ class Body(Model):
 
     def _check_inertia(self) -> None:
         low, high = (radius**2 * self.mass for radius in _GYRATION)
-        for value in self.inertia:
-            if not low <= value <= high:
+        for axis, value in zip(("roll", "pitch", "yaw"), self.inertia, strict=True):
+            if axis in self.dofs and not low <= value <= high:
                 raise ValueError(
                     f"inertia: found {value:g} kg m2; of {self.mass:g} kg it is {low:.3g} to {high:.3g}, with"
                     f" radii of gyration of {_GYRATION[0]:g} to {_GYRATION[1]:g} m (is the unit kg m2?)"

@@ -36,14 +36,14 @@ bodies:
   - name: frame
     role: frame
     mass: 2918.0
-    inertia: [6780.0, 6780.0, 6780.0]
+    inertia: [6780.0, 1.0, 6780.0]
     position: [0.0, 0.0, 0.5334]
     dofs: [y, roll, yaw]
   - name: wheelset
     role: wheelset
     per: [axle]
     mass: 1022.0
-    inertia: [678.0, 678.0, 678.0]
+    inertia: [1.0, 1.0, 678.0]
     position: [0.0, 0.0, 0.4572]
     dofs: [y, yaw]
 elements:
