@@ -340,12 +340,12 @@ class RobustnessResult:
         axes = panels(figure, len(self.config.axes), 2, (5.0, 3.2), sharey=True)
         environment = load_environment(self.config.environment)
         for panel, axis in zip(axes, self.config.axes, strict=True):
-            trained = _as_trained(axis.quantity, self.config.conditions, environment)
-            if trained[0] < trained[1]:
-                panel.axvspan(*trained, color=SHADE, zorder=0.5, label="as trained")
+            usual = _undisturbed(axis.quantity, self.config.conditions, environment)
+            if usual[0] < usual[1]:
+                panel.axvspan(*usual, color=SHADE, zorder=0.5, label="undisturbed")
             for policy in self.policies:
-                self._draw_over(panel, axis, policy, trained)
-            panel.set_xticks(sorted({*axis.values, *trained}))
+                self._draw_over(panel, axis, policy, usual)
+            panel.set_xticks(sorted({*axis.values, *usual}))
             panel.xaxis.set_major_formatter("{x:g}")
             panel.set_xlabel(f"{axis.name} ({_UNITS[axis.quantity]})")
             self._ratio_axis(panel, 1.0, "y", "passive")
@@ -353,18 +353,18 @@ class RobustnessResult:
             panel.set_ylabel("J / passive, worst condition")
         legend_below(figure, *axes)
 
-    def _draw_over(self, panel: Axes, axis: Axis, policy: str, trained: tuple[float, float]) -> None:
-        """Draw a policy over the values of an axis, and level over those that it is trained for."""
+    def _draw_over(self, panel: Axes, axis: Axis, policy: str, usual: tuple[float, float]) -> None:
+        """Draw a policy over the values of an axis, and level over those without a disturbance."""
         found = {each.disturbance: each.to_passive for each in self.outcomes if each.policy == policy}
         points = {value: found[disturbance_of(axis, value).title] for value in axis.values}
         own = found[UNDISTURBED]
         style = policy_style(policy).drawn | _OPEN
-        if any(trained[0] <= value <= trained[1] for value in points):  # no place of its own
-            panel.plot(trained, [own, own], **style | {"marker": "", "linewidth": 1.0})
+        if any(usual[0] <= value <= usual[1] for value in points):  # no place of its own
+            panel.plot(usual, [own, own], **style | {"marker": "", "linewidth": 1.0})
         else:
-            points |= dict.fromkeys(trained, own)
+            points |= dict.fromkeys(usual, own)
         places = sorted(points)
-        marked = [place for place, x in enumerate(places) if x in axis.values or trained[0] == trained[1]]
+        marked = [place for place, x in enumerate(places) if x in axis.values or usual[0] == usual[1]]
         values = [points[x] for x in places]
         panel.plot(places, values, markevery=marked, label=label(policy), **style)
 
@@ -403,7 +403,7 @@ _UNITS: Mapping[Quantity, str] = {
 }
 
 
-def _as_trained(
+def _undisturbed(
     quantity: Quantity, conditions: Iterable[OperatingCondition], environment: EnvironmentConfig
 ) -> tuple[float, float]:
     """Least and largest value of a quantity in the runs without a disturbance."""

@@ -31,8 +31,8 @@ from sayd_env.studies.robustness import (
     UNDISTURBED,
     Disturbance,
     RobustnessResult,
-    _as_trained,
     _Study,
+    _undisturbed,
     disturbance_of,
     robustness,
 )
@@ -192,7 +192,7 @@ def test_quantities_have_their_true_places_and_what_was_trained_is_a_span() -> N
     assert line.get_markevery() == [2]  # a marker where there is a value
     assert line.get_markerfacecolor() == "none"
     names = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert {"as trained", "passive", "good", "bad", "off"} == {*names}
+    assert {"undisturbed", "passive", "good", "bad", "off"} == {*names}
 
 
 def test_what_is_asked_with_a_fault_is_in_the_legend() -> None:
@@ -212,7 +212,7 @@ def test_spans_are_those_of_conditions_and_environment(quantity: Any, low: float
     """As the comments of robustness.yaml say."""
     config = load_robustness()
     environment = load_environment(config.environment)
-    assert _as_trained(quantity, config.conditions, environment) == pytest.approx((low, high))
+    assert _undisturbed(quantity, config.conditions, environment) == pytest.approx((low, high))
 
 
 @pytest.fixture(scope="module")

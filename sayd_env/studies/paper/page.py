@@ -132,7 +132,7 @@ def reproduce_page(
         for number, found in names.items()
         if found
     ]
-    beside = _assumption_sections(by_assumption or {})
+    beside = _assumption_sections(by_assumption or {}, first)
     statements = Section("Statements", [Text(_JUDGED), _claims_grid(claims, first)])
     return Page(TITLE, _verdict(claims, seeds), [statements, *beside, *figures])
 
@@ -154,14 +154,17 @@ def _verdict(claims: Sequence[Claim], seeds: int) -> Verdict:
     return Verdict([words, *([f"Not: {', '.join(failed)}."] if failed else [])], not failed)
 
 
-def _assumption_sections(found: ByAssumption) -> list[Section]:
+def _assumption_sections(found: ByAssumption, figures: Mapping[str, str]) -> list[Section]:
     """Critical speeds, and the rows where there is more than one assumption."""
     if not found:
         return []
-    grid = Grid.of(Listing("", CRITICAL_SPEEDS, speed_rows(found), "assumption"))
+    own = {"new": figures.get("P2"), "worn": figures.get("P5")}
+    table = Listing("", CRITICAL_SPEEDS, speed_rows(found), "assumption")
+    grid = Grid.of(table, lambda row: own.get(row["wheels"]))
     speeds = Section("Critical speeds of the passive vehicle", [grid])
     words = "Whether each row holds, and its share of seeds or bootstraps, with one assumption changed."
-    rows = Section("What each assumption carries", [Text(words), Grid.of(Listing("", *side_by_side(found)))])
+    beside = Grid.of(Listing("", *side_by_side(found)), lambda row: figures.get(row["id"]))
+    rows = Section("What each assumption carries", [Text(words), beside])
     return [rows, speeds] if len(found) > 1 else [speeds]
 
 
