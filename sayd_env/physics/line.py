@@ -67,6 +67,25 @@ X, HEIGHT, CARRIED, SPIN, BODY_ROWS = range(5)
 PLACE, HELD, INSIDE, CENTRE_THETA, CENTRE_ANGLE, CENTRE_KAPPA, CENTRE_CANT, CENTRE_TWIST = range(8)
 CENTRE_ROWS = 8
 
+# Rows of what a line does to a body: loads, offsets of its frame, their rates, its acceleration against
+# free fall.
+(
+    LOAD_Y,
+    LOAD_Z,
+    LOAD_ROLL,
+    LOAD_YAW,
+    OFFSET_Y,
+    OFFSET_ROLL,
+    OFFSET_YAW,
+    RATE_Y,
+    RATE_ROLL,
+    RATE_YAW,
+    FALL_Y,
+    FALL_Z,
+    FALL_ROLL,
+    FALL_YAW,
+) = range(14)
+
 
 @dataclass(frozen=True)
 class LineTable:
@@ -278,7 +297,7 @@ def follow(lanes: Lanes, plant: Plant, clock: Array, work: Work, count: int, fir
         steady = plant.line[p + STEADY]
         look = look or steady == 0.0 or steady != work.line[held + k]
     if look:
-        _look_up(lanes, plant, clock, work, 0.5 * (count + 1) * plant.number[at.STEP * w])
+        _look_up(lanes, plant, clock, work, 0.5 * (count + 1) * plant.number[at.STEP * w], first)
 
 
 @kernel(inline=True, allocates=False)
@@ -299,20 +318,32 @@ def between(lanes: Lanes, work: Work) -> bool:
     return bool(work.line[work.line.shape[0] - len(lanes)] != 0.0)
 
 
+@kernel(inline=True, allocates=False)
+def _begin(lanes: Lanes, plant: Plant, work: Work, first: bool) -> None:
+    """Give `Work.wheel` and `Work.line` what holds without a line, where this is not there from before.
+
+    Off a curve nobody reads the offsets and accelerations, and in one all that are not 0 are written.
+    """
+    rows, n = LANES * len(lanes), plant.load.shape[0]
+    for i in range(plant.wheel.shape[0] if first else 0):
+        work.wheel[i] = plant.wheel[i]
+    for i in range(at.TABLE_BASE * rows, (at.TABLE_BASE + 1) * rows):
+        work.wheel[i] = plant.wheel[i]
+    for i in range(n):
+        work.line[i] = plant.load[i]
+    for i in range(n if first else 4 * n, work.line.shape[0]):
+        work.line[i] = 0.0
+
+
 @kernel(allocates=False)
-def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work, ahead: float) -> None:
+def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work, ahead: float, first: bool) -> None:
     """Fill `Work.wheel` and `Work.line` with what holds a time (s) ahead: at the mean of the steps' ends."""
     w = len(lanes)
     n = plant.load.shape[0]
     rows = LANES * w
     centre, mixed = 4 * n, work.line.shape[0] - w
     bent, other = mixed - 2 * w, mixed - w
-    for i in range(plant.wheel.shape[0]):
-        work.wheel[i] = plant.wheel[i]
-    for i in range(n):
-        work.line[i] = plant.load[i]
-    for i in range(n, work.line.shape[0]):
-        work.line[i] = 0.0
+    _begin(lanes, plant, work, first)
     for k in range(w):
         s = clock[w + k]
         p, t = _node(plant.number, w, k, s)
@@ -327,20 +358,22 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work, ahead: float)
         speed = math.sqrt(plant.line[p + SQUARE] + t * plant.line[p + SQUARE + 1])
         work.line[other] = 1.0 if speed != plant.number[at.SPEED * w + k] else work.line[other]
         work.line[bent] = 1.0 if plant.line[p + CURVED] != 0.0 else work.line[bent]
-        for i in range(LANES):
+        for i in range(LANES if speed != work.wheel[at.WHEEL_SPEED * rows + k] else 0):
             work.wheel[at.WHEEL_SPEED * rows + i * w + k] = speed
             work.wheel[at.PER_SPEED * rows + i * w + k] = 1.0 / speed
+        last_shape = plant.number[at.SHAPES * w + k] - 1.0
         for j in range(plant.wheelset_x.shape[0] // w):
             q, u = _node(plant.number, w, k, s + plant.wheelset_x[j * w + k])
             friction = plant.line[q + FRICTION] + u * plant.line[q + FRICTION + 1]
-            shape = plant.line[q + BLEND] + u * plant.line[q + BLEND + 1]
-            shape *= plant.number[at.SHAPES * w + k] - 1.0
             for i in (j * w + k, (WHEELSETS + j) * w + k):
                 work.wheel[at.FRICTION * rows + i] = friction
-                work.wheel[at.SHAPE * rows + i] = shape
-                size = (plant.wheel[at.TABLE_LAST * rows + i] + 2.0) * geometry.WIDTH
-                work.wheel[at.TABLE_BASE * rows + i] += math.floor(shape) * size
-            work.line[mixed] = 1.0 if shape != math.floor(shape) else work.line[mixed]
+            if last_shape > 0.0:
+                shape = last_shape * (plant.line[q + BLEND] + u * plant.line[q + BLEND + 1])
+                for i in (j * w + k, (WHEELSETS + j) * w + k):
+                    work.wheel[at.SHAPE * rows + i] = shape
+                    size = (plant.wheel[at.TABLE_LAST * rows + i] + 2.0) * geometry.WIDTH
+                    work.wheel[at.TABLE_BASE * rows + i] += math.floor(shape) * size
+                work.line[mixed] = 1.0 if shape != math.floor(shape) else work.line[mixed]
     if work.line[bent] != 0.0:
         _enter(
             lanes,
@@ -351,10 +384,32 @@ def _look_up(lanes: Lanes, plant: Plant, clock: Array, work: Work, ahead: float)
             plant.mass,
             plant.damping_diagonal,
             work.wheel,
-            work.line,
+            ahead,
+            work.line[centre:],
+            work.lane_in,  # scratch until the contact
+            work.line[:centre],
         )
-        for i in range(n, 2 * n):
-            work.line[i] -= ahead * work.line[n + i]
+
+
+@kernel(inline=True, allocates=False)
+def _put_down(lanes: Lanes, y: int, vertical: int, roll: int, yaw: int, effects: Array, out: Array) -> None:
+    """Take what a line does to a body to the places of its unknowns in `Work.line`."""
+    w, n = len(lanes), out.shape[0] // 4
+    for k in range(w):
+        out[y + k] += effects[LOAD_Y * w + k]
+        out[vertical + k] -= effects[LOAD_Z * w + k]
+        out[roll + k] += effects[LOAD_ROLL * w + k]
+        out[yaw + k] -= effects[LOAD_YAW * w + k]
+        out[n + y + k] = effects[OFFSET_Y * w + k]
+        out[n + roll + k] = effects[OFFSET_ROLL * w + k]
+        out[n + yaw + k] = effects[OFFSET_YAW * w + k]
+        out[2 * n + y + k] = effects[RATE_Y * w + k]
+        out[2 * n + roll + k] = effects[RATE_ROLL * w + k]
+        out[2 * n + yaw + k] = effects[RATE_YAW * w + k]
+        out[3 * n + y + k] = effects[FALL_Y * w + k]
+        out[3 * n + vertical + k] = effects[FALL_Z * w + k]
+        out[3 * n + roll + k] = effects[FALL_ROLL * w + k]
+        out[3 * n + yaw + k] = effects[FALL_YAW * w + k]
 
 
 @kernel(distinct=True, allocates=False)
@@ -367,39 +422,45 @@ def _enter(
     mass: Array,
     diagonal: Array,
     wheel: Array,
+    ahead: float,
+    centre: Array,
+    effects: Array,
     out: Array,
 ) -> None:
-    """Loads and offsets of all bodies of all vehicles, into `Work.line`."""
-    w = len(lanes)
-    n, rows, bodies = mass.shape[0], LANES * w, body.shape[0] // (BODY_ROWS * w)
-    offset, rate, accelerated, centre = n, 2 * n, 3 * n, 4 * n
-    for k in range(number.shape[0] // at.NUMBERS):  # W: a length that the compiler does not know
-        p, t = _node(number, w, k, out[centre + PLACE * w + k])
+    """Loads of all bodies of all vehicles, and offsets a time (s) before, into their part of `Work.line`.
+
+    `centre` is the part behind it. A loop over the vehicles becomes vector instructions only where the
+    compiler sees that what it reads and writes does not overlap: so each body's numbers go through `effects`.
+    """
+    w, width = len(lanes), number.shape[0] // at.NUMBERS  # the same, of which the compiler knows one
+    rows, bodies = LANES * w, body.shape[0] // (BODY_ROWS * w)
+    for k in range(width):
+        p, t = _node(number, w, k, centre[PLACE * w + k])
         theta, angle, kappa, _ = _bend(line, p, t)
         cant, twist, _ = _lean(line, p, t)
-        out[centre + CENTRE_THETA * w + k], out[centre + CENTRE_ANGLE * w + k] = theta, angle
-        out[centre + CENTRE_KAPPA * w + k] = kappa
-        out[centre + CENTRE_CANT * w + k], out[centre + CENTRE_TWIST * w + k] = cant, twist
+        centre[CENTRE_THETA * w + k], centre[CENTRE_ANGLE * w + k] = theta, angle
+        centre[CENTRE_KAPPA * w + k] = kappa
+        centre[CENTRE_CANT * w + k], centre[CENTRE_TWIST * w + k] = cant, twist
     for b in range(bodies):
         y, vertical = int(column[4 * b]) * w, int(column[4 * b + 1]) * w
         roll, yaw = int(column[4 * b + 2]) * w, int(column[4 * b + 3]) * w
-        for k in range(number.shape[0] // at.NUMBERS):
+        for k in range(width):
             speed = wheel[at.WHEEL_SPEED * rows + k]
             square, spin = speed * speed, speed * wheel[at.PER_RADIUS * rows + k]
             x, z = body[(X * bodies + b) * w + k], body[(HEIGHT * bodies + b) * w + k]
-            theta_0, angle_0 = out[centre + CENTRE_THETA * w + k], out[centre + CENTRE_ANGLE * w + k]
-            kappa_0 = out[centre + CENTRE_KAPPA * w + k]
-            cant_0, twist_0 = out[centre + CENTRE_CANT * w + k], out[centre + CENTRE_TWIST * w + k]
+            theta_0, angle_0 = centre[CENTRE_THETA * w + k], centre[CENTRE_ANGLE * w + k]
+            kappa_0 = centre[CENTRE_KAPPA * w + k]
+            cant_0, twist_0 = centre[CENTRE_CANT * w + k], centre[CENTRE_TWIST * w + k]
             # Rounding shall leave no offsets on the straight, and no rates where they do not change.
-            inside = out[centre + INSIDE * w + k]
-            passing = speed if out[centre + HELD * w + k] == 0.0 else 0.0
-            p, t = _node(number, w, k, out[centre + PLACE * w + k] + x)
+            inside = centre[INSIDE * w + k]
+            passing = speed if centre[HELD * w + k] == 0.0 else 0.0
+            p, t = _node(number, w, k, centre[PLACE * w + k] + x)
             theta, angle, kappa, kappa_slope = _bend(line, p, t)
             cant, twist, twist_slope = _lean(line, p, t)
             aside, turned, rolled = theta - theta_0 - angle_0 * x, angle - angle_0, cant - cant_0
             aside, turned, rolled = inside * aside, inside * turned, inside * rolled
             roll_rate, yaw_rate = passing * (twist - twist_0), passing * (kappa - kappa_0)
-            aside_rate = passing * (turned - kappa_0 * x)
+            shift_rate = passing * (turned - kappa_0 * x) - z * roll_rate
             accelerated_y = (
                 square * kappa * (1.0 - 0.5 * cant * cant)
                 + GRAVITY * cant * (1.0 - cant * cant / 6.0)
@@ -407,32 +468,28 @@ def _enter(
             )
             accelerated_z = -square * kappa * cant - 0.5 * GRAVITY * cant * cant
             momentum = body[(SPIN * bodies + b) * w + k] * spin
-            out[offset + y + k] = aside - z * rolled
-            out[offset + roll + k] = rolled
-            out[offset + yaw + k] = turned
-            out[rate + y + k] = aside_rate - z * roll_rate
-            out[rate + roll + k] = roll_rate
-            out[rate + yaw + k] = yaw_rate
-            out[accelerated + y + k] = accelerated_y
-            out[accelerated + vertical + k] = accelerated_z
-            out[accelerated + roll + k] = square * twist_slope
-            out[accelerated + yaw + k] = square * kappa_slope
-            out[y + k] += (
-                body[(CARRIED * bodies + b) * w + k] * rolled
-                - mass[y + k] * accelerated_y
-                - diagonal[y + k] * (aside_rate - z * roll_rate)
-            )
-            out[vertical + k] -= mass[vertical + k] * accelerated_z
-            out[roll + k] += (
+            carried = body[(CARRIED * bodies + b) * w + k] * rolled
+            effects[LOAD_Y * w + k] = carried - mass[y + k] * accelerated_y - diagonal[y + k] * shift_rate
+            effects[LOAD_Z * w + k] = mass[vertical + k] * accelerated_z
+            effects[LOAD_ROLL * w + k] = (
                 momentum * speed * kappa_0
                 - mass[roll + k] * square * twist_slope
                 - diagonal[roll + k] * roll_rate
             )
-            out[yaw + k] -= (
+            effects[LOAD_YAW * w + k] = (
                 momentum * speed * twist_0
                 + mass[yaw + k] * square * kappa_slope
                 + diagonal[yaw + k] * yaw_rate
             )
+            effects[OFFSET_Y * w + k] = aside - z * rolled - ahead * shift_rate
+            effects[OFFSET_ROLL * w + k] = rolled - ahead * roll_rate
+            effects[OFFSET_YAW * w + k] = turned - ahead * yaw_rate
+            effects[RATE_Y * w + k], effects[RATE_ROLL * w + k] = shift_rate, roll_rate
+            effects[RATE_YAW * w + k] = yaw_rate
+            effects[FALL_Y * w + k], effects[FALL_Z * w + k] = accelerated_y, accelerated_z
+            effects[FALL_ROLL * w + k] = square * twist_slope
+            effects[FALL_YAW * w + k] = square * kappa_slope
+        _put_down(lanes, y, vertical, roll, yaw, effects, out)
 
 
 @kernel(inline=True, allocates=False)
