@@ -11,6 +11,7 @@ nor r0 matters.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,7 +76,7 @@ def equivalent_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike)
     y, delta_r, amplitudes = _checked(y, delta_r, amplitudes)
     potential = make_interp_spline(y, 0.5 * delta_r, k=1).antiderivative()
     middle = _middles(y, potential, amplitudes)[:, None]
-    nodes, weights = roots_legendre(_QUADRATURE_NODES)
+    nodes, weights = _quadrature()
     quarter_turn = 0.25 * np.pi * (nodes + 1.0)
     # Where both sides are alike, so are both halves.
     halves = [quarter_turn] if np.all(middle == 0.0) else [-quarter_turn, quarter_turn]
@@ -89,6 +90,13 @@ def equivalent_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike)
     outward, inward = np.any(stiffness < -_FLAT, axis=1), np.any(stiffness > _FLAT, axis=1)
     conicity = np.where(outward, np.where(inward, np.nan, -conicity), conicity)
     return np.where(np.isnan(middle[:, 0]), np.nan, np.where(outward | inward, conicity, 0.0))
+
+
+@cache
+def _quadrature() -> tuple[Array, Array]:
+    """Nodes and weights by Gauss and Legendre: finding them takes longer than the rest of a conicity."""
+    nodes, weights = roots_legendre(_QUADRATURE_NODES)
+    return nodes, weights
 
 
 def _middles(y: Array, potential: Callable[[ArrayLike], Array], amplitudes: Array) -> Array:
