@@ -31,6 +31,8 @@ TRACK = Kind(
 
 Channel = Literal["alignment", "vertical", "cross_level", "gauge"]
 CHANNELS: tuple[Channel, ...] = ("alignment", "vertical", "cross_level", "gauge")
+SOFTEST = 1e5
+"""Least stiffness of a track to the ground (N/m): numbers in MN/m and kN/mm lie below."""
 
 
 class SectionConfig(Part):
@@ -38,11 +40,13 @@ class SectionConfig(Part):
 
     mass: float = quantity("kg", "mass of the section", gt=0)
     roll_inertia: float = quantity("kg m2", "moment of inertia about the direction of travel", gt=0)
-    lateral_stiffness: float = quantity("N/m", "lateral stiffness to the ground, both rails together", gt=0)
+    lateral_stiffness: float = quantity("N/m", "lateral stiffness to the ground, both rails together", ge=SOFTEST)
     lateral_damping: float = quantity("N s/m", "lateral damping to the ground, both rails together", ge=0)
-    vertical_stiffness: float = quantity("N/m", "vertical stiffness to the ground under each rail", gt=0)
+    vertical_stiffness: float = quantity("N/m", "vertical stiffness to the ground under each rail", ge=SOFTEST)
     vertical_damping: float = quantity("N s/m", "vertical damping to the ground under each rail", ge=0)
-    seat_half_spacing: float = quantity("m", "distance of each vertical support from the centre line", gt=0)
+    seat_half_spacing: float = quantity(
+        "m", "distance of each vertical support from the centre line", ge=0.1, le=3.0
+    )
 
 
 class _Irregularity(Model):

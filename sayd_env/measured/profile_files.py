@@ -26,7 +26,7 @@ from sayd_env.config.files import MIB, read_bytes
 from sayd_env.config.loader import nearest
 from sayd_env.config.units import Array
 from sayd_env.measured.dialect import decode, is_number, lines_of
-from sayd_env.measured.table import TextTable, table_of
+from sayd_env.measured.table import TextTable, refuse_hollow, table_of
 from sayd_env.measured.units import name_and_unit, unit_of
 
 Kind = Literal["wheel", "rail"]
@@ -490,6 +490,7 @@ def read_points(text: str, source: str) -> RawProfile:
     table = table_of(lines, source, comments=comments, separator=separator)
     if not len(table):
         return RawProfile(np.empty((0, 2)), [])
+    refuse_hollow(text, table)
     if found := [name for name in table.names if is_number(name)]:
         where = f"{source}: line {table.head.line}"
         raise DataError(

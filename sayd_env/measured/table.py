@@ -276,9 +276,20 @@ def read_text_table(
         may_end_short=may_end_short,
         cut=cut,
     )
-    if len(table) and (number := hollow(text, int(table.lines[0]), int(table.lines[-1]))):
-        raise DataError(f"{source}: line {number}: found separators alone; expected a row of numbers")
+    refuse_hollow(text, table)
     return table
+
+
+def refuse_hollow(text: str, table: TextTable) -> None:
+    """Refuse rows of separators alone among a table's rows: numbers are missing, and their places are not known.
+
+    Raises
+    ------
+    DataError
+        The message says the line.
+    """
+    if len(table) and (number := hollow(text, int(table.lines[0]), int(table.lines[-1]))):
+        raise DataError(f"{table.source}: line {number}: found separators alone; expected a row of numbers")
 
 
 def table_of(

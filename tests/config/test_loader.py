@@ -215,7 +215,7 @@ def test_absurd_numbers_are_named_before_anybody_computes_with_them():
     for key, value in (
         ("track.section.mass", "5e-324"),
         ("track.section.lateral_stiffness", "1.7e+308"),
-        ("track.section.seat_half_spacing", "1e+300"),
+        ("track.section.roll_inertia", "1e+300"),
         ("track.irregularity.density.omega_s", "1e+41"),
     ):
         with pytest.raises(ConfigError) as caught:

@@ -40,6 +40,8 @@ def test_measured_file_lies_beside_its_yaml(tmp_path: Path) -> None:
     ("name", "override", "message"),
     [
         ("german_low", "section.mass=-1.0", r"section\.mass: found -1\.0.*greater than 0.*kg"),
+        ("german_low", "section.lateral_stiffness=70.0", r"lateral_stiffness: found 70\.0.*100000.*N/m"),
+        ("german_low", "section.seat_half_spacing=750.0", r"seat_half_spacing: found 750\.0.*\(?m"),
         ("german_low", "irregularity.wavelength_min=300.0", "must be below wavelength_max"),
         ("german_low", "irregularity.levels.lateral=1.0", "unknown key .*lateral.*alignment"),
         ("german_low", "irregularity.scale=one", "expected a number"),

@@ -205,6 +205,13 @@ def test_points_without_order_and_gaps_are_refused(tmp_path: Path, wheel: Array)
         read_profile_file(damaged, "wheel")
 
 
+def test_rows_of_separators_alone_are_refused(tmp_path: Path, wheel: Array) -> None:
+    rows = table(wheel).split("\n")
+    rows.insert(40, rows[40].translate(str.maketrans("", "", "0123456789.- ")))
+    with pytest.raises(DataError, match=r"gap\.csv: line 41: found separators alone"):
+        read_profile_file(write(tmp_path / "gap.csv", "\n".join(rows)), "wheel")
+
+
 def test_one_kind_does_not_pass_as_the_other(tmp_path: Path, wheel: Array, rail: Array) -> None:
     for name, text, asked in (
         ("a.prw", simpack(wheel, 0), "wheel"),

@@ -121,6 +121,13 @@ def test_defect_is_a_raised_cosine() -> None:
     assert not value[:, [0, 2, 3]].any()
 
 
+def test_a_defect_behind_what_is_judged_is_refused() -> None:
+    config = DefectConfig(type="defect", channel="vertical", amplitude=-4e-3, length=10.0, position=90.0)
+    realise(config, 100.0, 0, judged=[(0.0, 95.0)])
+    with pytest.raises(ConfigError, match=r"begins at 90 m of the run, which is judged up to 80 m"):
+        realise(config, 100.0, 0, judged=[(0.0, 40.0), (50.0, 80.0)])
+
+
 def test_even_track() -> None:
     realisation = realise(NoIrregularityConfig(type="none"), 100.0, 0)
     assert not realisation.coefficients.any()

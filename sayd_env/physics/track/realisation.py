@@ -106,7 +106,8 @@ def realise(
     Raises
     ------
     ConfigError
-        Length, seed, fade or step out of range; waves shorter than eight grid steps.
+        Length, seed, fade or step out of range; waves shorter than eight grid steps; a single defect behind
+        all that is judged.
     DataError
         A measured file that is wrong or too short for the run, or for what is judged of it.
     """
@@ -221,6 +222,7 @@ def _samples(
             wave = np.sin(2.0 * np.pi * x / config.wavelength)
             return _single_channel(config, wave)
         case DefectConfig():
+            _check_place(config, judged)
             t = np.clip((x - config.position) / config.length, 0.0, 1.0)
             return _single_channel(config, 0.5 * (1.0 - np.cos(2.0 * np.pi * t)))
         case FileConfig():
@@ -249,6 +251,16 @@ def _measured(config: FileConfig, x: Array, length: float, judged: Sequence[tupl
             f"shorten the run, change 'offset', or give 'ramp' (m) to run in and out on even track"
         )
     return values
+
+
+def _check_place(config: DefectConfig, judged: Sequence[tuple[float, float]]) -> None:
+    """Refuse a defect that the run does not reach: its results would be those of even track."""
+    end = max((end for _, end in judged), default=math.inf)
+    if config.position >= end:
+        raise ConfigError(
+            f"irregularity.position: the defect begins at {config.position:g} m of the run, which is judged up "
+            f"to {end:g} m; move it forward, or make the run longer (assessment.length, episode_s)"
+        )
 
 
 def _check_judged(
