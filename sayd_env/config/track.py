@@ -31,6 +31,8 @@ TRACK = Kind(
 
 Channel = Literal["alignment", "vertical", "cross_level", "gauge"]
 CHANNELS: tuple[Channel, ...] = ("alignment", "vertical", "cross_level", "gauge")
+HIGHEST = 0.1
+"""Largest amplitude of a sine or a defect (m, rad): whole numbers of millimetres lie above."""
 SOFTEST = 1e5
 """Least stiffness of a track to the ground (N/m): numbers in MN/m and kN/mm lie below."""
 
@@ -40,9 +42,13 @@ class SectionConfig(Part):
 
     mass: float = quantity("kg", "mass of the section", gt=0)
     roll_inertia: float = quantity("kg m2", "moment of inertia about the direction of travel", gt=0)
-    lateral_stiffness: float = quantity("N/m", "lateral stiffness to the ground, both rails together", ge=SOFTEST)
+    lateral_stiffness: float = quantity(
+        "N/m", "lateral stiffness to the ground, both rails together", ge=SOFTEST
+    )
     lateral_damping: float = quantity("N s/m", "lateral damping to the ground, both rails together", ge=0)
-    vertical_stiffness: float = quantity("N/m", "vertical stiffness to the ground under each rail", ge=SOFTEST)
+    vertical_stiffness: float = quantity(
+        "N/m", "vertical stiffness to the ground under each rail", ge=SOFTEST
+    )
     vertical_damping: float = quantity("N s/m", "vertical damping to the ground under each rail", ge=0)
     seat_half_spacing: float = quantity(
         "m", "distance of each vertical support from the centre line", ge=0.1, le=3.0
@@ -177,7 +183,7 @@ class SineConfig(_Irregularity):
 
     type: Literal["sine"]
     channel: Channel = Field(description="channel that carries the sine")
-    amplitude: float = quantity("m, or rad for cross_level", "amplitude")
+    amplitude: float = quantity("m, or rad for cross_level", "amplitude", ge=-HIGHEST, le=HIGHEST)
     wavelength: float = quantity("m", "wavelength", gt=0)
 
 
@@ -185,7 +191,7 @@ class Defect(Model):
     """A single defect: amplitude (1 - cos(2 pi (x - position) / length)) / 2."""
 
     channel: Channel = Field(description="channel that carries the defect")
-    amplitude: float = quantity("m, or rad for cross_level", "height of the defect")
+    amplitude: float = quantity("m, or rad for cross_level", "height of the defect", ge=-HIGHEST, le=HIGHEST)
     length: float = quantity("m", "length of the defect", gt=0)
     position: float = quantity("m", "where the defect begins", ge=0)
 

@@ -158,7 +158,8 @@ def make_vehicle(
     Raises
     ------
     ConfigError
-        A vehicle of another structure, a speed outside its range, another sample rate.
+        A vehicle of another structure, a speed outside its range, another sample rate; a line whose gauge the
+        contact tables do not cover.
     """
     check_vehicle(model, settings)
     damper = model.scenario.damper
@@ -171,6 +172,8 @@ def make_vehicle(
     state = model.state(slowest)
     origin = run_in_distance(model, speed, settings)
     table = None
+    if line is not None:
+        _check_gauge(model, line)
     if line is not None and changes(line):
         table = line_table(line, origin, distance, speed, model.scenario.friction)
     rails = line.rails if line is not None and line.reshaped else None
@@ -216,6 +219,21 @@ def make_vehicle(
         gauge=model.scenario.track.gauge,
         friction=model.scenario.friction,
     )
+
+
+def _check_gauge(model: VehicleModel, line: Line) -> None:
+    """Refuse a line whose rails stand where the contact tables of the track's gauge do not reach."""
+    if line.gauge is None:
+        return
+    own, reach = model.scenario.track.gauge, model.scenario.contact.table_half_width
+    off = np.abs(np.array(line.gauge.value) - own)
+    if off.max() > reach:
+        worst = int(off.argmax())
+        raise ConfigError(
+            f"line: gauge: found {line.gauge.value[worst]:g} m at {line.gauge.s[worst]:g} m; the contact is "
+            f"tabulated for {own:g} m, and a line may differ by {reach:g} m (contact.table_half_width); give "
+            "the track such a gauge (track.gauge)"
+        )
 
 
 def run_in_periods(settings: LoopSettings, speed: float) -> int:

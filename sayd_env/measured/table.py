@@ -281,7 +281,7 @@ def read_text_table(
 
 
 def refuse_hollow(text: str, table: TextTable) -> None:
-    """Refuse rows of separators alone among a table's rows: numbers are missing, and their places are not known.
+    """Refuse rows of separators alone among a table's rows: numbers are missing there.
 
     Raises
     ------

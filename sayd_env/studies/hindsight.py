@@ -115,6 +115,13 @@ class HindsightResult:
             found.append(Gap(rule, _mean_ratio(ratios), max(ratios) - 1.0, _mean_ratio(sections), derailed))
         return found
 
+    @property
+    def notes(self) -> list[str]:
+        """On which lines the schedule, found section by section, is not the best of the commands."""
+        names = [line.name for line in self.lines if line.costs[SINGLE] < line.costs[HINDSIGHT]]
+        why = "what a section leaves to the next one counts more than its own best command"
+        return [f"{', '.join(names)}: one command costs less than the best by section: {why}."] * bool(names)
+
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd hindsight --json``."""
         return {
@@ -174,7 +181,7 @@ class HindsightResult:
             f" (geometric mean of {len(self.lines)} lines, at most {100.0 * gap.worst:.0f} %)."
             for gap in gaps
             if gap.rule != HINDSIGHT
-        ]
+        ] + self.notes
         picture = Picture(
             "hindsight", "J of each rule over that of the best commands by section", [_PICTURE_WORDS]
         )
@@ -186,6 +193,8 @@ class HindsightResult:
         """Print the gaps, J by line, and the best commands."""
         for listing in self._listings():
             listing.print(console, wide)
+        for note in self.notes:
+            console.print(note)
 
     def _listings(self) -> Iterator[Listing]:
         columns = (

@@ -120,8 +120,9 @@ SECTIONS = (
     Column("gauge_m", "gauge", "mm", 1e3, 0),
     Column("friction", "friction", digits=2),
     Column("rail", "rail", digits=1, wide=True),
+    Column("track_scale", "track", digits=2, wide=True),
 )
-"""What lies along a line, at the end of each section."""
+"""What lies along a line, where each section is tightest, or at its end."""
 
 
 @dataclass(frozen=True)
@@ -238,7 +239,8 @@ class LineResult:
     def _listings(self, place: Place) -> Iterator[Listing]:
         """What lies along the line, and the policies by section."""
         sections = self._sections(place)
-        shown = [c for c in SECTIONS if c.name in ("section", "to_m") or _varied(sections, c)]
+        always = ("section", "to_m") if len(sections) > 1 else [c.name for c in SECTIONS]
+        shown = [c for c in SECTIONS if c.name in always or _varied(sections, c)]
         about = f"line '{self.name}', {self.scenario.vehicle.name}, wear {place.wear:g}"
         yield Listing(about, shown, sections)
         count = len({row.seed for row in self.rows})
@@ -430,9 +432,9 @@ def _varied(rows: Sequence[dict[str, Any]], column: Column) -> bool:
 
 
 def _described(trip: Trip, k: int, gauge: float, friction: float) -> dict[str, Any]:
-    """What lies at the end of a section, before changes to the next one."""
+    """What lies where a section is tightest; where straight, at its end before the next one's changes."""
     line, section = trip.line, trip.line.sections[k]
-    s = max(section.start, section.end - 0.5 * line.blend - 1e-6)
+    s = _tightest(line, section.start, section.end)
     curvature, cant = float(line.curvature.at(s)), float(line.cant.at(s))
     speed = float(trip.speed_at(np.array([s]))[0])
     return {
@@ -446,7 +448,18 @@ def _described(trip: Trip, k: int, gauge: float, friction: float) -> dict[str, A
         "gauge_m": gauge if line.gauge is None else float(line.gauge.at(s)),
         "friction": friction if line.friction is None else float(line.friction.at(s)),
         "rail": 0.0 if line.rail_blend is None else float(line.rail_blend.at(s)),
+        "track_scale": next((piece.scale for piece in line.tracks if piece.start <= s < piece.end), None),
     }
+
+
+def _tightest(line: Line, start: float, end: float) -> float:
+    """Where the curve of a section from start to end is tightest (m), of several such places the last one.
+
+    Where it begins does not count: that is still the curve before it.
+    """
+    last = max(start, end - 0.5 * line.blend - 1e-6)
+    inside = [s for s in line.curvature.s if start < s < last]
+    return max(reversed([*inside, last]), key=lambda s: abs(float(line.curvature.at(s))))
 
 
 def _shade(axis: Axes, line: Line) -> None:

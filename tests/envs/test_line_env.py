@@ -174,6 +174,14 @@ def test_a_line_that_cannot_be_is_refused_by_name(line: Any, word: str) -> None:
         env.reset(seed=0, options={"line": line})
 
 
+@pytest.mark.parametrize("gauge", [1.4225, 1.448, 1.668])
+def test_a_gauge_beyond_the_contact_tables_is_refused(gauge: float) -> None:
+    """They reach 12 mm from the track's 1435 mm; rails 116 mm away carried a vehicle without a word."""
+    wide = {"sections": [{"length": 300.0, "gauge": 1.436}, {"length": 300.0, "gauge": gauge}]}
+    with pytest.raises(ConfigError, match=rf"line: gauge: found {gauge} m at .* tabulated for 1\.435 m"):
+        made().reset(seed=0, options={"line": wide})
+
+
 def test_info_says_what_lies_where_the_train_is() -> None:
     env = made(info="full", episode_s=8.0)
     _, first = env.reset(seed=0, options={"line": SHORT})

@@ -13,7 +13,7 @@ from sayd_env.config.track import FileConfig, read_track
 from sayd_env.measured.lines import line_content, load_line
 from sayd_env.measured.notes import measured_notes
 from sayd_env.measured.tracks import read_measured
-from sayd_env.physics.track.realisation import realise_line
+from sayd_env.physics.track.realisation import realise, realise_line
 
 SECTIONS = """
 rails: [null, 60e1_30]
@@ -167,6 +167,10 @@ def test_irregularities_of_a_line_are_those_of_its_file(tmp_path: Path) -> None:
         value[1:, 0], 2e-3 * np.sin(2 * np.pi * np.array([200.0, 205.0, 295.0]) / 20), atol=1e-7
     )
     assert abs(value[0, 0]) < 1e-3  # within the ramp
+    # Before it and behind it lies the run's own track.
+    away = np.array([100.0, 330.0, 765.0, 790.0])
+    own = realise(track.irregularity, 800.0, 0)
+    np.testing.assert_allclose(realised.evaluate(away)[0], own.evaluate(away)[0], rtol=0, atol=1e-9)
     # What lies before the line, behind it, and the blends at its ends are not asked of its file.
     same = realise_line(line, track, 800.0, 0, origin=350.0, judged=(300.0, 800.0))
     np.testing.assert_array_equal(same.coefficients, realised.coefficients)

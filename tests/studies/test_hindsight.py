@@ -62,6 +62,9 @@ def test_gaps_are_geometric_means() -> None:
     text = io.StringIO()
     result.summary(Console(file=text, width=80))
     assert max(map(len, text.getvalue().splitlines())) <= 80
+    assert result.notes == []
+    (note,) = HindsightResult(config, (made("calm", 0.9), made("rough", 1.1)), 0.0, ("mppt2",)).notes
+    assert note.startswith("calm: one command costs less")
 
 
 def test_lines_that_cannot_be_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

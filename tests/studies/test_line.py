@@ -31,7 +31,7 @@ from sayd_env.runs.policies import constant_spec, policy_spec
 from sayd_env.runs.rollouts import Run
 from sayd_env.runs.schedule import schedule_spec
 from sayd_env.studies.evaluate import evaluate
-from sayd_env.studies.line import WHOLE, LineResult, evaluate_line
+from sayd_env.studies.line import WHOLE, LineResult, _described, evaluate_line
 
 SPEED = 100.0
 ENVIRONMENT = load_environment()
@@ -76,6 +76,19 @@ def lined(content: dict[str, Any]) -> LineConfig:
 def result(short_scenario: Scenario) -> LineResult:
     policies = [policy_spec("constant:0.3"), policy_spec("mppt2")]
     return evaluate_line(short_scenario, lined(CURVE), [SPEED], [3, 4], policies=policies, name="test")
+
+
+def test_a_section_is_described_where_it_is_tightest(tmp_path: Path, short_scenario: Scenario) -> None:
+    """The curve of R = 800 m in the middle of a measured section; what follows a curve is straight."""
+    path = tmp_path / "curve.csv"
+    rows = ("0,0,0", "200,0,0", "300,800,100", "600,800,100", "700,0,0", "900,0,0")
+    path.write_text("\n".join(("x_m,radius_m,cant_mm", *rows)), encoding="utf-8")
+    measured = Trip(resolved(str(path), short_scenario, 30.0), 30.0)
+    made = Trip(resolved(lined(CURVE), short_scenario, SPEED), SPEED)
+    (section,) = [_described(measured, k, 1.435, 0.3) for k in range(len(measured.line.sections))]
+    assert (section["radius_m"], section["cant_m"]) == pytest.approx((800.0, 0.1))
+    radii = [_described(made, k, 1.435, 0.3)["radius_m"] for k in range(3)]
+    assert radii == [None, pytest.approx(-6000.0), None]
 
 
 def test_sections_add_up_to_the_environments_rewards(result: LineResult) -> None:

@@ -146,7 +146,8 @@ def realise_line(
     length, seed, covered
         As of `realise`. Each class of track is the same realisation all along, so that one passes into
         another by what each has at that place. A measured file with ramps lies on the line, its offset
-        counted from s = 0; one without, which has to cover the run, on the run.
+        counted from s = 0, and what it does not reach before and behind the line is the base's; one without,
+        which has to cover the run, lies on the run.
     origin : float
         Position on the run of the line's s = 0 (m).
     judged : pair of float, optional
@@ -158,7 +159,7 @@ def realise_line(
     ConfigError, DataError
         As `realise`.
     """
-    pieces = line.tracks or (TrackPiece(0.0, math.inf, None, None),)
+    pieces = _surrounded(line.tracks) or (TrackPiece(0.0, math.inf, None, None),)
     parts: dict[IrregularityConfig, list[TrackPiece]] = {}
     for piece in pieces:
         parts.setdefault(_of_piece(piece, base.irregularity, origin), []).append(piece)
@@ -174,7 +175,7 @@ def realise_line(
     # Weights on a spline's coefficients act on its values as long as they change slowly over its step.
     total = np.zeros_like(first.coefficients)
     for config, track in tracks.items():
-        share = np.sum([_share(piece, line, s) for piece in parts[config]], axis=0)
+        share = np.sum([_share(piece, pieces, line.blend, s) for piece in parts[config]], axis=0)
         total += share[:, None] * track.coefficients
     if line.gauge is not None:
         total[:, CHANNELS.index("gauge")] += line.gauge.at(s) - base.gauge
@@ -182,6 +183,28 @@ def realise_line(
         moved = defect.model_copy(update={"position": defect.position + origin})
         total += realise(moved, length, seed, covered=covered).coefficients
     return replace(first, coefficients=total)
+
+
+def _surrounded(pieces: tuple[TrackPiece, ...]) -> tuple[TrackPiece, ...]:
+    """Pieces with the run's own track before and behind them where a measured file, even there, has ended."""
+    if not pieces:
+        return ()
+    begin = min(pieces[0].start, _reach(pieces[0])[0])
+    end = max(pieces[-1].end, _reach(pieces[-1])[1])
+    if begin > -math.inf:
+        pieces = (TrackPiece(-math.inf, begin, None, None), replace(pieces[0], start=begin), *pieces[1:])
+    if end < math.inf:
+        pieces = (*pieces[:-1], replace(pieces[-1], end=end), TrackPiece(end, math.inf, None, None))
+    return pieces
+
+
+def _reach(piece: TrackPiece) -> tuple[float, float]:
+    """Where (m) a measured file with ramps begins and ends on a line; all others are everywhere."""
+    config = piece.irregularity
+    if not isinstance(config, FileConfig) or config.ramp is None:
+        return -math.inf, math.inf
+    x = read_measured(config).x
+    return float(x[0]) + config.offset, float(x[-1]) + config.offset
 
 
 def _of_piece(piece: TrackPiece, base: IrregularityConfig, origin: float) -> IrregularityConfig:
@@ -205,10 +228,10 @@ def _judged(
     return [(start, end) for start, end in cut if start < end]
 
 
-def _share(piece: TrackPiece, line: Line, s: Array) -> Array:
+def _share(piece: TrackPiece, pieces: Sequence[TrackPiece], blend: float, s: Array) -> Array:
     """Share of a piece of the track at distances s: 1 within it, passing into its neighbours."""
-    begun = smooth_step((s - piece.start) / line.blend + 0.5) if piece.start > 0.0 else np.ones_like(s)
-    ended = smooth_step((s - piece.end) / line.blend + 0.5) if piece.end < line.length else np.zeros_like(s)
+    begun = np.ones_like(s) if piece is pieces[0] else smooth_step((s - piece.start) / blend + 0.5)
+    ended = np.zeros_like(s) if piece is pieces[-1] else smooth_step((s - piece.end) / blend + 0.5)
     return np.asarray(begun - ended)
 
 
@@ -258,8 +281,8 @@ def _check_place(config: DefectConfig, judged: Sequence[tuple[float, float]]) ->
     end = max((end for _, end in judged), default=math.inf)
     if config.position >= end:
         raise ConfigError(
-            f"irregularity.position: the defect begins at {config.position:g} m of the run, which is judged up "
-            f"to {end:g} m; move it forward, or make the run longer (assessment.length, episode_s)"
+            f"irregularity.position: the defect begins at {config.position:g} m of the run, which is judged "
+            f"up to {end:g} m; move it forward, or make the run longer (assessment.length, episode_s)"
         )
 
 
