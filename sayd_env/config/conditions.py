@@ -212,6 +212,18 @@ class Line:
         return not (self.curved or any(knots) or self.reshaped or self.tracks or self.defects)
 
     @property
+    def said(self) -> frozenset[str]:
+        """What it says all along, by the names of an episode's options: the episode's own has no effect."""
+        knots = {"speed_kmh": self.speed_squared, "gauge": self.gauge, "friction": self.friction}
+        found = {name for name, values in knots.items() if values is not None}
+        if self.tracks and all(piece.irregularity is not None for piece in self.tracks):
+            found.add("track")
+        # The scale of the episode's track is of use where neither another track nor a scale is said.
+        if self.tracks and all(piece.irregularity or piece.scale is not None for piece in self.tracks):
+            found.add("track_scale")
+        return frozenset(found)
+
+    @property
     def slowest(self) -> float | None:
         """Lowest speed (m/s); None: the episode's."""
         return None if self.speed_squared is None else math.sqrt(min(self.speed_squared.value))
