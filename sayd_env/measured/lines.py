@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from sayd_env.config.conditions import Knots, Line, Section, TrackPiece, checked, joined
-from sayd_env.config.errors import DataError
+from sayd_env.config.errors import ConfigError, DataError
 from sayd_env.config.files import read_bytes
-from sayd_env.config.line import LineConfig, read_line, resolve, resolve_rails
+from sayd_env.config.line import LineConfig, outline, read_line, resolve, resolve_rails
 from sayd_env.config.track import FileConfig
 from sayd_env.config.units import Array
 from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, Table, read_table
@@ -24,6 +24,13 @@ from sayd_env.measured.tracks import stated_gauge
 _SHORTEST = 100.0  # m
 # Where a line has cant it has centimetres: less is one of metres in a column of millimetres.
 _LEAST_CANT = 1e-3  # m
+# Keys of a scenario and the option of an episode that sets the same.
+_OPTIONS = {
+    "friction": "friction",
+    "track": "track",
+    "track.gauge": "gauge",
+    "track.irregularity.scale": "track_scale",
+}
 
 
 def load_line(
@@ -59,6 +66,41 @@ def load_line(
     if line.file is not None:
         return read_measured_line(line, speed)
     return resolve(line, speed=speed, gauge=gauge, friction=friction, source=source)
+
+
+def refuse_said(line: str | LineConfig, given: Mapping[str, str]) -> None:
+    """Refuse what is given beside a line that says the same all along.
+
+    Parameters
+    ----------
+    line : str or LineConfig
+        The line.
+    given : mapping
+        What messages call each thing that is given, and the name of the episode's option that it is.
+
+    Raises
+    ------
+    ConfigError
+        The line says one of them; or as `load_line`.
+    DataError
+        As `load_line`.
+    """
+    if not given:
+        return
+    config = read_line(line) if isinstance(line, str) else line
+    said = (outline(config) if config.file is None else read_measured_line(config)).said
+    called = f"line '{line}'" if isinstance(line, str) else "the line"
+    for source, name in given.items():
+        if name in said:
+            raise ConfigError(
+                f"{source}: has no effect: {called} says {name} itself, all along; leave one of them out"
+            )
+
+
+def options_of(keys: Iterable[str]) -> dict[str, str]:
+    """Keys of a scenario that are an option of an episode, with its name."""
+    found = {key: _OPTIONS.get(key, "track" if key.startswith("track.irregularity") else "") for key in keys}
+    return {key: name for key, name in found.items() if name}
 
 
 def line_content(line: str) -> dict[str, Any]:
