@@ -24,7 +24,7 @@ from sayd_env.config.files import read_bytes
 from sayd_env.config.line import LineConfig, outline, read_line, resolve, resolve_rails
 from sayd_env.config.track import FileConfig
 from sayd_env.config.units import Array
-from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, Table, read_table
+from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, Column, Table, read_table
 from sayd_env.measured.table import LARGEST
 from sayd_env.measured.tracks import refuse_unused, stated_gauge
 
@@ -188,7 +188,6 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
 def _check_signs(table: Table) -> None:
     """Refuse speeds backwards, and a cant that is in another unit or of the other sign."""
     speed, cant, curvature = table.columns.get("speed"), table.columns.get("cant"), _curvature(table)
-    s = table.x - table.x[0]
     if speed is not None and (back := np.flatnonzero(speed.values <= 0.0)).size:
         row = int(back[0])
         raise DataError(
@@ -202,7 +201,14 @@ def _check_signs(table: Table) -> None:
             f"{table.head}: column '{cant.header}': no number is above {1e3 * largest:.2g} mm; no line "
             f"has so little cant (is the unit {cant.unit} right?)"
         )
-    for rows in () if curvature is None else _curves(s, curvature):
+    if curvature is not None:
+        _check_sides(table, cant, curvature)
+
+
+def _check_sides(table: Table, cant: Column, curvature: Array) -> None:
+    """Refuse a curve whose cant, on the whole, raises its inner rail."""
+    s = table.x - table.x[0]
+    for rows in _curves(s, curvature):
         helps = cant.values[rows] * np.sign(np.sum(curvature[rows]))
         weights = np.abs(curvature[rows]) * np.gradient(s)[rows]
         if np.sum(helps * weights) < -_WRONG_CANT * np.sum(weights):
