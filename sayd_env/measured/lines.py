@@ -207,10 +207,10 @@ def _check_signs(table: Table) -> None:
 
 def _check_sides(table: Table, cant: Column, curvature: Array) -> None:
     """Refuse a curve whose cant, on the whole, raises its inner rail."""
-    s = table.x - table.x[0]
-    for rows in _curves(s, curvature):
+    width = np.gradient(table.x)
+    for rows in _curves(table.x - table.x[0], curvature):
         helps = cant.values[rows] * np.sign(np.sum(curvature[rows]))
-        weights = np.abs(curvature[rows]) * np.gradient(s)[rows]
+        weights = np.abs(curvature[rows]) * width[rows]
         if np.sum(helps * weights) < -_WRONG_CANT * np.sum(weights):
             row = rows.start + int(np.argmin(helps))
             raise DataError(

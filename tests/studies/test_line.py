@@ -14,6 +14,8 @@ import pytest
 from rich.console import Console
 
 from sayd_env.cli import main
+from sayd_env.cli.options import VehicleOptions
+from sayd_env.cli.policies import drawn_conditions
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import load_environment
 from sayd_env.config.line import LineConfig
@@ -247,6 +249,14 @@ def test_options_that_a_line_says_itself(
     folder = ["--out", str(tmp_path / "out")]
     assert main([*options, "--line", str(path), *folder]) == 2
     assert message.format(path) in " ".join(capsys.readouterr().err.split())
+
+
+def test_pictures_of_drawn_lines_do_not_draw_what_options_set() -> None:
+    setup = load_environment("line")
+    left = drawn_conditions(VehicleOptions(friction=0.3), setup)
+    assert setup.lines is not None
+    assert left.lines == setup.lines.without(["friction"])
+    assert left.lines != setup.lines
 
 
 def test_frictions_beside_a_line_that_has_its_own(short_scenario: Scenario) -> None:
