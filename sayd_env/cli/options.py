@@ -245,6 +245,22 @@ class ScenarioOptions(Group):
         say_notes(dict(found))
         return found
 
+    def refuse_said(self, line: str | None) -> None:
+        """Refuse options that a line says itself, of a gauge, a track or a coefficient of friction.
+
+        Raises
+        ------
+        ConfigError, DataError
+            There is one; or the line cannot be used.
+        """
+        from sayd_env.measured.lines import options_of, refuse_said  # noqa: PLC0415 - keeps --help fast
+
+        if line is None:
+            return
+        flags = {f"--{name}": name for name in ("gauge", "friction", "track") if getattr(self, name)}
+        keys = [item.partition("=")[0].strip() for item in self.assignments or ()]
+        refuse_said(line, flags | {f"--set {key}": name for key, name in options_of(keys).items()})
+
     def _damper(self, config: str | None) -> list[str]:
         """What ``--damper`` sets."""
         from sayd_env.config.loader import YAML, is_path  # noqa: PLC0415 - keeps --help fast

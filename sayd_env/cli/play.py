@@ -29,6 +29,7 @@ def play(
 
     setup = load_environment(environment)
     chosen = choice.load(setup.study)
+    choice.refuse_said(setup.line)
     left = drawn_conditions(choice, setup)
     fixed = {} if speed is None else {"speed_kmh": speed}
     return Plan(

@@ -79,6 +79,7 @@ def evaluate(
     speeds, where = grid.speeds or SPEEDS, {}
     if line is not None:
         content = line_content(line)
+        grid.refuse_said(line)
         options.say_notes({"line": content})
         speeds, where = along.line_speeds(line, scenarios[0], grid.speeds, SPEEDS), {"line": content}
 
@@ -365,6 +366,7 @@ def render(
 
     setup = load_environment(environment)
     chosen = choice.load(setup.study)
+    choice.refuse_said(line or setup.line)
     left = drawn_conditions(choice, setup)
     target = file or (out or RESULTS / "render") / "render.gif"
     specs = policy_specs(who or ("mppt2",), foreign.reader(setup))
@@ -392,7 +394,10 @@ def drawn_conditions(choice: options.VehicleOptions, setup: EnvironmentConfig) -
     flags["track.gauge"] = choice.gauge
     keys = [key for key, value in flags.items() if value is not None] + (["wear"] if choice.profile else [])
     keys += [item.partition("=")[0].strip() for item in choice.assignments or ()]
-    return setup.model_copy(update={"randomisation": setup.randomisation.without(fixed_by(keys))})
+    fixed = fixed_by(keys)
+    lines = None if setup.lines is None else setup.lines.without(fixed)
+    drawn = setup.randomisation.without(fixed)
+    return setup.model_copy(update={"randomisation": drawn, "lines": lines})
 
 
 @command(GROUP, "--json")

@@ -81,6 +81,7 @@ def simulate(
     spec = None if who is None else policy_spec(who, foreign.reader(setup))
     metric = (300.0 if speed is None else speed) / KMH
     where = {} if line is None else {"line": line_content(line)}
+    choice.refuse_said(line)
     if line is not None:
         (metric,) = line_speeds(line, scenarios[0], None if speed is None else [metric], [metric])
     count = 0

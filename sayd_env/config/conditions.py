@@ -37,6 +37,8 @@ MOST_DEFICIENCY = 0.3
 """Most that cant may lack or exceed (m): tilting trains reach as far (EN 13803)."""
 MOST_TWIST = 1.0 / 400.0
 """Steepest cant ramp (-): EN 13803, exceptional limit."""
+SAYABLE = ("speed_kmh", "gauge", "friction", "track", "track_scale")
+"""Options of an episode that a line may say itself."""
 Rails = tuple[RailProfileConfig | None, RailProfileConfig]
 """The two profiles that a blend goes between; the first None: the scenario's."""
 _ROUNDING = 1e-9
@@ -210,6 +212,18 @@ class Line:
         """Whether it leaves everything as the episode has it."""
         knots = (self.speed_squared, self.gauge, self.friction)
         return not (self.curved or any(knots) or self.reshaped or self.tracks or self.defects)
+
+    @property
+    def said(self) -> frozenset[str]:
+        """Those of `SAYABLE` that it says all along: the episode's own has no effect."""
+        knots = {"speed_kmh": self.speed_squared, "gauge": self.gauge, "friction": self.friction}
+        found = {name for name, values in knots.items() if values is not None}
+        if self.tracks and all(piece.irregularity is not None for piece in self.tracks):
+            found.add("track")
+        # The scale of the episode's track is of use where neither another track nor a scale is said.
+        if self.tracks and all(piece.irregularity or piece.scale is not None for piece in self.tracks):
+            found.add("track_scale")
+        return frozenset(found)
 
     @property
     def slowest(self) -> float | None:

@@ -134,7 +134,8 @@ def layered(kind: Kind, name_or_path: str) -> Draft:
 
 def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     """A file over its base; parts that nothing was set in are still names."""
-    content, source = _measured(kind, name) or read_config(kind.folder, name)
+    files = "a YAML file" if kind.measured is None else "a YAML file or a measured one"
+    content, source = _measured(kind, name) or read_config(kind.folder, name, files)
     own, folder = dict(section(content, source)), Path(source).parent
     _refuse_another_kind(kind, own, source)
     _refuse_other(kind, own, source)

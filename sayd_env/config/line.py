@@ -109,6 +109,11 @@ class LineSectionConfig(Model):
         """Cant there (m), positive where the right rail is higher."""
         return self._side * self.cant
 
+    def bends_as(self, before: LineSectionConfig | None) -> bool:
+        """Whether curvature and cant are those of the section before; None: of the straight run-in."""
+        former = (0.0, 0.0) if before is None else (before.signed_curvature, before.signed_cant)
+        return former == (self.signed_curvature, self.signed_cant)
+
     @property
     def _side(self) -> float:
         return -1.0 if self.turn == "right" else 1.0
@@ -150,8 +155,30 @@ class LineConfig(Part, GeometryConfig):
         except ConfigError as error:
             raise ValueError(f"rails: {error}") from None
         if self.sections:
-            _Course(self, None, None, None, complete=False).line()
+            self._refuse_unused()
+            outline(self)
         return self
+
+    def _refuse_unused(self) -> None:
+        """Refuse what has no effect; a default may stand anywhere, as it does in a record of all keys."""
+        for name in ("section_length", *GeometryConfig.model_fields):
+            if getattr(self, name) != LineConfig.model_fields[name].default:
+                raise ValueError(f"{name}: has no effect beside sections; it belongs to a measured file")
+        blended = any(section.rail is not None for section in self.sections)
+        if self.rails is not None and self.rails[0] is None and not blended:
+            raise ValueError("rails: have no effect where no section has a rail, the share of the second one")
+        usual = LineSectionConfig.model_fields["acceleration"].default
+        timed = any(section.speed_kmh is not None for section in self.sections)
+        before: LineSectionConfig | None = None
+        for number, section in enumerate(self.sections):
+            where = f"section '{_name(number, section)}'"
+            if section.acceleration != usual and not timed:
+                raise ValueError(f"{where}: acceleration: has no effect: no section has a speed_kmh")
+            if section.transition is not None and section.bends_as(before):
+                raise ValueError(
+                    f"{where}: transition: has no effect: neither curvature nor cant changes here"
+                )
+            before = section
 
 
 def read_line(name_or_path: str, overrides: Iterable[str] = ()) -> LineConfig:
@@ -204,6 +231,17 @@ def resolve(
         return _Course(config, speed, gauge, friction, complete=True).line()
     except ValueError as error:
         raise ConfigError(f"{source}: {error}") from None
+
+
+def outline(config: LineConfig) -> Line:
+    """A line given by sections without what some of them leave out.
+
+    Raises
+    ------
+    ValueError
+        It is none that a railway could have.
+    """
+    return _Course(config, None, None, None, complete=False).line()
 
 
 def resolve_rails(config: LineConfig) -> Rails | None:

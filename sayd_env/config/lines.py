@@ -181,8 +181,18 @@ def draw_line(config: LinesConfig, uniform: Uniform) -> Line:
             if config.curves is not None:
                 fastest = _fastest(config.acceleration, speeds, draws, number)
                 content.update(draws[number].curve(config.curves, fastest))
-    sections = tuple(map(LineSectionConfig.model_validate, contents))
-    return resolve(LineConfig(sections=sections, blend=config.blend, rails=config.rails))
+    sections = _with_needed_transitions(map(LineSectionConfig.model_validate, contents))
+    rails = None if config.rail is None and config.rails and config.rails[0] is None else config.rails
+    return resolve(LineConfig(sections=sections, blend=config.blend, rails=rails))
+
+
+def _with_needed_transitions(sections: Iterable[LineSectionConfig]) -> tuple[LineSectionConfig, ...]:
+    """Sections without the transitions in which nothing changes."""
+    found: list[LineSectionConfig] = []
+    for section in sections:
+        straight_on = section.bends_as(found[-1] if found else None)
+        found.append(section.model_copy(update={"transition": None}) if straight_on else section)
+    return tuple(found)
 
 
 class _Draws:

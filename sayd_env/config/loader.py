@@ -192,7 +192,7 @@ def beside(name_or_path: str, folder: Path) -> str:
     return str(folder / name_or_path) if is_path(name_or_path) else name_or_path
 
 
-def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
+def read_config(kind: str, name_or_path: str, files: str = "a YAML file") -> tuple[Any, str]:
     """Raw content of a configuration and where it came from.
 
     Parameters
@@ -201,6 +201,8 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
         Folder of configs/, such as ``vehicle``.
     name_or_path : str
         A packaged name (``emu``) or a path to a YAML file.
+    files : str
+        What else a path may lead to, as a message says it.
 
     Raises
     ------
@@ -213,7 +215,7 @@ def read_config(kind: str, name_or_path: str) -> tuple[Any, str]:
     if name_or_path not in names:
         raise ConfigError(
             f"unknown {kind} {shown(name_or_path)}{nearest(name_or_path, names)}; "
-            f"available: {', '.join(names)}, or a path to a YAML file"
+            f"available: {', '.join(names)}, or a path to {files}"
         )
     source, text = packaged_text(kind, name_or_path)
     return parse_yaml(text, source), source

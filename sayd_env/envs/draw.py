@@ -42,6 +42,7 @@ from sayd_env.config.sensors import DAMPERS, SIGNALS, SensorConfig, SensorsConfi
 from sayd_env.config.track import IrregularityConfig, TrackClass, read_irregularity, scalable
 from sayd_env.config.units import Array
 from sayd_env.envs.options import NUMBERS, PROFILES, EpisodeOptions, checked_options, whole_number
+from sayd_env.measured.lines import refuse_said
 
 Component = Literal["scenario", "sensors", "faults", "noise", "spare"]
 STREAMS: Mapping[Component, int] = {"scenario": 1, "sensors": 2, "faults": 3, "noise": 4, "spare": 5}
@@ -126,7 +127,9 @@ def draw_episode(
     Raises
     ------
     ConfigError
-        An unknown option or a value that is not allowed.
+        An unknown option, a value that is not allowed, or one that the episode's line says itself.
+    DataError
+        A measured line that cannot be used.
     """
     seed, episode = whole_number("seed", seed, most=2**128), whole_number("episode", episode)
     fixed = checked_options(options)
@@ -260,10 +263,11 @@ def _generator(sequence: np.random.SeedSequence, component: Component) -> np.ran
 def _line(
     config: EnvironmentConfig, fixed: EpisodeOptions, uniform: _Uniform
 ) -> str | LineConfig | Line | None:
-    if fixed.line is not None:
-        return fixed.line
-    if config.lines is None:
-        return config.line
+    if fixed.line is not None or config.lines is None:
+        line = config.line if fixed.line is None else fixed.line
+        if line is not None:
+            refuse_said(line, {f"options: {name}": name for name in fixed.sayable})
+        return line
     if "speed_kmh" in fixed.numbers:
         config.lines.refuse_speed("options: speed_kmh")
     given = {*fixed.numbers, *(("tracks",) if fixed.track or fixed.track_scale is not None else ())}

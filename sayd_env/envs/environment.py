@@ -185,6 +185,8 @@ class Environment:
         ------
         ConfigError
             Options that are not allowed; nothing has changed then.
+        DataError
+            A measured track or line that cannot be used; nor then.
         """
         chosen = []
         for i, seed in zip(which, seeds, strict=True):

@@ -15,6 +15,7 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
 from sayd_env.envs.episode_batch import environment_scenario
 from sayd_env.envs.options import checked_number, number
+from sayd_env.measured.lines import options_of, refuse_said
 
 
 class UnexpectedKeyword(ConfigError, TypeError):
@@ -65,7 +66,10 @@ def configured(
     Raises
     ------
     ConfigError
-        A keyword that cannot be used; the message names it, what was found and what is allowed.
+        A keyword that cannot be used; the message names it, what was found and what is allowed. One that the
+        environment's line says itself has no effect and is refused, too.
+    DataError
+        A measured line that cannot be used.
     """
     if not isinstance(environment, str) or not environment:
         raise ConfigError(
@@ -79,6 +83,10 @@ def configured(
     if "sensors" in given:
         given["sensors"] = _sensors(given["sensors"])
     given["randomisation"] = _randomisation(config.randomisation, given.pop("speed_kmh", None), assignments)
+    if config.line is not None:
+        named = {"speed_kmh": "speed_kmh"} if keywords.get("speed_kmh") is not None else {}
+        settings = options_of(_keys(assignments))
+        refuse_said(config.line, named | {f"settings: {key}": name for key, name in settings.items()})
     if config.lines is not None:
         if keywords.get("speed_kmh") is not None:
             config.lines.refuse_speed("speed_kmh")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sayd_env.config import ConfigError, nearest
+from sayd_env.config.conditions import SAYABLE
 from sayd_env.config.explain import shown
 from sayd_env.config.fault import Fault, parse_faults
 from sayd_env.config.limits import LIMITS
@@ -43,6 +45,12 @@ class EpisodeOptions:
     """Name of a line, or a path, or its content."""
     faults: tuple[Fault, ...] | None
     """All faults of the episode."""
+
+    @property
+    def sayable(self) -> tuple[str, ...]:
+        """Those that a line may say itself."""
+        fixed = self.numbers | {"track": self.track, "track_scale": self.track_scale}
+        return tuple(name for name in SAYABLE if fixed.get(name) is not None)
 
 
 def checked_options(options: Mapping[str, Any] | None) -> EpisodeOptions:
@@ -168,6 +176,7 @@ def _track(value: Any) -> str:
 
 def _line(value: Any) -> str | LineConfig:
     known = packaged_names("line")
+    value = os.fspath(value) if isinstance(value, os.PathLike) else value
     if isinstance(value, Mapping):
         return validate(LineConfig, dict(value), "options: line")
     if isinstance(value, str) and (value in known or is_path(value) or value.endswith(".csv")):

@@ -185,7 +185,9 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
         Raises
         ------
         ConfigError
-            An unknown option, or a value that is not allowed.
+            An unknown option, a value that is not allowed, or one that the episode's line says itself.
+        DataError
+            A measured track or line that cannot be used.
         """
         seed = None if seed is None else whole_number("seed", seed)
         super().reset(seed=seed)

@@ -122,7 +122,10 @@ class SaydVectorEnv(
         Raises
         ------
         ConfigError
-            Another number of seeds, an unknown option, or a value that is not allowed.
+            Another number of seeds, an unknown option, a value that is not allowed, or one that the episode's
+            line says itself.
+        DataError
+            A measured track or line that cannot be used.
         """
         seeds = self._given_seeds(seed)
         if isinstance(seed, int | np.integer):

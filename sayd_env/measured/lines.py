@@ -3,27 +3,49 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sayd_env.config.conditions import Knots, Line, Section, TrackPiece, checked, joined
-from sayd_env.config.errors import DataError
+from sayd_env.config.conditions import (
+    SHORTEST_TRANSITION,
+    Knots,
+    Line,
+    Section,
+    TrackPiece,
+    checked,
+    joined,
+)
+from sayd_env.config.errors import ConfigError, DataError
 from sayd_env.config.files import read_bytes
-from sayd_env.config.line import LineConfig, read_line, resolve, resolve_rails
+from sayd_env.config.line import LineConfig, outline, read_line, resolve, resolve_rails
 from sayd_env.config.track import FileConfig
 from sayd_env.config.units import Array
-from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, Table, read_table
+from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, Column, Table, read_table
 from sayd_env.measured.table import LARGEST
-from sayd_env.measured.tracks import stated_gauge
+from sayd_env.measured.tracks import refuse_unused, stated_gauge
 
 # A shorter line is one of kilometres in a column of metres.
 _SHORTEST = 100.0  # m
 # Where a line has cant it has centimetres: less is one of metres in a column of millimetres.
 _LEAST_CANT = 1e-3  # m
+# Below these a curve, and a cant of the other sign in it, may be noise of a straight.
+_LEAST_CURVATURE, _WRONG_CANT = 5e-5, 5e-3  # 1/m, m
+# Changes below these are not judged: a noise of 0.03/km, or of 1 mm, from row to row stays below them.
+_LEAST_JUMP, _LEAST_GAUGE_JUMP = 1.2e-4, 5e-3  # 1/m, m
+# Length of the means that are judged (m), and the most of a change that may lie within half a transition.
+_MEAN, _MOST_SHARE = 5.0, 0.85
+_PLACES = SHORTEST_TRANSITION * np.linspace(-0.5, 0.5, 5)
+# Keys of a scenario and the option of an episode that sets the same.
+_OPTIONS = {
+    "friction": "friction",
+    "track": "track",
+    "track.gauge": "gauge",
+    "track.irregularity.scale": "track_scale",
+}
 
 
 def load_line(
@@ -59,6 +81,41 @@ def load_line(
     if line.file is not None:
         return read_measured_line(line, speed)
     return resolve(line, speed=speed, gauge=gauge, friction=friction, source=source)
+
+
+def refuse_said(line: str | LineConfig, given: Mapping[str, str]) -> None:
+    """Refuse what is given beside a line that says the same all along.
+
+    Parameters
+    ----------
+    line : str or LineConfig
+        The line.
+    given : mapping
+        What messages call each thing that is given, and the name of the episode's option that it is.
+
+    Raises
+    ------
+    ConfigError
+        The line says one of them; or as `load_line`.
+    DataError
+        As `load_line`.
+    """
+    if not given:
+        return
+    config = read_line(line) if isinstance(line, str) else line
+    said = (outline(config) if config.file is None else read_measured_line(config)).said
+    called = f"line '{line}'" if isinstance(line, str) else "the line"
+    for source, name in given.items():
+        if name in said:
+            raise ConfigError(
+                f"{source}: has no effect: {called} says {name} itself, all along; leave one of them out"
+            )
+
+
+def options_of(keys: Iterable[str]) -> dict[str, str]:
+    """Keys of a scenario that are an option of an episode, with its name."""
+    found = {key: _OPTIONS.get(key, "track" if key.startswith("track.irregularity") else "") for key in keys}
+    return {key: name for key, name in found.items() if name}
 
 
 def line_content(line: str) -> dict[str, Any]:
@@ -111,6 +168,9 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
         )
     if "rail" in table.columns and config.rails is None:
         raise DataError(f"{table.source}: column 'rail': the line's two rails are missing, which YAML names")
+    if "rail" not in table.columns and config.rails is not None and config.rails[0] is None:
+        raise DataError(f"{table.head}: rails: have no effect without a column 'rail', between which it goes")
+    refuse_unused(table, config)
     _check_signs(table)
     try:
         line = checked(_line(table, config), speed)
@@ -121,6 +181,7 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
             f"{table.where(0)}: begins with curvature or cant, but what lies before is straight: "
             "begin where the transition does, with 0"
         )
+    _check_jumps(table, line)
     return line
 
 
@@ -140,13 +201,65 @@ def _check_signs(table: Table) -> None:
             f"{table.head}: column '{cant.header}': no number is above {1e3 * largest:.2g} mm; no line "
             f"has so little cant (is the unit {cant.unit} right?)"
         )
-    if curvature is not None and float(cant.values @ curvature) < 0.0:
-        row = int(np.argmin(cant.values * curvature))
-        raise DataError(
-            f"{table.where(row)}: column '{cant.header}': found {cant.shown(row)} in a curve to the "
-            f"{'left' if curvature[row] > 0.0 else 'right'}, and alike in most: the inner rail would be the "
-            "higher one; cant is positive where the right rail is higher, a radius in curves to the left"
-        )
+    if curvature is not None:
+        _check_sides(table, cant, curvature)
+
+
+def _check_sides(table: Table, cant: Column, curvature: Array) -> None:
+    """Refuse a curve whose cant, on the whole, raises its inner rail."""
+    width = np.gradient(table.x)
+    for rows in _curves(table.x - table.x[0], curvature):
+        helps = cant.values[rows] * np.sign(np.sum(curvature[rows]))
+        weights = np.abs(curvature[rows]) * width[rows]
+        if np.sum(helps * weights) < -_WRONG_CANT * np.sum(weights):
+            row = rows.start + int(np.argmin(helps))
+            raise DataError(
+                f"{table.where(row)}: column '{cant.header}': found {cant.shown(row)} in a curve to the "
+                f"{'left' if curvature[row] > 0.0 else 'right'}, and alike in most of it: the inner rail "
+                "would be the higher one; cant is positive where the right rail is higher, a radius in "
+                "curves to the left"
+            )
+
+
+def _curves(s: Array, curvature: Array) -> Iterator[slice]:
+    """Rows of each stretch whose mean curvature over the shortest transition has one sign."""
+    knots = joined(zip(s.tolist(), curvature.tolist(), strict=True))
+    mean = _mean(knots, s, SHORTEST_TRANSITION)
+    side = np.where(np.abs(mean) < _LEAST_CURVATURE, 0.0, np.sign(mean))
+    bounds = [0, *(np.flatnonzero(np.diff(side)) + 1).tolist(), len(s)]
+    yield from (slice(a, b) for a, b in pairwise(bounds) if side[a] != 0.0)
+
+
+def _mean(knots: Knots, s: Array, length: float) -> Array:
+    """Mean of a quantity over a length (m) about each distance s (m)."""
+    return (knots.integral(s + 0.5 * length) - knots.integral(s - 0.5 * length)) / length
+
+
+def _check_jumps(table: Table, line: Line) -> None:
+    """Refuse a curvature or gauge that changes faster than over the shortest transition of a section.
+
+    Within 10 m a linear transition of 20 m goes half its way, a half cosine 0.7 of it, a jump all of it.
+    Judged are means over 5 m, in which a noise of rows every 0.25 m falls to less than a quarter, and only
+    changes that such a noise does not make. The slope of the cant has a limit of its own.
+    """
+    grid = np.arange(-SHORTEST_TRANSITION, line.length + SHORTEST_TRANSITION, 1.0)
+    for name, knots, least in (
+        ("radius" if "radius" in table.columns else "curvature", line.curvature, _LEAST_JUMP),
+        ("nominal_gauge" if "nominal_gauge" in table.columns else "gauge", line.gauge, _LEAST_GAUGE_JUMP),
+    ):
+        if knots is None or knots.constant:
+            continue
+        around = np.stack([_mean(knots, grid + shift, _MEAN) for shift in _PLACES])
+        change, whole = np.abs(around[3] - around[1]), np.ptp(around, axis=0)
+        sudden = np.where((change > least) & (change > _MOST_SHARE * whole), change, 0.0)
+        if sudden.any():
+            s = float(grid[int(np.argmax(sudden))])
+            row = int(np.argmin(np.abs(table.x - table.x[0] - s)))
+            raise DataError(
+                f"{table.where(row)}: column '{table.columns[name].header}': most of a change, about "
+                f"{table.place(row)}, lies within {0.5 * SHORTEST_TRANSITION:g} m; transitions are "
+                f"{SHORTEST_TRANSITION:g} m long or more"
+            )
 
 
 def _line(table: Table, config: LineConfig) -> Line:

@@ -144,6 +144,38 @@ def stated_gauge(table: Table, config: GeometryConfig) -> Array | None:
     return _nominal(table, config) if has_gauge or "nominal_gauge" in table.columns else None
 
 
+def refuse_unused(table: Table, config: GeometryConfig) -> None:
+    """Refuse what is stated of columns that a line's file lacks.
+
+    Raises
+    ------
+    DataError
+        A nominal gauge, a domain, or a chord or space curve to recover, without the columns that it is of.
+    """
+    variants = table.variants.values()
+    channels, ways = {each.channel for each in variants}, {each.way for each in variants}
+    if config.nominal_gauge is not None and "nominal_gauge" in table.columns:
+        raise DataError(
+            f"{table.head}: nominal_gauge: has no effect beside a column of it; leave one of them out"
+        )
+    if (
+        "gauge" not in channels
+        and "nominal_gauge" not in table.columns
+        and _nominal(table, config) is not None
+    ):
+        raise DataError(
+            f"{table.source}: nominal gauge: has no effect without a column gauge; a line's own gauge is a "
+            "column nominal_gauge_mm"
+        )
+    if config.domains and "domain" not in ways:
+        raise DataError(f"{table.head}: domains: have no effect: no column holds one of EN 13848-1")
+    if config.recover is not None and not {"chord", "space curve"} & ways:
+        raise DataError(f"{table.head}: recover: has no effect: no column holds a chord or a space curve")
+    base = GeometryConfig.model_fields["cross_level_base"].default
+    if config.cross_level_base != base and "cross_level" not in channels:
+        raise DataError(f"{table.head}: cross_level_base: has no effect without a column of the cross-level")
+
+
 def _channel(
     table: Table, columns: list[tuple[Variant, Column]], config: FileConfig, notes: list[str]
 ) -> Array:

@@ -18,6 +18,7 @@ from sayd_env.config.palette import BLACK, SHADE, VERMILION, policy_style
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import GRAVITY, KMH, Array
 from sayd_env.envs.vehicle import model_limits
+from sayd_env.measured.lines import refuse_said
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
@@ -335,11 +336,13 @@ def evaluate_line(
     Raises
     ------
     ConfigError
-        A line that cannot be, a speed outside the vehicle's range, a duplicate policy or one that does not
-        fit.
+        A line that cannot be, or one that says the friction itself beside those given; a speed outside the
+        vehicle's range, a duplicate policy or one that does not fit.
     StudyError
         A run that diverged.
     """
+    if friction and not isinstance(line, Line):
+        refuse_said(line, {"friction": "friction"})
     specs, setup = tuple(policies) or (own_policy(scenario),), environment or load_environment()
     refuse_duplicates(specs)
     runs = [

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from sayd_env.config import ConfigError, packaged_names, validate
 from sayd_env.config.conditions import Knots, Line, cant_deficiency, joined
-from sayd_env.config.line import LineConfig, read_line, resolve
+from sayd_env.config.line import LineConfig, outline, read_line, resolve
 from sayd_env.config.track import read_irregularity
 
 
@@ -224,6 +224,19 @@ def test_rails_and_files_lie_beside_the_line(tmp_path: Path) -> None:
             {"sections": [{"length": 90.0, "speed_kmh": 180.0}, {"length": 2399.0, "speed_kmh": 252.0}]},
             "section '2': speed_kmh: the change to 252 km/h at 0.5 m/s2 takes 2400 m; the section is 2399 m",
         ),
+        (
+            {"sections": [{"length": 50.0, "acceleration": 0.6}]},
+            "section '1': acceleration: has no effect: no section has a speed_kmh",
+        ),
+        (
+            {"sections": [{"length": 50.0, "transition": 30.0}]},
+            "section '1': transition: has no effect: neither curvature nor cant changes",
+        ),
+        ({"sections": [CURVE, CURVE]}, "section '2': transition: has no effect"),
+        (
+            {"sections": [{"length": 50.0}], "rails": [None, "60e1_30"]},
+            "rails: have no effect where no section has a rail",
+        ),
         ({"sections": [{"length": 50.0, "gauge": 2.0}]}, "gauge: found 2.0"),
         ({"sections": [{"length": 50.0, "friction": 0.0}]}, "friction: found 0.0"),
         ({"sections": [{"length": 50.0, "rail": 0.5}]}, "rail: the line's two rails are missing"),
@@ -255,6 +268,42 @@ def test_refusals_name_what_is_wrong(content: dict[str, Any], message: str) -> N
     with pytest.raises(ConfigError, match=message) as caught:
         validate(LineConfig, content, "mine.yaml")
     assert str(caught.value).startswith("mine.yaml: ")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("section_length", 500.0),
+        ("nominal_gauge", 1.432),
+        ("ignore", ["twist_mm"]),
+        ("domains", ["D1"]),
+        ("recover", [3.0, 25.0]),
+        ("cross_level_base", 1.435),
+    ],
+)
+def test_keys_of_a_measured_file_do_not_stand_beside_sections(key: str, value: Any) -> None:
+    with pytest.raises(ConfigError, match=f"mine.yaml: .*{key}: has no effect beside sections"):
+        validate(LineConfig, {"sections": [CURVE], key: value}, "mine.yaml")
+
+
+def test_a_lines_content_with_all_its_keys_is_the_line() -> None:
+    """As a result's record has it: what stands at its default says nothing."""
+    for name in packaged_names("line"):
+        config = read_line(name)
+        assert validate(LineConfig, config.model_dump(mode="json"), "record") == config
+
+
+def test_a_line_says_what_all_of_its_sections_say() -> None:
+    whole = {"length": 50.0, "speed_kmh": 200.0, "friction": 0.3, "gauge": 1.434, "track": "china"}
+
+    def said(*sections: dict[str, Any]) -> frozenset[str]:
+        return outline(validate(LineConfig, {"sections": list(sections)}, "mine.yaml")).said
+
+    assert said({"length": 50.0}) == frozenset()
+    assert said(whole, whole) == {"speed_kmh", "friction", "gauge", "track", "track_scale"}
+    assert said(whole, {"length": 50.0}) == frozenset()
+    assert said(whole, {"length": 50.0, "track_scale": 0.5}) == {"track_scale"}
+    assert said({"length": 50.0, "track_scale": 0.5}) == {"track_scale"}
 
 
 def test_braking_in_a_curve_counts_with_the_speed_that_is_still_there() -> None:

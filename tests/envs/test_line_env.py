@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
-from sayd_env.config import ConfigError
+from sayd_env.config import ConfigError, DataError
+from sayd_env.config.environment import load_environment
 from sayd_env.envs.draw import draw_episode
+from sayd_env.envs.keywords import configured
 from sayd_env.envs.single import SaydEnv
 from sayd_env.envs.vector import SaydVectorEnv
 
@@ -302,3 +305,62 @@ def test_an_environment_takes_a_line_in_place_of_drawn_ones(tmp_path: Path) -> N
     info = env.reset(seed=0)[1]
     assert info["speed_kmh"] == pytest.approx(200.0)
     assert info["line"] == str(tmp_path / "mine.csv")
+
+
+SAYS_ALL = {"length": 900.0, "speed_kmh": 300.0, "friction": 0.4, "gauge": 1.435, "track": "china"}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "key"),
+    [
+        ("speed_kmh", 200.0, "speed_kmh"),
+        ("friction", 0.2, "friction"),
+        ("gauge", 1.44, "gauge"),
+        ("track", "german_high", "track"),
+        ("track_scale", 0.5, "track"),
+    ],
+)
+def test_what_a_line_says_itself_is_refused_beside_it(
+    name: str, value: Any, key: str, tmp_path: Path
+) -> None:
+    """Whether an option or the environment names the line; what a section leaves out stays allowed."""
+    nominal = load_environment("nominal")
+    with pytest.raises(ConfigError, match=f"options: {name}: has no effect: the line says {name} itself"):
+        draw_episode(nominal, 0, 0, {"line": {"sections": [SAYS_ALL]}, name: value})
+    (tmp_path / "line.yaml").write_text(json.dumps({"sections": [SAYS_ALL]}))
+    (tmp_path / "mine.yaml").write_text("base: nominal\nline: line.yaml\n")
+    with pytest.raises(ConfigError, match=f"options: {name}: has no effect: line '.*' says {name} itself"):
+        draw_episode(load_environment(str(tmp_path / "mine.yaml")), 0, 0, {name: value})
+    partly = [SAYS_ALL, {each: SAYS_ALL[each] for each in SAYS_ALL if each != key}]
+    draw_episode(nominal, 0, 0, {"line": {"sections": partly}, name: value})
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"speed_kmh": 200.0}, "speed_kmh: has no effect: line '.*/line.csv' says speed_kmh itself"),
+        ({"settings": ("friction=0.2",)}, "settings: friction: has no effect"),
+        ({"settings": ("track.gauge=1.44",)}, "settings: track.gauge: has no effect"),
+    ],
+)
+def test_keywords_beside_an_environments_line(keywords: dict[str, Any], message: str, tmp_path: Path) -> None:
+    rows = "x_m,speed_kmh,friction,nominal_gauge_mm\n0,200,0.3,1435\n900,200,0.3,1435\n"
+    (tmp_path / "line.csv").write_text(rows)
+    (tmp_path / "mine.yaml").write_text("base: nominal\nline: line.csv\n")
+    with pytest.raises(ConfigError, match=message):
+        configured(str(tmp_path / "mine.yaml"), **keywords)
+    configured(str(tmp_path / "mine.yaml"), settings=("track=china", "track.irregularity.scale=0.5"))
+
+
+def test_a_path_names_a_line(tmp_path: Path) -> None:
+    path = tmp_path / "line.csv"
+    path.write_text("x_m,speed_kmh\n0,200\n900,200\n")
+    assert made().reset(seed=0, options={"line": path})[1]["line"] == str(path)
+    path.write_text("x_m,speed_kmh\n0,200\n900,-200\n")
+    with pytest.raises(DataError, match="line 3"):
+        made().reset(seed=0, options={"line": path})
+
+
+def test_a_line_that_leaves_all_out_is_named_but_has_no_section() -> None:
+    info = made(info="full").reset(seed=0, options={"line": "straight"})[1]
+    assert (info["line"], info["line_section"]) == ("straight", "")

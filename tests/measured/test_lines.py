@@ -208,6 +208,21 @@ def test_a_section_lies_on_the_file_of_its_track(tmp_path: Path) -> None:
             "x_m,radius_m,cant_mm\n0,0,0\n400,7000,-120\n900,7000,-120\n",
             "line 3: column 'cant_mm': found -120 mm in a curve to the left, and alike in most",
         ),
+        (
+            "x_m,radius_m,cant_mm\n0,0,0\n400,7000,120\n900,7000,120\n1300,0,0\n1700,-9000,100\n2200,-9000,100\n",
+            "line 6: column 'cant_mm': found 100 mm in a curve to the right, and alike in most of it",
+        ),
+        (
+            "x_m,radius_m\n0,0\n100,0\n100.1,7000\n900,7000\n",
+            "line 4: column 'radius_m': most of a change, about x_m 100.1, lies within 10 m",
+        ),
+        ("x_m,radius_m\n0,0\n50,800\n90,800\n90.5,-800\n900,-800\n", "most of a change, about x_m 90"),
+        ("x_m,curvature_1_km\n0,0\n100,0\n101,3.3\n900,3.3\n", "column 'curvature_1_km': most of a change"),
+        (
+            "x_m,nominal_gauge_mm\n0,1435\n100,1435\n100.1,1445\n900,1445\n",
+            "column 'nominal_gauge_mm': most of a change, about x_m 100",
+        ),
+        ("# nominal gauge 1432 mm\nx_m,friction\n0,0.3\n900,0.3\n", "nominal gauge: has no effect without"),
         ("x_m\n0\n100\n", "nothing to read beside 'x_m'; expected any of speed_kmh, "),
         ("x_m,x_km,cant_mm\n0,0,0\n", "found x_m and x_km; expected one of them"),
         ("x_m,raduis_m\n0,0\n100,0\n", "unknown column 'raduis_m', did you mean 'radius_m'"),
@@ -236,6 +251,54 @@ def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(DataError, match=message) as caught:
         load_line(path)
     assert str(caught.value).startswith(path)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("nominal_gauge: 1.432", "nominal gauge: has no effect without a column gauge"),
+        ("domains: [D1]", "domains: have no effect: no column holds one"),
+        ("recover: [3.0, 25.0]", "recover: has no effect: no column holds a chord"),
+        ("cross_level_base: 1.435", "cross_level_base: has no effect without a column of the cross-level"),
+        ("rails: [null, 60e1_30]", "rails: have no effect without a column 'rail'"),
+    ],
+)
+def test_keys_of_columns_that_a_file_lacks(tmp_path: Path, keys: str, message: str) -> None:
+    write(tmp_path, "x_m,friction\n0,0.3\n900,0.3\n")
+    with pytest.raises(DataError, match=rf"line\.csv: .*{message}"):
+        load_line(write(tmp_path, f"file: line.csv\n{keys}\n", "mine.yaml"))
+
+
+def test_a_nominal_gauge_beside_its_column(tmp_path: Path) -> None:
+    write(tmp_path, "x_m,nominal_gauge_mm\n0,1435\n900,1435\n")
+    with pytest.raises(DataError, match="nominal_gauge: has no effect beside a column of it"):
+        load_line(write(tmp_path, "file: line.csv\nnominal_gauge: 1.432\n", "mine.yaml"))
+
+
+@pytest.mark.parametrize("shape", ["linear", "smooth"])
+@pytest.mark.parametrize("length", [20.0, 60.0])
+def test_recorded_transitions_are_no_jumps(tmp_path: Path, length: float, shape: str) -> None:
+    """Four rows a metre, with noise: from 20 m on, where a section's may begin, linear or a half cosine."""
+    rng = np.random.default_rng(1)
+    s = np.arange(0.0, 2000.25, 0.25)
+    share = np.clip((s - 500.0) / length, 0.0, 1.0) - np.clip((s - 1200.0) / length, 0.0, 1.0)
+    if shape == "smooth":
+        share = 0.5 - 0.5 * np.cos(np.pi * share)
+    noise = rng.normal(size=(2, len(s))) * (s > 1.0)
+    columns = s, 0.5 * share + 0.03 * noise[0], 1435.0 + 8.0 * share + noise[1]
+    rows = "\n".join(f"{a},{b},{c}" for a, b, c in zip(*columns, strict=True))
+    assert load_line(write(tmp_path, f"x_m,curvature_1_km,nominal_gauge_mm\n{rows}")).length == 2000.0
+
+
+def test_the_sign_of_a_cant_is_judged_where_there_is_a_curve(tmp_path: Path) -> None:
+    """Noise on the straights, which leaves curvature and cant of opposite signs, is none."""
+    rng = np.random.default_rng(2)
+    s = np.arange(0.0, 2000.25, 0.25)
+    share = np.clip((s - 500.0) / 100.0, 0.0, 1.0) - np.clip((s - 1200.0) / 200.0, 0.0, 2.0)
+    noise = np.cumsum(rng.normal(size=len(s))) * 0.05 * (s > 1.0)
+    columns = s, 0.5 * share + 0.02 * rng.normal(size=len(s)) * (s > 1.0), 80.0 * share + np.sin(noise)
+    rows = "\n".join(f"{a},{b},{c}" for a, b, c in zip(*columns, strict=True))
+    assert load_line(write(tmp_path, f"x_m,curvature_1_km,cant_mm\n{rows}")).length == 2000.0
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:

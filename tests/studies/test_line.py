@@ -14,6 +14,8 @@ import pytest
 from rich.console import Console
 
 from sayd_env.cli import main
+from sayd_env.cli.options import VehicleOptions
+from sayd_env.cli.policies import drawn_conditions
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import load_environment
 from sayd_env.config.line import LineConfig
@@ -95,7 +97,7 @@ def test_sections_add_up_to_the_environments_rewards(result: LineResult) -> None
     """J of the whole line, and of the sections over time, is minus the mean reward of the same episode."""
     run = result.runs[0]
     batch = EpisodeBatch(run.environment, 1, scenario=run.scenario, num_threads=1)
-    options = {"line": CURVE, "speed_kmh": 290.0, "initial_current": 0.0}
+    options = {"line": CURVE, "initial_current": 0.0}
     batch.reset([0], [draw_episode(run.environment, run.seed, 0, options)])
     rewards = [float(batch.step(np.full((1, 2), 0.3, np.float32))[1][0]) for _ in range(batch.steps)]
     rows = [row for row in result.rows if (row.policy, row.seed) == ("constant:0.3", run.seed)]
@@ -241,6 +243,39 @@ def test_speeds_of_a_line_are_its_own(capsys: pytest.CaptureFixture[str]) -> Non
     assert "has speeds of its own" in capsys.readouterr().err
     assert main(["evaluate", "--line", "highsped", "--json"]) == 2
     assert "highspeed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["evaluate", "--track", "german_high"], "--track: has no effect: line '{}' says track itself"),
+        (["evaluate", "--friction", "0.2,0.5"], "--friction: has no effect: line '{}' says friction itself"),
+        (["simulate", "--gauge", "1440"], "--gauge: has no effect: line '{}' says gauge itself"),
+        (["render", "--set", "friction=0.2"], "--set friction: has no effect: line '{}' says friction"),
+    ],
+)
+def test_options_that_a_line_says_itself(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "line.yaml"
+    path.write_text("sections: [{length: 500.0, friction: 0.3, gauge: 1.434, track: china}]\n")
+    folder = ["--out", str(tmp_path / "out")]
+    assert main([*options, "--line", str(path), *folder]) == 2
+    assert message.format(path) in " ".join(capsys.readouterr().err.split())
+
+
+def test_pictures_of_drawn_lines_do_not_draw_what_options_set() -> None:
+    setup = load_environment("line")
+    left = drawn_conditions(VehicleOptions(friction=0.3), setup)
+    assert setup.lines is not None
+    assert left.lines == setup.lines.without(["friction"])
+    assert left.lines != setup.lines
+
+
+def test_frictions_beside_a_line_that_has_its_own(short_scenario: Scenario) -> None:
+    line = lined({"sections": [{"length": 500.0, "friction": 0.3}]})
+    with pytest.raises(ConfigError, match="friction: has no effect: the line says friction itself"):
+        evaluate_line(short_scenario, line, [SPEED], friction=[0.2, 0.5])
 
 
 def test_a_policy_is_named_once(short_scenario: Scenario) -> None:
