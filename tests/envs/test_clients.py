@@ -1,9 +1,10 @@
-"""Gymnasium's own clients take the environments as they are: wrappers, copies, workers, pictures."""
+"""Clients take the environments as they are: Gymnasium's wrappers, copies, workers, pictures, TorchRL."""
 
 from __future__ import annotations
 
 import copy
 import gc
+import importlib
 import json
 import pickle
 import subprocess
@@ -439,17 +440,59 @@ def test_videos(quick: str, tmp_path: Any) -> None:
     assert len(list(tmp_path.glob("*/*.mp4"))) == 2
 
 
-def test_human_rendering(quick: str) -> None:
+@pytest.mark.parametrize(
+    ("make", "wrapper", "module"),
+    [
+        (gym.make, wrappers.HumanRendering, "pygame"),
+        (partial(gym.make_vec, num_envs=3), vector_wrappers.HumanRendering, "cv2"),
+    ],
+    ids=["one", "batch"],
+)
+def test_human_rendering(
+    make: Callable[..., Any], wrapper: Callable[..., Any], module: str, quick: str
+) -> None:
     pytest.importorskip("pygame", reason="needs the extra 'render'")
-    keywords = {"environment": quick, "render_mode": "rgb_array"}
-    made: list[Any] = [wrappers.HumanRendering(gym.make(ID, **keywords))]
-    try:
-        import cv2  # noqa: F401, PLC0415 - the wrapper of a batch needs it
-    except ImportError:
-        pass
-    else:
-        made.append(vector_wrappers.HumanRendering(gym.make_vec(ID, num_envs=3, **keywords)))
-    for env in made:
-        env.reset(seed=1)
-        env.step(half(env))
-        env.close()
+    pytest.importorskip(module, reason="needs the extra 'clients'")
+    env = wrapper(make(ID, environment=quick, render_mode="rgb_array"))
+    env.reset(seed=1)
+    env.step(half(env))
+    env.close()
+
+
+# TorchRL
+
+
+@pytest.fixture
+def torchrl() -> Any:
+    pytest.importorskip("torchrl", reason="needs the extra 'clients'", exc_type=ImportError)
+    return importlib.import_module("torchrl.envs")
+
+
+def assert_two_episodes(env: Any, vehicles: tuple[int, ...]) -> None:
+    """TorchRL's own check, and a rollout over the end of an episode."""
+    env.check_env_specs()
+    seen = env.rollout(STEPS + 1, break_when_any_done=False)
+    env.close()
+    assert seen["observation"].shape[:-1] == (*vehicles, STEPS + 1)
+    assert seen["observation"].isfinite().all()
+    ended = seen["next", "truncated"][..., 0].numpy()
+    assert (ended == (np.arange(STEPS + 1) == STEPS - 1)).all()
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_torchrl_makes_one_by_its_id(scaled: bool, quick: str, torchrl: Any) -> None:
+    env = torchrl.GymEnv(f"sayd_env:{ID}", environment=quick, scaled=scaled)
+    assert_two_episodes(env, ())
+
+
+@pytest.mark.parametrize(("mode", "info"), [("Disabled", "full"), ("SameStep", "none")])
+def test_torchrl_wraps_a_batch(mode: str, info: str, quick: str, torchrl: Any) -> None:
+    batch = gym.make_vec(ID, num_envs=2, environment=quick, autoreset_mode=AutoresetMode(mode), info=info)
+    assert_two_episodes(torchrl.GymWrapper(batch), (2,))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["ParallelEnv", "num_envs"])
+def test_torchrl_runs_several_in_processes(way: str, quick: str, torchrl: Any) -> None:
+    make = partial(torchrl.GymEnv, f"sayd_env:{ID}", environment=quick, info="none")
+    assert_two_episodes(torchrl.ParallelEnv(2, make) if way == "ParallelEnv" else make(num_envs=2), (2,))
