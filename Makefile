@@ -45,8 +45,7 @@ docs: $(VENV)/.installed $(VENV)/.pages
 test-pages: docs
 	$(BIN)/python -m pytest --durations=5 tests/pages $(PYTEST_OPTIONS)
 
-# The environments as other libraries take them: their own checks, short trainings of the examples, videos. Not RLlib, which
-# asks for a Gymnasium of its own.
+# The environments as other libraries take them: their own checks, short trainings of the examples, videos.
 test-clients: $(VENV)/.clients
 	$(BIN)/python tests/warm_up.py
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=10 \
@@ -121,11 +120,12 @@ $(VENV)/.learning: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[train,onnx,ray,dask]'
 	touch $@
 
-# moviepy is fetched without what it asks for, a Pillow older than the tested one: it works with this one.
+# moviepy asks for an older Pillow and RLlib for an older Gymnasium. Both work with the tested ones, so what else they need
+# is fetched by name.
 $(VENV)/.clients: $(VENV)/.learning
-	@echo "Adding clients (TorchRL, skrl, sb3-contrib) and what records videos, half a minute"
+	@echo "Adding clients (TorchRL, skrl, RLlib, sb3-contrib) and what records videos, half a minute"
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[clients,video]' \
-	  decorator imageio proglog python-dotenv
+	  decorator imageio proglog python-dotenv dm-tree lz4 ormsgpack tensorboardX
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps moviepy
 	touch $@
 
