@@ -27,7 +27,7 @@ COVERAGE_TESTS = tests
 UNCOMPILED = tests/baselines tests/stability tests/agents/test_products.py tests/physics/test_rows.py \
              tests/physics/test_throttle.py tests/physics/contact/test_polach.py
 
-.PHONY: run test docs test-pages test-gymnasium-oldest coverage bench-check lint dist clean
+.PHONY: run test docs test-pages test-clients test-gymnasium-oldest coverage bench-check lint dist clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -44,6 +44,13 @@ docs: $(VENV)/.installed $(VENV)/.pages
 # The site and the pages of results, opened in an installed Chromium. With CI=true a lack of it fails, else it skips.
 test-pages: docs
 	$(BIN)/python -m pytest --durations=5 tests/pages $(PYTEST_OPTIONS)
+
+# The environments as other libraries take them: their own checks, short trainings of the examples, videos.
+test-clients: $(VENV)/.clients
+	$(BIN)/python tests/warm_up.py
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=10 \
+	  tests/envs/test_clients.py tests/agents/test_sb3_vec.py tests/agents/test_sb3_check.py tests/test_examples.py \
+	  $(PYTEST_OPTIONS)
 
 # The environments and their clients with the oldest Gymnasium, which is fetched.
 test-gymnasium-oldest: $(VENV)/.installed $(VENV)/.learning
@@ -111,6 +118,15 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 $(VENV)/.learning: $(VENV)/.installed
 	@echo "Adding what the tests need besides (torch, Ray, Dask), a few minutes"
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[train,onnx,ray,dask]'
+	touch $@
+
+# moviepy asks for an older Pillow and RLlib for an older Gymnasium. Both work with the tested ones, so what else they need
+# is fetched by name.
+$(VENV)/.clients: $(VENV)/.learning
+	@echo "Adding clients (TorchRL, skrl, RLlib, sb3-contrib) and what records videos, half a minute"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[clients,video]' \
+	  decorator imageio proglog python-dotenv dm-tree lz4 ormsgpack tensorboardX
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps moviepy
 	touch $@
 
 $(VENV)/.coverage $(VENV)/.release: $(VENV)/.installed

@@ -82,7 +82,9 @@ def test_hooks_use_the_tools_that_are_installed() -> None:
             assert "additional_dependencies" not in hook
 
 
-@pytest.mark.parametrize("extra", ["test", "lint", "train", "onnx", "ray", "dask", "coverage", "release"])
+@pytest.mark.parametrize(
+    "extra", ["test", "lint", "train", "onnx", "ray", "dask", "clients", "video", "coverage", "release"]
+)
 def test_what_make_installs_has_a_tested_version(extra: str) -> None:
     wanted = [*project()["dependencies"], *project()["optional-dependencies"][extra]]
     names = {re.sub(r"[-_.]+", "-", re.split(r"[\[<>=~ ]", each)[0]).lower() for each in wanted}

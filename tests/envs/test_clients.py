@@ -1,15 +1,17 @@
-"""Gymnasium's own clients take the environments as they are: wrappers, copies, workers, pictures."""
+"""Clients take the environments as they are: Gymnasium's wrappers, copies, workers, pictures, TorchRL."""
 
 from __future__ import annotations
 
 import copy
 import gc
+import importlib
 import json
 import pickle
 import subprocess
 import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -417,39 +419,76 @@ def test_a_batch_gives_a_picture_for_each_vehicle(quick: str) -> None:
     envs.close()
 
 
+one_and_a_batch = pytest.mark.parametrize(
+    ("make", "package"),
+    [(gym.make, wrappers), (partial(gym.make_vec, num_envs=3), vector_wrappers)],
+    ids=["one", "batch"],
+)
+
+
+@one_and_a_batch
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_videos(quick: str, tmp_path: Any) -> None:
+def test_videos(make: Callable[..., Any], package: Any, quick: str, tmp_path: Path) -> None:
     moviepy = pytest.importorskip("moviepy", reason="Gymnasium's recorder needs moviepy")
     pytest.importorskip("pygame", reason="needs the extra 'render'")
-    one: Any = wrappers.RecordVideo(
-        gym.make(ID, environment=quick, render_mode="rgb_array"), str(tmp_path / "one")
-    )
-    many: Any = vector_wrappers.RecordVideo(
-        gym.make_vec(ID, num_envs=3, environment=quick, render_mode="rgb_array"), str(tmp_path / "many")
-    )
-    for env in (one, many):
-        env.reset(seed=1)
-        for _ in range(STEPS):
-            env.step(half(env))
-        env.close()
-    for file in tmp_path.glob("*/*.mp4"):
-        clip = moviepy.VideoFileClip(str(file))
-        assert (clip.fps, clip.duration) == (100, pytest.approx(STEPS / 100, abs=0.011))
-        clip.close()
-    assert len(list(tmp_path.glob("*/*.mp4"))) == 2
-
-
-def test_human_rendering(quick: str) -> None:
-    pytest.importorskip("pygame", reason="needs the extra 'render'")
-    keywords = {"environment": quick, "render_mode": "rgb_array"}
-    made: list[Any] = [wrappers.HumanRendering(gym.make(ID, **keywords))]
-    try:
-        import cv2  # noqa: F401, PLC0415 - the wrapper of a batch needs it
-    except ImportError:
-        pass
-    else:
-        made.append(vector_wrappers.HumanRendering(gym.make_vec(ID, num_envs=3, **keywords)))
-    for env in made:
-        env.reset(seed=1)
+    if not hasattr(package, "RecordVideo"):
+        pytest.skip("this version of Gymnasium records no batch")
+    env = package.RecordVideo(make(ID, environment=quick, render_mode="rgb_array"), str(tmp_path / "videos"))
+    env.reset(seed=1)
+    for _ in range(STEPS):
         env.step(half(env))
-        env.close()
+    env.close()
+    (file,) = tmp_path.glob("videos/*.mp4")
+    clip = moviepy.VideoFileClip(str(file))
+    assert (clip.fps, clip.duration) == (100, pytest.approx(STEPS / 100, abs=0.011))
+    clip.close()
+
+
+@one_and_a_batch
+def test_human_rendering(make: Callable[..., Any], package: Any, quick: str) -> None:
+    pytest.importorskip("pygame", reason="needs the extra 'render'")
+    if package is vector_wrappers:
+        pytest.importorskip("cv2", reason="needs the extra 'clients'")
+    env = package.HumanRendering(make(ID, environment=quick, render_mode="rgb_array"))
+    env.reset(seed=1)
+    env.step(half(env))
+    env.close()
+
+
+# TorchRL
+
+
+@pytest.fixture
+def torchrl() -> Any:
+    pytest.importorskip("torchrl", reason="needs the extra 'clients'", exc_type=ImportError)
+    return importlib.import_module("torchrl.envs")
+
+
+def assert_two_episodes(env: Any, vehicles: tuple[int, ...]) -> None:
+    """TorchRL's own check, and a rollout over the end of an episode."""
+    env.check_env_specs()
+    seen = env.rollout(STEPS + 1, break_when_any_done=False)
+    env.close()
+    assert seen["observation"].shape[:-1] == (*vehicles, STEPS + 1)
+    assert seen["observation"].isfinite().all()
+    ended = seen["next", "truncated"][..., 0].numpy()
+    assert (ended == (np.arange(STEPS + 1) == STEPS - 1)).all()
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_torchrl_makes_one_by_its_id(scaled: bool, quick: str, torchrl: Any) -> None:
+    env = torchrl.GymEnv(f"sayd_env:{ID}", environment=quick, scaled=scaled)
+    assert_two_episodes(env, ())
+
+
+@pytest.mark.parametrize(("mode", "info"), [("Disabled", "full"), ("SameStep", "none")])
+def test_torchrl_wraps_a_batch(mode: str, info: str, quick: str, torchrl: Any) -> None:
+    batch = gym.make_vec(ID, num_envs=2, environment=quick, autoreset_mode=AutoresetMode(mode), info=info)
+    assert_two_episodes(torchrl.GymWrapper(batch), (2,))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["ParallelEnv", "num_envs"])
+def test_torchrl_runs_several_in_processes(way: str, quick: str, torchrl: Any) -> None:
+    make = partial(torchrl.GymEnv, f"sayd_env:{ID}", environment=quick, info="none")
+    assert_two_episodes(torchrl.ParallelEnv(2, make) if way == "ParallelEnv" else make(num_envs=2), (2,))
