@@ -119,8 +119,10 @@ class HindsightResult:
     def notes(self) -> list[str]:
         """On which lines the schedule, found section by section, is not the best of the commands."""
         names = [line.name for line in self.lines if line.costs[SINGLE] < line.costs[HINDSIGHT]]
+        if not names:
+            return []
         why = "what a section leaves to the next one counts more than its own best command"
-        return [f"{', '.join(names)}: one command costs less than the best by section: {why}."] * bool(names)
+        return [f"{', '.join(names)}: one command costs less than the best by section: {why}."]
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd hindsight --json``."""

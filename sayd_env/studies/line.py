@@ -240,8 +240,8 @@ class LineResult:
     def _listings(self, place: Place) -> Iterator[Listing]:
         """What lies along the line, and the policies by section."""
         sections = self._sections(place)
-        always = ("section", "to_m") if len(sections) > 1 else [c.name for c in SECTIONS]
-        shown = [c for c in SECTIONS if c.name in always or _varied(sections, c)]
+        whole = len(sections) == 1
+        shown = [c for c in SECTIONS if whole or c.name in ("section", "to_m") or _varied(sections, c)]
         about = f"line '{self.name}', {self.scenario.vehicle.name}, wear {place.wear:g}"
         yield Listing(about, shown, sections)
         count = len({row.seed for row in self.rows})
@@ -460,9 +460,9 @@ def _tightest(line: Line, start: float, end: float) -> float:
 
     Where it begins does not count: that is still the curve before it.
     """
-    last = max(start, end - 0.5 * line.blend - 1e-6)
-    inside = [s for s in line.curvature.s if start < s < last]
-    return max(reversed([*inside, last]), key=lambda s: abs(float(line.curvature.at(s))))
+    last, knots = max(start, end - 0.5 * line.blend - 1e-6), np.array(line.curvature.s)
+    backwards = np.append(knots[(knots > start) & (knots < last)], last)[::-1]
+    return float(backwards[np.argmax(np.abs(line.curvature.at(backwards)))])
 
 
 def _shade(axis: Axes, line: Line) -> None:
