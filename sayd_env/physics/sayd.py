@@ -32,7 +32,7 @@ from scipy.optimize import elementwise
 
 from sayd_env.config.damper import SaydDamperConfig, SpringValve
 from sayd_env.config.units import Array
-from sayd_env.physics.kernel import kernel
+from sayd_env.physics.kernel import gathered_reads, kernel
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.throttle import (
     CURRENTS,
@@ -390,6 +390,7 @@ def integrate(
     state : ndarray, shape (STATES * n,)
         Advanced in place; the acting current is that at the end of the step.
     """
+    gathered_reads()
     n = LANES * len(lanes)
     h = step / substeps
     g = _GAMMA * h

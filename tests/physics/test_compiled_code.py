@@ -116,10 +116,8 @@ def test_sums_of_vehicles_abreast_are_vector_instructions(product: Any) -> None:
 
 
 @pytest.mark.parametrize("abreast", [SINGLE, ABREAST], ids=["single", "abreast"])
-def test_the_hydraulics_are_vector_instructions(abreast: Lanes, machine_gathers: bool) -> None:
+def test_the_hydraulics_are_vector_instructions(abreast: Lanes) -> None:
     """Only table reads gather, four in each of three Newton steps; roots and divisions are packed."""
-    if not machine_gathers:
-        pytest.skip("without gathers the compiler leaves this loop scalar")
     arguments = (types.float64, types.int64, *(4 * [ARRAY]))
     found = bodies(assembly(sayd.integrate, lanes(abreast), *arguments))
     (body,) = (b for b in found if b["divpd"])
@@ -139,7 +137,7 @@ _plant_of, _state_of, _work_of = vehicle_from(Plant), vehicle_from(State), vehic
 
 @pytest.mark.slow
 @pytest.mark.parametrize("abreast", [SINGLE, ABREAST], ids=["single", "abreast"])
-def test_the_loops_are_the_same_within_the_step(abreast: Lanes, machine_gathers: bool) -> None:
+def test_the_loops_are_the_same_within_the_step(abreast: Lanes) -> None:
     """Merged into the whole step, the loops keep what they have alone."""
     tables = types.Array(types.int64, 3, "C")
     found = bodies(assembly(_step_vehicles, lanes(abreast), tables, tables, tables))
@@ -147,10 +145,9 @@ def test_the_loops_are_the_same_within_the_step(abreast: Lanes, machine_gathers:
     contact = [b for b in packed if (b["divpd"], b["sqrtpd"]) == (2, 2) and b["mulpd"] > 70]
     assert len(contact) == 1
     assert gathers(contact[0]) <= 26
-    if machine_gathers:
-        hydraulics = [b for b in packed if (b["divpd"], b["sqrtpd"]) == (6, 11)]
-        assert len(hydraulics) == 1
-        assert gathers(hydraulics[0]) <= 12
+    hydraulics = [b for b in packed if (b["divpd"], b["sqrtpd"]) == (6, 11)]
+    assert len(hydraulics) == 1
+    assert gathers(hydraulics[0]) <= 12
 
 
 def test_what_a_line_does_is_vector_instructions() -> None:
