@@ -57,6 +57,10 @@ class Stage(Model):
     searches: tuple[Search, ...] = Field(
         description="Each around the best point of the one before", min_length=1
     )
+    starts: int = quantity("-", "Starts at most; the last search goes on from the best", default=1, ge=1)
+    good_cost: float = quantity(
+        "-", "Cost before the last search after which there is no further start", default=0.0, ge=0.0
+    )
 
     @field_validator("parameters")
     @classmethod

@@ -247,7 +247,8 @@ def calibrate(
         No numbers gave a finite run.
     """
     context = context or RunContext()
-    tell = _Teller(context, config)
+    stages = config.passive, config.semi_active
+    tell = _Teller(context, sum(search.evaluations for stage in stages for search in stage.searches))
     runs = RunContext(context.executor, context.cache, silent, context.kept)
     passive = _Passive(config, runs)
     found = {"passive": _searched("passive", config.passive, passive.outcomes, seed, tell)}
@@ -264,18 +265,18 @@ class _Teller:
     """Reports progress: evaluations that were made of those that can be."""
 
     context: RunContext
-    config: CalibrationConfig
+    total: int
+    """Evaluations without those of further starts, which `started` adds."""
     done: int = 0
 
     def __call__(self, what: str, cost: float, count: int = 0) -> None:
         self.done += count
-        total = sum(
-            search.evaluations
-            for stage in (self.config.passive, self.config.semi_active)
-            for search in stage.searches
-        )
         words = f"{what}, best cost {cost:.2f}" if cost else what
-        self.context.progress(min(self.done, total), total, words)
+        self.context.progress(min(self.done, self.total), self.total, words)
+
+    def started(self, searches: Iterable[Search]) -> None:
+        """There are more searches than were foreseen."""
+        self.total += sum(search.evaluations for search in searches)
 
 
 Evaluate = Callable[[Sequence[Place], int, float], list[Outcome]]
@@ -283,25 +284,51 @@ Evaluate = Callable[[Sequence[Place], int, float], list[Outcome]]
 
 
 def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Teller) -> list[Trial]:
-    """Screen the ranges of a stage, then search from the best point."""
+    """Search the ranges of a stage from one start or more, then on from the best of their ends."""
     trials: list[Trial] = []
+    *wide, last = stage.searches
 
-    def tried(what: str, places: Iterable[Array], settings: Search) -> list[Trial]:
-        keys = [tuple(round(float(u), 6) for u in np.clip(place, 0.0, 1.0)) for place in places]
-        outcomes = evaluate(keys, settings.seeds, settings.length)
-        new = [Trial(f"{name}, {what}", key, *outcome) for key, outcome in zip(keys, outcomes, strict=True)]
-        trials.extend(new)
-        tell(new[0].stage, best_of(trials, new[0].stage).cost, len(new))
-        return new
+    def searched(search: Search, place: Array, start: int) -> Trial:
+        what = f"{name}, {search.name}" + (f" {start + 1}" if start else "")
 
-    count = len(stage.parameters)
-    place = np.full(count, 0.5) if seed == 0 else np.random.default_rng(seed).random(count)
-    for search in stage.searches:
-        best = _search(search, place, lambda row: _columns(stage, row), tried, seed)
-        place = np.array(best.place)
+        def tried(places: Iterable[Array]) -> list[Trial]:
+            keys = [tuple(round(float(u), 6) for u in np.clip(place, 0.0, 1.0)) for place in places]
+            outcomes = evaluate(keys, search.seeds, search.length)
+            new = [Trial(what, key, *outcome) for key, outcome in zip(keys, outcomes, strict=True)]
+            trials.extend(new)
+            tell(what, best_of(trials, what).cost, len(new))
+            return new
+
+        best = _search(search, place, lambda row: _columns(stage, row), tried, _random(seed, start))
         if LOST in best.residuals.values():
             raise StudyError(f"calibration, {name}: no numbers within the ranges gave a finite run")
+        return best
+
+    ends: list[Trial] = []
+    for start in range(stage.starts if wide else 0):
+        tell.started(wide if start else ())
+        place = _start(seed, start, len(stage.parameters))
+        for search in wide:
+            end = searched(search, place, start)
+            place = np.array(end.place)
+        ends.append(end)
+        if end.cost <= stage.good_cost:
+            break
+    place = np.array(best_of(ends).place) if ends else _start(seed, 0, len(stage.parameters))
+    searched(last, place, 0)
     return trials
+
+
+def _random(seed: int, start: int) -> int | tuple[int, int]:
+    """Seed of the random draws of one start."""
+    return (seed, start) if start else seed
+
+
+def _start(seed: int, start: int, count: int) -> Array:
+    """Where a search begins: in the middle of every range, or at a random place."""
+    if seed == start == 0:
+        return np.full(count, 0.5)
+    return np.random.default_rng(_random(seed, start)).random(count)
 
 
 def _columns(stage: Stage, row: str) -> tuple[int, ...]:
@@ -318,8 +345,8 @@ def _search(
     search: Search,
     start: Array,
     columns: Callable[[str], tuple[int, ...]],
-    tried: Callable[[str, Iterable[Array], Search], list[Trial]],
-    seed: int,
+    tried: Callable[[Iterable[Array]], list[Trial]],
+    seed: int | tuple[int, int],
 ) -> Trial:
     """Search a box around a place by response surfaces; returns the best trial in it.
 
@@ -331,10 +358,10 @@ def _search(
     count = len(start)
     low, high = np.maximum(start - search.radius, 0.0), np.minimum(start + search.radius, 1.0)
     cube = qmc.LatinHypercube(count, rng=seed).random(search.samples - 1)
-    made = tried(search.name, [start, *qmc.scale(cube, low, high)], search)
+    made = tried([start, *qmc.scale(cube, low, high)])
     while len(made) < search.evaluations:
         places = [_least(made, columns, low, high, random, drawn=i > 0) for i in range(PLACES)]
-        made += tried(search.name, places, search)
+        made += tried(places)
     return best_of(made)
 
 

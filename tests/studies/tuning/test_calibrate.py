@@ -259,6 +259,33 @@ def test_an_interrupted_calibration_goes_on_where_it_stopped(config: Calibration
     assert len(result.sensitivity) == 1 + 2 * (2 + 3)
 
 
+@pytest.mark.parametrize(("good_cost", "starts"), [(1e6, 1), (0.0, 3)])
+def test_a_search_starts_again_until_an_end_is_good(config: CalibrationConfig, good_cost: float, starts: int):
+    """Each start looks over the whole ranges; the last search goes on from the best of their ends."""
+    wide, last = (
+        config.passive.searches[0].model_copy(update={"name": name, "radius": radius, "evaluations": count})
+        for name, radius, count in (("wide", 1.0, 8), ("last", 0.1, 4))
+    )
+    changes = {"searches": (wide, last), "starts": 3, "good_cost": good_cost}
+    stage = config.passive.model_copy(update=changes)
+
+    def rugged(places: Sequence[module.Place], seeds: int, length: float) -> list[module.Outcome]:
+        return [({"P1": 1.0 + np.cos(40.0 * a) * np.cos(31.0 * b)}, {}) for a, b in places]
+
+    told: list[tuple[float, float]] = []
+    context = RunContext(progress=lambda done, total, what="": told.append((done, total)))
+    trials = module._searched("passive", stage, rugged, 0, module._Teller(context, 12))
+    begun = [next(trials) for _, trials in itertools.groupby(trials, lambda trial: trial.stage)]
+    assert [trial.stage for trial in begun] == [
+        *("passive, wide", "passive, wide 2", "passive, wide 3")[:starts],
+        "passive, last",
+    ]
+    assert begun[0].place == (0.5, 0.5)
+    assert len({trial.place for trial in begun[:-1]}) == starts
+    assert begun[-1].place == min(trials[: 8 * starts], key=lambda trial: trial.cost).place
+    assert told[-1] == (8 * starts + 4, 8 * starts + 4)
+
+
 def test_no_finite_run_at_all_is_a_failed_study(config: CalibrationConfig, monkeypatch: pytest.MonkeyPatch):
     def lost(*_: object, **__: object) -> None:
         raise StudyError("diverged")
