@@ -36,6 +36,12 @@ class RangeConfig(Model):
             raise ValueError("low and high must be whole numbers with whole")
         return self
 
+    def holds(self, value: Any) -> bool:
+        """Whether a value can be drawn."""
+        if self.choices:
+            return value in self.choices
+        return isinstance(value, int | float) and (self.low or 0.0) <= value <= (self.high or 0.0)
+
 
 class QuickSearchConfig(Model):
     """Numbers of a look at a search."""

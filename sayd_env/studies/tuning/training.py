@@ -6,6 +6,8 @@ import json
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -160,6 +162,7 @@ def search(
     Trials are trainings of fewer steps on the training's own environments, judged on its own evaluation
     scenarios. One that is worse than the median of the others at the same step is given up. All is kept in
     the folder: an interrupted search goes on with the trial that was under way, from the beginning of it.
+    The first trial has the settings of the training itself, where the ranges hold them.
 
     Parameters
     ----------
@@ -261,6 +264,8 @@ class _Search:
         self._take_up()
         # A resumed search must not draw again what it has drawn.
         drawn = len(self.study.get_trials(deepcopy=False))
+        if drawn == 0:
+            self._enqueue_own()
         self.study.sampler = optuna.samplers.TPESampler(
             seed=seed + 7919 * drawn, n_startup_trials=settings.random_trials
         )
@@ -275,6 +280,14 @@ class _Search:
         for trial in self.study.get_trials(states=(states.RUNNING,)):
             self.study.tell(trial.number, state=states.FAIL)
             self.study.enqueue_trial(trial.params)
+
+    def _enqueue_own(self) -> None:
+        """Try the training's own settings first."""
+        content = self.base.model_dump(mode="json")
+        own = {name: reduce(getitem, name.split("."), content) for name in self.settings.ranges}
+        if all(each.holds(own[name]) for name, each in self.settings.ranges.items()):
+            choices = {name for name, each in self.settings.ranges.items() if each.choices}
+            self.study.enqueue_trial({n: json.dumps(v) if n in choices else v for n, v in own.items()})
 
     def run(self) -> None:
         """Make the trials that are left."""

@@ -108,6 +108,25 @@ def test_settings_that_a_training_does_not_have_are_refused(
         study.search("sac", settings(), tmp_path / "s")
 
 
+@pytest.mark.parametrize(("most", "first"), [(9.0, True), (1.5, False)])
+def test_the_trainings_own_settings_are_tried_first(
+    most: float, first: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If the ranges hold them: the packaged training looks ahead for 2 s."""
+    trainings = Trainings()
+    monkeypatch.setattr(study, "train", trainings)
+    ranges = {
+        "discount_s": RangeConfig(low=1.0, high=most, log=True),
+        "output.hold": RangeConfig(choices=(1, 2, 3)),
+        "learning.n_epochs": RangeConfig(low=4.0, high=12.0, whole=True),
+    }
+    study.search("ppo", settings(ranges=ranges, trials=2), tmp_path / "s")
+    packaged = load_train("ppo")
+    own = trainings.configs[0].discount_s, trainings.configs[0].output, trainings.configs[0].learning
+    assert (own == (packaged.discount_s, packaged.output, packaged.learning)) is first
+    assert trainings.configs[1] != trainings.configs[0]
+
+
 @pytest.mark.parametrize("name", ["ppo", "sac"])
 def test_the_packaged_searches_fit_their_trainings(name: str) -> None:
     found = load_search(name)
