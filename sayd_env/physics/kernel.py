@@ -131,10 +131,10 @@ def _nothing() -> None:
 
 @instructions(_nothing)
 def gathered_reads(_context: Any) -> Any:
-    """Let the loops of the kernel that calls this read tables by gathers wherever there are such instructions.
+    """Let the loops of the kernel that calls this read tables by gathers wherever the processor has them.
 
-    Where LLVM takes them for slow (AMD before AVX-512), a loop with many reads at computed places would get no
-    vector instructions at all; the hydraulics then take three times as long.
+    Where LLVM takes them for slow (AMD before AVX-512), a loop with many reads at computed places gets no
+    vector instructions at all: the hydraulics then take three times as long.
     """
 
     def codegen(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
