@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 
 from sayd_env import baselines
+from sayd_env.config.environment import charge_a_second
 
 ID = "sayd_env:SAYD/Randomized-v1"
 """The part before the colon is imported first, also in a client's worker processes."""
@@ -54,7 +55,7 @@ def mean_cost(act: Act, episodes: int = EPISODES, env_id: str = ID, **keywords: 
             running
         ]
         # What a derailed run is charged for the time that is left, as its reward is.
-        cost[running & terminated] += config.termination_cost * left * config.control_period
+        cost[running & terminated] += charge_a_second(config, weights) * left * config.control_period
         running &= ~terminated
     env.close()
     return float(cost.mean() / config.episode_s)

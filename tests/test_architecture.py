@@ -191,6 +191,19 @@ def once_only(name: str, value: str) -> bool:
     return name.strip("_") in ("KMH", "Array") or value in ("3.6", "1 / 3.6", "1.0 / 3.6") or array
 
 
+def test_kmh_has_one_name():
+    """No 3.6 as a factor or divisor: it is `KMH`."""
+    wrong = [
+        f"{module}:{node.lineno}"
+        for module, tree in modules().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div)
+        for side in (node.left, node.right)
+        if isinstance(side, ast.Constant) and side.value == 3.6
+    ]
+    assert not wrong
+
+
 def test_units_and_arrays_are_defined_once():
     wrong = [
         f"{module}:{line}: {name} = {value}"

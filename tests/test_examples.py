@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -59,6 +60,22 @@ def test_j_is_minus_the_return_a_second(judge: ModuleType) -> None:
     # The same commands as a learner gives them.
     scaled = judge.mean_cost(lambda seen: np.full((len(seen), 2), -0.5), 2)
     assert scaled == pytest.approx(found, rel=1e-12)
+
+
+def test_a_derailed_run_costs_what_its_reward_is_charged(judge: ModuleType) -> None:
+    """Valves that stand open let one of two vehicles derail; k_F = 2 makes the charge four times as large."""
+    keywords: dict[str, Any] = judge.FEATURES | {"reward": "low-force", "speed_kmh": 400.0}
+    env = gym.make_vec(judge.ID, num_envs=2, **keywords)
+    env.reset(seed=judge.SEED)
+    ended, total = np.zeros(2, dtype=bool), np.zeros(2)
+    for _ in range(400):
+        _, reward, terminated, _, _ = env.step(np.ones((2, 2), np.float32))
+        total += np.where(ended, 0.0, reward)
+        ended |= terminated
+    assert ended.any()
+    assert judge.mean_cost(judge.controller("constant:1", **keywords), 2, **keywords) == pytest.approx(
+        -total.mean() / 20.0, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.[pi][yp]*")), ids=lambda path: path.name)

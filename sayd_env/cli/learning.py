@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from sayd_env.studies.tuning.training import SearchResult
 
 GROUP = "Learning"
+OF_A_DAMPER = ("--damper", "--config", "--set")
+"""Options of the scenario that a semi-active damper by itself can follow."""
 
 
 @command(GROUP, "ppo --seed 7 --set total_steps=200000", without=("wide",))
@@ -230,6 +232,10 @@ def export(
 
     if onnx:
         raise ConfigError(f"--fmu {fmu}: leave out --onnx")
+    _refuse(foreign.given(), f"--fmu {fmu}: leave out")
+    if fmu == "damper":
+        others = {name: value for name, value in choice.given().items() if name not in OF_A_DAMPER}
+        _refuse(others, "--fmu damper: has no vehicle; leave out")
     if (source is None) == (fmu == "controller"):
         raise ConfigError(f"--fmu {fmu}: {'of which policy?' if source is None else f'leave out {source}'}")
     if fmu != "vehicle" and (speed is not None or seed is not None):

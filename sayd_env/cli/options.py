@@ -405,6 +405,14 @@ class ForeignOptions(Group):
         "With --trust-pickles: its training's VecNormalize (.pkl), which can run any code, too.",
     )
 
+    def given(self) -> dict[str, Any]:
+        """What was given, by the options' names; None for the others."""
+        return {
+            "--trust-pickles": self.trust_pickles or None,
+            "--trained-period": self.trained_period,
+            "--vec-normalize": self.vec_normalize,
+        }
+
     def reader(self, environment: EnvironmentConfig) -> ForeignReader | None:
         """What reads such files, or None where they are not trusted."""
         from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415 - keeps --help fast

@@ -63,6 +63,19 @@ def source_fingerprint() -> str:
     return fingerprint_of([resources.files(f"sayd_env.{floor}") for floor in FLOORS])
 
 
+@cache
+def floor_fingerprint(module: str) -> str:
+    """Fingerprint of the floor that a module belongs to; empty for a module that `source_fingerprint` covers.
+
+    And for modules that are not ours.
+    """
+    package, _, rest = module.partition(".")
+    floor = rest.partition(".")[0]
+    if package != "sayd_env" or not floor or floor in FLOORS:
+        return ""
+    return fingerprint_of([resources.files(f"sayd_env.{floor}")])
+
+
 def fingerprint_of(folders: list[Traversable]) -> str:
     """Hash (16 hexadecimal digits) of the Python files below some folders, and of the libraries' versions."""
     digest = hashlib.sha256(repr(sorted(versions().items())).encode())

@@ -40,7 +40,7 @@ from sayd_env.config.scaling import scaled
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS, SIGNALS, SensorConfig, SensorsConfig
 from sayd_env.config.track import IrregularityConfig, TrackClass, read_irregularity, scalable
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs.options import NUMBERS, PROFILES, EpisodeOptions, checked_options, whole_number
 from sayd_env.measured.lines import refuse_said
 
@@ -157,7 +157,7 @@ def draw_episode(
     return Episode(
         seed=seed,
         number=episode,
-        speed=drawn["speed_kmh"] / 3.6,
+        speed=drawn["speed_kmh"] / KMH,
         profile=profile.name,
         wheel=profile.wheel,
         wheel_shift=profile.shift,

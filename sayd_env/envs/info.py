@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config.conditions import Line
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs import trace
 from sayd_env.envs.cost import squares
 from sayd_env.envs.episode_batch import EpisodeBatch
@@ -83,7 +83,7 @@ def episode_info(batch: EpisodeBatch, i: int) -> dict[str, Any]:
     return {
         "seed": episode.seed,
         "episode_number": episode.number,
-        "speed_kmh": float(episode.speed * 3.6),
+        "speed_kmh": float(episode.speed * KMH),
         "profile": wheel.name if episode.profile is None else episode.profile,
         "wheel_shift": float(wheel.shift if episode.wheel_shift is None else episode.wheel_shift),
         "gauge": float(gauge),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs.canvas import Canvas, Picture, Window
 from sayd_env.envs.charts import ACCELERATION, COST, FORCE, VALVE, Charts
 from sayd_env.envs.plan_view import Placement, View, make_plan
@@ -190,7 +190,7 @@ class Renderer:
 
     def _head(self, frame: Frame) -> None:
         canvas = self.canvas
-        width = canvas.text(f"{frame.speed * 3.6:.0f}", (20, 36), 34, INK, bold=True)
+        width = canvas.text(f"{frame.speed * KMH:.0f}", (20, 36), 34, INK, bold=True)
         canvas.text("km/h", (26 + width, 42), 15, SOFT)
         first, second = frame.dominant_frequency
         cost = f"{frame.cost[-1]:.3f}" if len(frame.cost) else "\u2013"

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sayd_env.config import StudyError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.envs.cost import EpisodeCost, episode_cost, mean_squares
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
@@ -207,7 +207,7 @@ def _rollout(
     ended = int(batch.vehicles.status[i]) != RUNNING
     taken = int(batch.elapsed[i]) if ended else steps
     if ended and not np.all(np.isfinite(terms[:taken, i])):
-        raise StudyError(f"the run of seed {episode.seed} at {episode.speed * 3.6:g} km/h diverged")
+        raise StudyError(f"the run of seed {episode.seed} at {episode.speed * KMH:g} km/h diverged")
     end = before + taken * batch.settings.samples
     return Rollout(
         episode=episode,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sayd_env.config.palette import policy_style, rgb
+from sayd_env.config.units import KMH
 from sayd_env.envs.canvas import Canvas, Picture
 from sayd_env.envs.charts import ACCELERATION, FORCE, Charts, Extent
 from sayd_env.envs.plan_view import Placement, View, make_plan
@@ -127,7 +128,7 @@ class SideBySide:
 
     def _head(self, frames: Sequence[Frame]) -> None:
         canvas, frame = self.canvas, max(frames, key=lambda frame: frame.time)
-        width = canvas.text(f"{frame.speed * 3.6:.0f}", (EDGE + 2, 32), 32, INK, bold=True)
+        width = canvas.text(f"{frame.speed * KMH:.0f}", (EDGE + 2, 32), 32, INK, bold=True)
         x = EDGE + 10 + width
         x += canvas.text("km/h", (x, 38), 15, SOFT) + 28
         track = frame.track if frame.place is None else frame.place.section

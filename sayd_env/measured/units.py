@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
+from sayd_env.config.units import KMH
+
 
 class Unit(NamedTuple):
     """A unit that was recognised."""
@@ -20,7 +22,7 @@ class Unit(NamedTuple):
 _G = 9.80665  # m/s2, standard gravity
 _UNITS = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
-    "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "mm/s": 1e-3, "mph": 0.44704},
+    "speed": {"m/s": 1.0, "km/h": 1 / KMH, "mm/s": 1e-3, "mph": 0.44704},
     "acceleration": {"m/s2": 1.0, "mm/s2": 1e-3, "cm/s2": 1e-2, "g": _G},
     "force": {"N": 1.0, "daN": 10.0, "kN": 1e3, "MN": 1e6},
     "length": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048},

@@ -17,7 +17,7 @@ from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig, sides
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.measured.dampers import force_velocity
 from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
@@ -154,8 +154,8 @@ class VehicleModel:
         low, high = self.scenario.vehicle.speed_range
         if not low <= speed <= high:
             raise ConfigError(
-                f"speed {speed * 3.6:g} km/h is outside the range of vehicle '{self.scenario.vehicle.name}': "
-                f"{low * 3.6:g} to {high * 3.6:g} km/h"
+                f"speed {speed * KMH:g} km/h is outside the range of vehicle '{self.scenario.vehicle.name}': "
+                f"{low * KMH:g} to {high * KMH:g} km/h"
             )
 
     def step(self, speed: float) -> tuple[float, int]:
@@ -518,9 +518,9 @@ class Simulator:
         """What to tell of a run that ended early."""
         when = f"after {self.state.clock[0]:.2f} s"
         if np.max(np.abs(self.state.v)) < FASTEST:
-            return f"derailment at {self.speed * 3.6:g} km/h {when}: a wheel has left the contact table"
+            return f"derailment at {self.speed * KMH:g} km/h {when}: a wheel has left the contact table"
         return (
-            f"the simulation at {self.speed * 3.6:g} km/h diverged {when}; a smaller numerics.step may help"
+            f"the simulation at {self.speed * KMH:g} km/h diverged {when}; a smaller numerics.step may help"
         )
 
     def command(self, currents: npt.ArrayLike) -> None:

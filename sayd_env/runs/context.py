@@ -9,6 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from sayd_env.config.software import floor_fingerprint
 from sayd_env.physics.formation import WIDTH
 from sayd_env.runs.cache import RunCache, fingerprint
 from sayd_env.runs.executors import ExecutorChoice, KeptExecutor, computed
@@ -111,7 +112,8 @@ def _keys(work: Callable[..., Any], specs: Sequence[RunSpec]) -> list[str]:
         return known[id(value)]
 
     inputs = [spec.inputs() for spec in specs]  # all of them live until the end: no id is used twice
-    maker = f"{work.__module__}.{work.__qualname__}"
+    # What makes the runs may stand on a floor that the others do not depend on.
+    maker = f"{work.__module__}.{work.__qualname__} {floor_fingerprint(work.__module__)}"
     return [fingerprint(maker, [digest(value) for value in each]) for each in inputs]
 
 

@@ -30,6 +30,8 @@ def test_command_writes_a_vehicle(tmp_path: Path, capsys: pytest.CaptureFixture[
         (("--fmu", "damper", "--damper", "passive"), "is passive"),
         (("--fmu", "vehicle", "--damper", "passive"), "needs semi-active dampers"),
         (("--fmu", "damper", "--speed", "300"), "has no track"),
+        (("--fmu", "damper", "--track", "china"), "has no vehicle; leave out --track"),
+        (("x.zip", "--fmu", "controller", "--trust-pickles"), "leave out --trust-pickles"),
         (("--fmu", "damper", "ppo"), "leave out ppo"),
         (("--fmu", "controller"), "of which policy?"),
         (("--fmu", "controller", "mppt3"), "mppt3"),

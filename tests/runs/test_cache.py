@@ -16,15 +16,16 @@ from sayd_env.config import Model, StudyError, software
 from sayd_env.config import control as control_config
 from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
-from sayd_env.config.software import FLOORS, fingerprint_of, source_fingerprint
+from sayd_env.config.software import FLOORS, fingerprint_of, floor_fingerprint, source_fingerprint
 from sayd_env.runs import cache as module
-from sayd_env.runs import rollouts
+from sayd_env.runs import context, rollouts
 from sayd_env.runs.cache import RunCache, fingerprint
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.controlled import ControlledRun
 from sayd_env.runs.passive import PassiveRun
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.runs.rollouts import Run
+from sayd_env.studies.critical_speed import recorded
 
 
 class Inputs(Model):
@@ -194,6 +195,18 @@ def copies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             ignore=shutil.ignore_patterns("__pycache__", "*.npz"),
         )
     return {floor: parent / floor for floor in FLOORS}
+
+
+def test_what_makes_runs_on_another_floor_counts_with_it(monkeypatch: pytest.MonkeyPatch):
+    """Some works stand in the studies, whose sources change no other run."""
+    for name in ("sayd_env.runs.metrics", "sayd_env.physics.step", "somebody.else"):
+        assert floor_fingerprint(name) == ""
+    folder = resources.files("sayd_env.studies")
+    assert floor_fingerprint(recorded.__module__) == fingerprint_of([folder])
+    specs = [PassiveRun(load_scenario(), 90.0, 1)]
+    before = context._keys(recorded, specs)
+    monkeypatch.setattr(context, "floor_fingerprint", lambda module: "edited")
+    assert context._keys(recorded, specs) != before
 
 
 def test_the_same_sources_elsewhere_have_the_same_fingerprint(copies: dict[str, Path]):
