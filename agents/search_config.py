@@ -40,7 +40,9 @@ class RangeConfig(Model):
         """Whether a value can be drawn."""
         if self.choices:
             return value in self.choices
-        return isinstance(value, int | float) and (self.low or 0.0) <= value <= (self.high or 0.0)
+        assert self.low is not None  # the validator has made sure
+        assert self.high is not None
+        return bool(self.low <= value <= self.high) and (not self.whole or float(value).is_integer())
 
 
 class QuickSearchConfig(Model):

@@ -59,7 +59,7 @@ class Stage(Model):
     )
     starts: int = quantity("-", "Starts at most; the last search goes on from the best", default=1, ge=1)
     good_cost: float = quantity(
-        "-", "Cost before the last search after which there is no further start", default=0.0, ge=0.0
+        "-", "Cost before the last search from which down no further start is made", default=0.0, ge=0.0
     )
 
     @field_validator("parameters")
@@ -73,6 +73,8 @@ class Stage(Model):
 
     @model_validator(mode="after")
     def _enough(self) -> Stage:
+        if self.starts > 1 and len(self.searches) == 1:
+            raise ValueError(f"starts: found {self.starts} with one search, which is the last; expected 1")
         least = len(self.parameters) + 2
         for search in self.searches:
             if not least <= search.samples <= search.evaluations:

@@ -65,10 +65,7 @@ def source_fingerprint() -> str:
 
 @cache
 def floor_fingerprint(module: str) -> str:
-    """Fingerprint of the floor that a module belongs to; empty for a module that `source_fingerprint` covers.
-
-    And for modules that are not ours.
-    """
+    """Fingerprint of a module's floor; empty where `source_fingerprint` covers it, or if it is not ours."""
     package, _, rest = module.partition(".")
     floor = rest.partition(".")[0]
     if package != "sayd_env" or not floor or floor in FLOORS:

@@ -266,7 +266,7 @@ class _Teller:
 
     context: RunContext
     total: int
-    """Evaluations without those of further starts, which `started` adds."""
+    """Evaluations without those of further starts, which `more` adds."""
     done: int = 0
 
     def __call__(self, what: str, cost: float, count: int = 0) -> None:
@@ -274,8 +274,8 @@ class _Teller:
         words = f"{what}, best cost {cost:.2f}" if cost else what
         self.context.progress(min(self.done, self.total), self.total, words)
 
-    def started(self, searches: Iterable[Search]) -> None:
-        """There are more searches than were foreseen."""
+    def more(self, searches: Iterable[Search]) -> None:
+        """Count searches that were not foreseen."""
         self.total += sum(search.evaluations for search in searches)
 
 
@@ -306,7 +306,8 @@ def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Tel
 
     ends: list[Trial] = []
     for start in range(stage.starts if wide else 0):
-        tell.started(wide if start else ())
+        if start > 0:
+            tell.more(wide)
         place = _start(seed, start, len(stage.parameters))
         for search in wide:
             end = searched(search, place, start)

@@ -343,6 +343,7 @@ def test_large_residuals_count_by_their_logarithm():
         ("passive.parameters.friction.sorce=x", "unknown key 'passive.parameters.friction.sorce', did you"),
         ("passive.searches.all.samples=3", "search 'all': 3 samples; surfaces over 2 parameters need 4"),
         ("semi_active.searches.all.length=1000", "length: found 1000"),
+        ("passive.starts=2", "starts: found 2 with one search"),
     ],
 )
 def test_bad_calibrations_are_refused(change: str, message: str, study: Path):
