@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.agents.config import NetworkConfig, OutputConfig
 from sayd_env.agents.policy_archive import LARGEST, file_digest, read_bytes
@@ -29,12 +28,11 @@ from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.files import MIB
 from sayd_env.config.learner import WIDEST, InputConfig, load_learner
+from sayd_env.config.units import Single
 from sayd_env.envs.environment import action_box, observation_box
 from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import ACTIONS, Interface
 from sayd_env.envs.scaled import LearnersView
-
-Single = npt.NDArray[np.float32]
 
 _ACTIVATIONS = ({"tanh"}, {"relu"})
 _MARKS = {

@@ -15,11 +15,9 @@ from sayd_env.agents.policy_archive import read_bytes, shown_path
 from sayd_env.agents.state import NEXT_STATE, OUTPUT, STATE, run_in, started
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.explain import shown
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Single
 from sayd_env.envs.episode_batch import checked_actions
 from sayd_env.envs.interface import Interface, RunIn
-
-Observation = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +130,7 @@ class OnnxRunner:
         state: Any | None = None,
         episode_start: Any | None = None,
         deterministic: bool = True,
-    ) -> tuple[Observation, Any]:
+    ) -> tuple[Single, Any]:
         """Valve commands for the next control period, as `agents.policy_file.LearnedPolicy.predict`.
 
         The state is that of a model with an input ``state`` and an output ``next_state``; else there is none.
@@ -151,7 +149,7 @@ class OnnxRunner:
         after = np.concatenate([memory for _, memory in found]) if self._width else None
         return (actions[0] if single else actions), after
 
-    def _command(self, row: Observation, memory: Array) -> tuple[Observation, Array]:
+    def _command(self, row: Single, memory: Array) -> tuple[Single, Array]:
         given = {self._input: row} | ({STATE: memory} if self._width else {})
         try:
             found, *after = self._session.run([OUTPUT, NEXT_STATE] if self._width else None, given)

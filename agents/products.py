@@ -10,20 +10,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.physics.kernel import kernel
-
-Index = npt.NDArray[np.int64]
 
 
 class Columns(NamedTuple):
     """A matrix with few entries that are not 0, column by column."""
 
-    begins: Index
+    begins: Integers
     """(k + 1,) first entry of each column, and the number of all."""
-    rows: Index
+    rows: Integers
     """(entries,) row of each."""
     weights: Array
     """(entries,) value of each."""
@@ -54,7 +51,7 @@ def layer(values: Array, weight: Array, bias: Array) -> Array:
 
 
 @kernel(allocates=False)
-def _sparse(values: Array, begins: Index, rows: Index, weights: Array, result: Array) -> None:
+def _sparse(values: Array, begins: Integers, rows: Integers, weights: Array, result: Array) -> None:
     for i in range(values.shape[0]):
         for j in range(result.shape[1]):
             total = 0.0

@@ -12,12 +12,13 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from sayd_env.config import ConfigError
+from sayd_env.config.units import Array, Flags, Single
 from sayd_env.envs.environment import SEEDS
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE
 from sayd_env.envs.vector import SaydVectorEnv
 
-Step = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]
+Step = tuple[Single, Single, Flags, list[dict[str, Any]]]
 
 
 class SaydVecEnv(VecEnv):
@@ -57,7 +58,7 @@ class SaydVecEnv(VecEnv):
         """What a policy may know of the environment."""
         return self.vector.interface
 
-    def reset(self) -> npt.NDArray[np.float32]:
+    def reset(self) -> Single:
         """Begin an episode of every vehicle, with the seeds and options that were set for it."""
         first, others = self._options[0], self._options[1:]
         if all(options == first for options in others):
@@ -71,7 +72,7 @@ class SaydVecEnv(VecEnv):
         self._reset_options()
         return observations
 
-    def _reset_apart(self) -> tuple[npt.NDArray[np.float32], list[dict[str, Any]]]:
+    def _reset_apart(self) -> tuple[Single, list[dict[str, Any]]]:
         """Reset vehicle after vehicle, because their options differ."""
         seeds = list(self._seeds)
         if not self._begun:  # all vehicles must be there before one of them can be reset alone
@@ -85,7 +86,7 @@ class SaydVecEnv(VecEnv):
             reported.append(rows(infos, self.num_envs)[i])
         return observations, reported
 
-    def step_async(self, actions: npt.NDArray[np.float32]) -> None:
+    def step_async(self, actions: Single) -> None:
         """Keep the valve commands for `step_wait`."""
         self._actions = actions
 
@@ -103,13 +104,13 @@ class SaydVecEnv(VecEnv):
             info["TimeLimit.truncated"] = cut
         return observations, rewards.astype(np.float32), dones, infos
 
-    def bogie_costs(self) -> npt.NDArray[np.float64]:
+    def bogie_costs(self) -> Array:
         """Share of the last period in the J of each bogie, shape (num_envs, 2), weighted as the reward."""
         batch = self.vector.batch
         cost, terms = batch.scenario.cost, batch.vehicles.terms
         acceleration = terms[:, COST_ACCELERATION : COST_ACCELERATION + BOGIES]
         force = terms[:, COST_FORCE : COST_FORCE + BOGIES]
-        costs: npt.NDArray[np.float64] = cost.acceleration_weight * acceleration + cost.force_weight * force
+        costs: Array = cost.acceleration_weight * acceleration + cost.force_weight * force
         return costs
 
     def close(self) -> None:

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import ConfigError
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Single
 from sayd_env.envs.interface import Interface, RunIn
 
 INPUT, OUTPUT = "observation", "command"
@@ -50,9 +49,7 @@ def started(state: Any | None, episode_start: Any | None, count: int, width: int
     return before
 
 
-def run_in(
-    heard: RunIn, interface: Interface
-) -> Iterator[tuple[npt.NDArray[np.bool_], npt.NDArray[np.float32]]]:
+def run_in(heard: RunIn, interface: Interface) -> Iterator[tuple[Flags, Single]]:
     """Vehicles on their way to step 0, and what they observed, period by period.
 
     Of a history the two newest rows are told, which is all that memories read. The last observation is left

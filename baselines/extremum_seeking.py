@@ -9,11 +9,10 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.baselines.policy import Flags
 from sayd_env.baselines.rms_meter import CURRENTS
 from sayd_env.baselines.second_by_second import Measured, SecondBySecond
 from sayd_env.config.control import ExtremumConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
 
 SeekingParameters = TypeVar("SeekingParameters", bound=ExtremumConfig)

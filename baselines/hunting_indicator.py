@@ -16,9 +16,8 @@ import numpy as np
 
 from sayd_env.baselines.rms_meter import control_band, periods_of_a_second
 from sayd_env.config.safe import SafeConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.envs.interface import BOGIES, POINTS, Interface
-from sayd_env.physics.plant import Index
 from sayd_env.stability.online import BandState, band_state, follow_speed, push, restart, retune_group
 
 
@@ -26,7 +25,7 @@ from sayd_env.stability.online import BandState, band_state, follow_speed, push,
 class Hunting:
     """State of n vehicles' indicators."""
 
-    count: Index
+    count: Integers
     """(n,) control periods of the current second."""
     squares: Array
     """(n, 4) sliding mean squares at the points of both bogies, m2/s4."""

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.baselines.policy import Flags
 from sayd_env.baselines.second_by_second import Measured, SecondBySecond
 from sayd_env.config.control import HuntingScheduleConfig
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import KMH, Array, Flags
 from sayd_env.envs.interface import Interface
 
 LARGEST_BALANCE = 5.0

@@ -10,7 +10,7 @@ import numpy as np
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.sayd import fed_pressure, steady_force, to_tank
+from sayd_env.physics.sayd import LAST_ROOT, fed_pressure, steady_force, to_tank
 from sayd_env.physics.throttle import (
     CURRENTS,
     DROP_ROOT,
@@ -27,8 +27,6 @@ SLOWEST = 1e-6
 """Stroke rate (m/s) below which its force is proportional to the stroke rate."""
 RATES = 8000  # neighbours differ by 0.2 %, and so the force between them by much less
 DROPS = 2000
-
-LAST_ROOT = float(ROOTS - 2)
 
 
 class _Tables(NamedTuple):

@@ -9,11 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, Model
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Single
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
 
-Action = npt.NDArray[np.float32]
-Flags = npt.NDArray[np.bool_]
+Action = Single
 Parameters = TypeVar("Parameters", bound=Model)
 State = TypeVar("State")
 

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sayd_env.baselines.policy import Flags, of_all_dampers, of_both
+from sayd_env.baselines.policy import of_all_dampers, of_both
 from sayd_env.config import ConfigError
 from sayd_env.config.control import BogieCostConfig
 from sayd_env.config.damper import SaydDamperConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Integers
 from sayd_env.envs.interface import Interface
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import Index
 from sayd_env.stability.online import (
     Band,
     BandState,
@@ -42,7 +41,7 @@ CURRENTS = of_all_dampers("current")
 class Readings:
     """State of the meters of n vehicles."""
 
-    count: Index
+    count: Integers
     """(n,) control periods of the current second; -1 before the first observation."""
     rms: Array
     """(n, 2, 2) the last second's RMS at front and rear: acceleration (m/s2), force (N)."""
@@ -87,7 +86,7 @@ class RmsMeter(ABC):
         self._restart_filters(readings, rows, vehicle)
 
     @abstractmethod
-    def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
+    def listen(self, readings: Readings, rows: Array, begins: Integers) -> None:
         """Take the readings before step 0, without measuring.
 
         Parameters
@@ -144,7 +143,7 @@ class FeatureRmsMeter(RmsMeter):
         acceleration = of_both(f"acceleration_rms.{{}}.{parameters.accelerometer}")
         self.sensors = acceleration + (of_both(f"force_rms.{{}}.{parameters.damper}") if self._force else ())
 
-    def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
+    def listen(self, readings: Readings, rows: Array, begins: Integers) -> None:
         """Take nothing: the environment computes the features."""
 
     def measure(self, readings: Readings, rows: Array) -> bool:
@@ -204,7 +203,7 @@ class SignalRmsMeter(RmsMeter):
             readings.filtered,
         )
 
-    def listen(self, readings: Readings, rows: Array, begins: Index) -> None:
+    def listen(self, readings: Readings, rows: Array, begins: Integers) -> None:
         """Fill the filters and the spectra behind f_0."""
         filters, vehicles = readings.filters, len(begins)
         assert filters is not None  # signals always have filters
@@ -287,7 +286,7 @@ def _measure(
     rows: Array,
     area: float,
     period: int,
-    count: Index,
+    count: Integers,
     squares: Array,
     rms: Array,
     sample: Array,

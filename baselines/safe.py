@@ -12,13 +12,12 @@ import numpy.typing as npt
 from sayd_env.baselines.constant import Passive
 from sayd_env.baselines.hunting_indicator import Hunting, hunting_indicator
 from sayd_env.baselines.observation_layout import interface_of
-from sayd_env.baselines.policy import Action, Flags
+from sayd_env.baselines.policy import Action
 from sayd_env.baselines.sensor_twins import Agreement, SensorTwins
 from sayd_env.config import ConfigError
 from sayd_env.config.safe import load_safe
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Integers
 from sayd_env.envs.interface import BOGIES, RunIn
-from sayd_env.physics.plant import Index
 
 SAFE = "safe:"
 """Before the name of any policy: this one inside the fallback."""
@@ -33,19 +32,19 @@ class Watch:
     """Whether the policy inside has acted or listened."""
     hunting: Hunting
     agreement: Agreement
-    slow: Index
+    slow: Integers
     """(n,) control periods for which the speed has read less than a running train's."""
     closed: Flags
     """(n, 2) whether the monitor holds the valves of a bogie closed."""
-    trips: Index
+    trips: Integers
     """(n, 2) how often hunting has closed them; forgotten after a long calm."""
-    calm: Index
+    calm: Integers
     """(n, 2) control periods since the last cause."""
     share: Array
     """(n, 2) how much of the policy's command acts: 0 none, 1 all."""
-    periods: Index
+    periods: Integers
     """(n,) control periods since the start of the episode."""
-    intervened: Index
+    intervened: Integers
     """(n, 2) those in which it was less than all."""
     content: bool
     """Whether the monitor holds nothing of any vehicle, and remembers nothing against it."""

@@ -9,10 +9,10 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.baselines.policy import BogiePolicy, Flags
+from sayd_env.baselines.policy import BogiePolicy
 from sayd_env.baselines.rms_meter import Readings, make_rms_meter
 from sayd_env.config.control import BogieCostConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags
 from sayd_env.envs.interface import Interface, RunIn
 
 

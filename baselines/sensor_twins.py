@@ -15,11 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sayd_env.baselines.policy import Flags
 from sayd_env.config.safe import SafeConfig, TwinConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Integers
 from sayd_env.envs.interface import BOGIES, DAMPERS, POINTS, Interface
-from sayd_env.physics.plant import Index
 
 SIDES = ("left", "right")
 
@@ -40,9 +38,9 @@ class Agreement:
     """(n, p, 2) sliding means."""
     square: Array
     """(n, p, 2) sliding mean squares of what is beside them; of features the square of what is read."""
-    contradicting: Index
+    contradicting: Integers
     """(n, p) control periods for which they have contradicted each other without a break."""
-    agreeing: Index
+    agreeing: Integers
     """(n, p) control periods, since then, in which they were lively and agreed."""
     untrusted: Flags
     """(n, p) whether the pair is trusted no more."""

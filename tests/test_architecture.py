@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -186,9 +187,12 @@ def defined(tree: ast.Module) -> Iterator[tuple[str, str, int]]:
 
 
 def once_only(name: str, value: str) -> bool:
-    """Whether `config.units` defines this already: km/h in 1 m/s, an array of float64."""
-    array = value.replace("npt.", "").replace("np.", "") == "NDArray[float64]"
-    return name.strip("_") in ("KMH", "Array") or value in ("3.6", "1 / 3.6", "1.0 / 3.6") or array
+    """Whether `config.units` defines this already: km/h in 1 m/s, a type of arrays."""
+    array = re.fullmatch(
+        r"NDArray\[(float64|float32|complex128|int64|bool_)\]", re.sub(r"\bn(pt|p)\.", "", value)
+    )
+    named = name.strip("_") in ("KMH", "Array", "Single", "Complex", "Integers", "Flags")
+    return named or value in ("3.6", "1 / 3.6", "1.0 / 3.6") or array is not None
 
 
 def test_kmh_has_one_name():

@@ -9,6 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Number = Annotated[float, Field(strict=True)]
 """A number in a list: neither text nor true or false will do."""
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
 
 
 class Model(BaseModel):

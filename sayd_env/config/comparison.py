@@ -12,7 +12,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 
-from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.base import Model, Number, Seed, Share, quantity
 from sayd_env.config.limits import LIMITS
 from sayd_env.config.loader import read_study
 from sayd_env.config.map import MapWheel
@@ -21,9 +21,6 @@ from sayd_env.config.track import IrregularityConfig, TrackClass, check_track, r
 
 HELD_OUT = "heldout"
 """Name of the packaged comparison."""
-
-Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
-Share = Annotated[Number, Field(ge=0.0, le=1.0)]
 
 
 def _distinct(values: tuple[float, ...]) -> tuple[float, ...]:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.base import Model, Seed, Share, quantity
 from sayd_env.config.limits import LIMITS
 from sayd_env.config.loader import read_study
-
-Share = Annotated[Number, Field(ge=0.0, le=1.0)]
-Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
 
 
 class DrawnLines(Model):

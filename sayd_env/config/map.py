@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.base import Model, Number, Share, quantity
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
 from sayd_env.config.limits import LIMITS
@@ -16,8 +16,6 @@ from sayd_env.config.loader import read_study
 from sayd_env.config.profile import WheelProfileConfig, load_wheel, shifted
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.track import scalable
-
-Share = Annotated[Number, Field(ge=0.0, le=1.0)]
 
 
 class MapWheel(Model):

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from sayd_env.config.base import Model, Number
+from sayd_env.config.base import Model, Number, Seed
 from sayd_env.config.contact import CreepLaw
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import shown
@@ -17,7 +17,6 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.config.track import read_track
 from sayd_env.config.units import KMH
 
-Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
 Grid = Annotated[tuple[Annotated[Number, Field(gt=0.0)], ...], Field(min_length=2)]
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.base import Model, Number, Seed, Share, quantity
 from sayd_env.config.fault import (
     DamperFaultClass,
     Fault,
@@ -22,8 +22,6 @@ from sayd_env.config.loader import read_study
 from sayd_env.config.sensors import DAMPERS, KINDS, SIGNALS, SensorKind, SensorsConfig
 from sayd_env.config.track import check_track
 
-Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
-Share = Annotated[Number, Field(ge=0.0, le=1.0)]
 Quantity = Literal["sensor_noise", "delay", "lag", "wear", "friction", "payload"]
 
 MOST_DELAY = 0.15

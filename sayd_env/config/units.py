@@ -1,4 +1,4 @@
-"""The array type, gravity, and the one unit that is not SI: speeds are given and printed in km/h."""
+"""The types of arrays, gravity, and the one unit that is not SI: speeds are given and printed in km/h."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
+Single: TypeAlias = NDArray[np.float32]
+Complex: TypeAlias = NDArray[np.complex128]
+Integers: TypeAlias = NDArray[np.int64]
+Flags: TypeAlias = NDArray[np.bool_]
 
 KMH = 3.6
 """km/h in 1 m/s."""

@@ -9,16 +9,15 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import error, spaces
 from gymnasium.envs.registration import EnvSpec
 
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.explain import shown
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Single
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, Flags, Observation, checked_actions
+from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, checked_actions
 from sayd_env.envs.info import episode_info, period_info, vehicle_info
 from sayd_env.envs.interface import Interface, Signal
 from sayd_env.envs.keywords import (
@@ -66,7 +65,7 @@ class EnvironmentState:
     seeds: tuple[int | None, ...]
     numbers: tuple[int, ...]
     sliding: tuple[SlidingRms | None, ...]
-    over: npt.NDArray[np.bool_]
+    over: Flags
     """Vehicles whose episode has ended."""
     random: np.random.Generator | None
     random_seed: int | None
@@ -157,7 +156,7 @@ class Environment:
             return self._view.observation_box, self._view.action_box
         return observation_box(self.batch.interface), action_box(self.batch.interface)
 
-    def _observed(self) -> Observation:
+    def _observed(self) -> Single:
         """What the vehicles observe now, shape (N, *obs)."""
         seen = self.batch.observations()
         return seen if self._view is None else self._view.observe(seen)
@@ -236,9 +235,7 @@ class Environment:
             sliding.run_in(rows, batch.vehicles.choice()[i], episode.speed)
         return sliding
 
-    def _advance(
-        self, actions: Array, active: Flags | None = None
-    ) -> tuple[Observation, Array, Flags, Flags]:
+    def _advance(self, actions: Array, active: Flags | None = None) -> tuple[Single, Array, Flags, Flags]:
         """Run one control period, as `EpisodeBatch.step` does."""
         # f_0 moves at the end of a period: its samples were filtered in the bands before.
         choice = None if self._log is None else self.batch.vehicles.choice()

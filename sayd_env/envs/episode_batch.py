@@ -25,7 +25,7 @@ from sayd_env.config.fault import SensorNoisy
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import SIGNALS as SENSED
 from sayd_env.config.sensors import UNITS
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Single
 from sayd_env.envs.cost import termination_charge
 from sayd_env.envs.draw import Episode, episode_scenario
 from sayd_env.envs.faults import FaultSchedule
@@ -51,9 +51,6 @@ from sayd_env.physics.simulator import RUN_OUT, VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation, realise, realise_line
 from sayd_env.stability import Limits
 
-Observation = npt.NDArray[np.float32]
-Flags = npt.NDArray[np.bool_]
-
 ROUNDING = 1e-6
 """So far may a valve command be beyond its bound: a map to 0 to 1 in float32 rounds."""
 ENDINGS = {
@@ -76,7 +73,7 @@ class EpisodeState:
     limits: Limits
     faults: FaultSchedule | None
     """What is still to happen."""
-    history: Observation
+    history: Single
 
 
 class EpisodeBatch:
@@ -333,7 +330,7 @@ class EpisodeBatch:
 
     def step(
         self, actions: npt.ArrayLike, *, log: Array | None = None, active: Flags | None = None
-    ) -> tuple[Observation, Array, Flags, Flags]:
+    ) -> tuple[Single, Array, Flags, Flags]:
         """Run all vehicles over one control period.
 
         Parameters
@@ -393,7 +390,7 @@ class EpisodeBatch:
         charge = termination_charge(self.config, self.scenario.cost, elapsed)
         return (last if math.isfinite(last) else 0.0) - charge
 
-    def observations(self) -> Observation:
+    def observations(self) -> Single:
         """What the vehicles observe, a new array of shape (count, *interface.shape)."""
         return self._history.copy()
 

@@ -15,9 +15,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.envs import trace
 from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS, command_valves, trace_period
 from sayd_env.physics.formation import References, Units, interleave, plant_of, put_back, state_of, work_of
@@ -27,8 +26,6 @@ from sayd_env.physics.ragged import Matrix, vehicle_from
 from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
 from sayd_env.stability.online import Band, BandState, follow_speed, push, replay, retune
 from sayd_env.stability.sliding import add_up, slide
-
-Index = npt.NDArray[np.int64]
 
 BOGIES = 2
 
@@ -120,7 +117,7 @@ class Loop(NamedTuple):
 class LoopState(NamedTuple):
     """State of sensors and counters of one vehicle."""
 
-    counter: Index
+    counter: Integers
     """(2,) samples since step 0, negative during the run-in; periods in the features' ring."""
     filtered: Array
     """(SIGNALS,) behind the sensors' bandwidth."""
@@ -146,7 +143,7 @@ class LoopState(NamedTuple):
     """(RAIL_FORCES,) sums over the whole samples of this distance."""
     rail_ring: Matrix
     """(whole samples of this distance at the lowest speed + 1, RAIL_FORCES) their last values."""
-    rail_place: Index
+    rail_place: Integers
     """(1,) row that the next ones take."""
     true: Array
     """(SIGNALS,) scratch: true values."""
@@ -475,7 +472,7 @@ class Period(NamedTuple):
     """(v,) receives the reward of the last period."""
     log: Array
     """(v, samples of all periods or 0, LOG)."""
-    status: Index
+    status: Integers
     """(v,) receives how the last period ended."""
 
 
@@ -523,9 +520,9 @@ def _run(
     states: References,
     together: State,
     work: Work,
-    members: Index,
+    members: Integers,
     substeps: int,
-    periods: Index,
+    periods: Integers,
     on_board: OnBoard,
     band: Band,
     per_second: int,
@@ -559,8 +556,8 @@ def _run_units(
     group_plants: References,
     group_states: References,
     group_works: References,
-    substeps: Index,
-    periods: Index,
+    substeps: Integers,
+    periods: Integers,
     on_board: OnBoard,
     band: Band,
     per_second: int,

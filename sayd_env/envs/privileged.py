@@ -15,7 +15,7 @@ from sayd_env.config.conditions import Line, cant_deficiency
 from sayd_env.config.track import CHANNELS
 from sayd_env.config.units import Array
 from sayd_env.envs.episode_batch import EpisodeBatch
-from sayd_env.physics.contact.conicity import equivalent_conicity
+from sayd_env.physics.contact.conicity import AMPLITUDE, equivalent_conicity
 from sayd_env.physics.contact.geometry import ContactTable
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation
@@ -46,8 +46,6 @@ HALF_CHORD = 10.0
 ALIGNMENT = CHANNELS.index("alignment")
 FINE = 2.5
 """Distance of the versines (m)."""
-AMPLITUDE = 3e-3
-"""Of the lateral motion for which the conicity is that of EN 15302 (m)."""
 STEP = 10.0
 """Distance of the places of a line at which conditions are taken (m)."""
 

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import StudyError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import KMH, Array, Flags, Single
 from sayd_env.envs.cost import EpisodeCost, episode_cost, mean_squares
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
@@ -39,7 +38,7 @@ def listens(policy: Policy) -> bool:
     return hasattr(policy, "listen")
 
 
-def first_state(policy: Policy, batch: EpisodeBatch) -> tuple[Any, npt.NDArray[np.bool_]]:
+def first_state(policy: Policy, batch: EpisodeBatch) -> tuple[Any, Flags]:
     """State of a policy at step 0, and whether it begins there: what `predict` gets first.
 
     A policy on a train is already running at step 0: where the batch's last reset has kept the run-in, a
@@ -66,7 +65,7 @@ class Rollout:
     """(t, LOG) true signals from the start of the run-in, by the columns of `sayd_env.envs.loop`."""
     traced: Array
     """(t, kept) further true signals, those columns of `sayd_env.envs.trace` that were asked for."""
-    actions: npt.NDArray[np.float32]
+    actions: Single
     """(n, A) valve commands."""
     rewards: Array
     """(n,) minus the mean of the bogies' J, by the on-line filter, without a charge for a termination."""
@@ -76,7 +75,7 @@ class Rollout:
     """Why the run ended early; None if it did not."""
     samples: int
     """How many there are of the run; the rest of the period in which it ended has no meaning."""
-    intervened: npt.NDArray[np.bool_] | None = None
+    intervened: Flags | None = None
     """(n, 2) whether the safe fallback intervened in a bogie; None for a policy without one."""
 
     @property
@@ -196,10 +195,10 @@ def _rollout(
     before: int,
     true: Array,
     traced: Array,
-    actions: npt.NDArray[np.float32],
+    actions: Single,
     rewards: Array,
     terms: Array,
-    intervened: npt.NDArray[np.bool_] | None,
+    intervened: Flags | None,
     steps: int,
 ) -> Rollout:
     episode = batch.episodes[i]

@@ -9,12 +9,10 @@ import numpy.typing as npt
 from gymnasium.spaces import Box
 
 from sayd_env.config.learner import InputConfig, load_learner
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Single
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.options import number_array
-
-Observation = npt.NDArray[np.float32]
 
 FLOOR = 1e-12
 """Smallest ratio of which a logarithm is taken."""
@@ -35,9 +33,7 @@ class Scaling:
         Where ln(value / middle) / half is taken.
     """
 
-    def __init__(
-        self, middle: Array, half: Array, clip: float, logarithmic: npt.NDArray[np.bool_] | None = None
-    ) -> None:
+    def __init__(self, middle: Array, half: Array, clip: float, logarithmic: Flags | None = None) -> None:
         self.middle, self.clip = middle, clip
         self.per_half: Array = 1.0 / half
         self.logarithmic = np.zeros(middle.shape, np.bool_) if logarithmic is None else logarithmic
@@ -50,7 +46,7 @@ class Scaling:
         middle, half = (np.array([getattr(item, name) for item in each]) for name in ("middle", "half"))
         return cls(middle, half, clip, logarithmic)
 
-    def __call__(self, values: npt.ArrayLike) -> Observation:
+    def __call__(self, values: npt.ArrayLike) -> Single:
         """Map numbers, shape (..., n)."""
         seen = np.asarray(values, dtype=np.float64)
         seen = np.where(np.isnan(seen), self.middle, seen)
@@ -59,7 +55,7 @@ class Scaling:
             # The floor keeps the logarithm of a dead sensor finite; it lies far beyond the clip.
             ratio = np.maximum(seen / np.where(self.logarithmic, self.middle, 1.0), FLOOR)
             apart = np.where(self.logarithmic, np.log(ratio), apart)
-        bounded: Observation = np.clip(apart * self.per_half, -self.clip, self.clip).astype(np.float32)
+        bounded: Single = np.clip(apart * self.per_half, -self.clip, self.clip).astype(np.float32)
         return bounded
 
 

@@ -24,8 +24,6 @@ from sayd_env.envs.vehicle_picture import (
     VehiclePicture,
 )
 
-MOST = 4
-"""Vehicles in a picture."""
 # Whole pictures are multiples of 16 pixels wide and high, as encoders of videos want them.
 COLUMN, GAP, EDGE = 484, 12, 14
 """Width of a vehicle's column, and the spaces between and around them, pixels."""

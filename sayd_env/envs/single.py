@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import Any, SupportsFloat, Unpack
 
 import gymnasium as gym
-import numpy as np
-import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
+from sayd_env.config.units import Single
 from sayd_env.envs.environment import Environment
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import whole_number
 from sayd_env.envs.registration import id_of
 
 
-class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
+class SaydEnv(Environment, gym.Env[Single, Single]):
     """A high-speed rail vehicle whose eight yaw dampers have valves that a policy commands.
 
     Made by ``gymnasium.make`` with one of these ids:
@@ -172,7 +171,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Single, dict[str, Any]]:
         """Begin an episode.
 
         Parameters
@@ -196,9 +195,7 @@ class SaydEnv(Environment, gym.Env[npt.NDArray[np.float32], npt.NDArray[np.float
             self.render()
         return self._observed()[0], self._info(0)
 
-    def step(
-        self, action: npt.NDArray[np.float32]
-    ) -> tuple[npt.NDArray[np.float32], SupportsFloat, bool, bool, dict[str, Any]]:
+    def step(self, action: Single) -> tuple[Single, SupportsFloat, bool, bool, dict[str, Any]]:
         """Hold valve commands for one control period.
 
         Parameters

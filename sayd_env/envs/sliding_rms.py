@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import sosfilt
 
 from sayd_env.config.assessment import AssessmentConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.envs.loop import BOGIES, LOG_ACCELERATION, LOG_FILTERED, LOG_TRACK_SHIFT
 from sayd_env.envs.trace import POINTS
 from sayd_env.stability.online import Band
-
-Index = npt.NDArray[np.int64]
 
 
 class SlidingRms:
@@ -47,7 +44,7 @@ class SlidingRms:
     def _samples(self, speed: float) -> int:
         return max(1, round(self._length / speed))
 
-    def advance(self, rows: Array, choice: Index, speed: float) -> None:
+    def advance(self, rows: Array, choice: Integers, speed: float) -> None:
         """Take the samples of a control period, or of a run-in in which f_0 did not move.
 
         Parameters
@@ -75,7 +72,7 @@ class SlidingRms:
         self._raw = np.concatenate([self._raw, shift])[-self._kept :]
         self._filtered = np.concatenate([self._filtered, new])[-self._most :]
 
-    def run_in(self, rows: Array, choice: Index, speed: float) -> None:
+    def run_in(self, rows: Array, choice: Integers, speed: float) -> None:
         """Take the samples of a run-in, at whose end f_0 was found.
 
         The values are those of a train that has been running: the last seconds in the bands of this f_0.

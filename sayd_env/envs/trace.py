@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.physics import sayd
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.line import speed_of
-from sayd_env.physics.plant import LANES, Index, Plant, State, Work
+from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.rows import Lanes
 from sayd_env.physics.step import largest_shift, measure, record, record_wheels, steps
 
@@ -46,7 +46,7 @@ def trace_period(
     plant: Plant,
     state: State,
     work: Work,
-    members: Index,
+    members: Integers,
     substeps: int,
     trace: Array,
 ) -> None:

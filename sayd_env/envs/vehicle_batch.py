@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Integers
 from sayd_env.envs.loop import (
     FEATURES,
     LOG,
@@ -39,9 +39,6 @@ from sayd_env.physics.plant import State
 from sayd_env.physics.ragged import RaggedBatch
 from sayd_env.physics.track.realisation import TrackRealisation
 from sayd_env.stability.online import Band, BandState
-
-Index = npt.NDArray[np.int64]
-
 
 ON_BOARD = ("loop", "memory", "passed", "felt")
 """What looks at a vehicle, in the order of the compiled loop's arguments."""
@@ -175,7 +172,7 @@ class VehicleBatch:
         """States of the vehicles."""
         return self.formation.state
 
-    def choice(self) -> Index:
+    def choice(self) -> Integers:
         """Indices of f_0 of each vehicle's bogies, a new array of shape (v, BOGIES)."""
         return np.array([filters.choice for filters in self.passed])
 
@@ -256,7 +253,7 @@ class VehicleBatch:
         return [rows[i, : periods[i] * self.settings.samples if log else 0] for i in which]
 
     def _run_in_aloud(
-        self, periods: Index, rows: Array, hear: Callable[[int], None], formation: Formation
+        self, periods: Integers, rows: Array, hear: Callable[[int], None], formation: Formation
     ) -> None:
         """Run vehicles in, one control period in a call."""
         samples, longest = self.settings.samples, int(periods.max())
@@ -275,7 +272,7 @@ class VehicleBatch:
         commands: npt.ArrayLike,
         *,
         log: Array | None = None,
-        active: npt.NDArray[np.bool_] | None = None,
+        active: Flags | None = None,
     ) -> None:
         """Run all vehicles that are still running over one control period.
 
@@ -315,7 +312,7 @@ class VehicleBatch:
                 f"log: found {log.dtype} of shape {log.shape}; expected contiguous float64 of shape {shape}"
             )
 
-    def _run(self, periods: Index, noise: Array, log: Array, formation: Formation) -> None:
+    def _run(self, periods: Integers, noise: Array, log: Array, formation: Formation) -> None:
         period = Period(
             self.command,
             noise,

@@ -17,7 +17,8 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.wrappers import FrameStackObservation as HistoryStack
 
 from sayd_env.config import ConfigError
-from sayd_env.envs.scaled import Observation, Scaling
+from sayd_env.config.units import Single
+from sayd_env.envs.scaled import Scaling
 
 __all__ = ["HistoryStack", "NormalizeSignals", "NormalizeVectorSignals"]
 
@@ -32,9 +33,7 @@ def _ranges(space: Any) -> tuple[Scaling, Any]:
     return scaling, Box(-1.0, 1.0, space.shape, dtype=np.float32)
 
 
-class NormalizeSignals(
-    gym.ObservationWrapper[Observation, npt.NDArray[np.float32], Observation], RecordConstructorArgs
-):
+class NormalizeSignals(gym.ObservationWrapper[Single, Single, Single], RecordConstructorArgs):
     """Map the range of every signal to -1 to 1.
 
     The ranges are those of the sensors, so the map is fixed: no statistics, the same for all policies.
@@ -50,12 +49,12 @@ class NormalizeSignals(
         Another observation space.
     """
 
-    def __init__(self, env: gym.Env[Observation, npt.NDArray[np.float32]]) -> None:
+    def __init__(self, env: gym.Env[Single, Single]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
         self._scaling, self.observation_space = _ranges(env.observation_space)
 
-    def observation(self, observation: Observation) -> Observation:
+    def observation(self, observation: Single) -> Single:
         """Map one observation."""
         return self._scaling(observation)
 
@@ -63,7 +62,7 @@ class NormalizeSignals(
 class NormalizeVectorSignals(VectorWrapper, RecordConstructorArgs):
     """`NormalizeSignals` for vector environments in any autoreset mode; ``final_obs`` is mapped too."""
 
-    def __init__(self, env: VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]) -> None:
+    def __init__(self, env: VectorEnv[Single, Single, npt.NDArray[Any]]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
         self._scaling, self.observation_space = _ranges(env.observation_space)

@@ -8,11 +8,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.errors import DataError
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.config.vehicle import MaxwellLaw, MeasuredCurve
 from sayd_env.measured.rig_tables import DROP, FLOW, FORCE, VELOCITY, Role, columns, extended, role_of, shown
 from sayd_env.measured.table import TextTable, labelled, read_text_table
@@ -153,7 +152,7 @@ def _directions(curve: MeasuredCurve) -> tuple[Array, Mapping[str, Array]]:
     return _folded(table.source, sides, curve.direction), sides
 
 
-def _side(table: TextTable, velocity: Array, force: Array, order: npt.NDArray[np.int64]) -> Array:
+def _side(table: TextTable, velocity: Array, force: Array, order: Integers) -> Array:
     """Points of one direction from (0, 0) on, in rising order."""
     rows = [int(row) for row in order if velocity[row] > 0.0]
     below = 0.0

@@ -71,7 +71,7 @@ _CLOSEST, _LONGEST = 0.01, 1e6  # m
 
 
 @dataclass(frozen=True)
-class Column:
+class DistanceColumn:
     """One quantity over distance."""
 
     header: str
@@ -100,7 +100,7 @@ class Variant(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Table:
+class DistanceTable:
     """Columns of a file in SI units, and the lines where its rows stand.
 
     Attributes
@@ -109,7 +109,7 @@ class Table:
         The file.
     x : ndarray, shape (n,)
         Ascending distances (m).
-    position : Column
+    position : DistanceColumn
         The same as it stands there.
     columns : mapping
         The other columns by name.
@@ -118,8 +118,8 @@ class Table:
     """
 
     text: TextTable
-    position: Column
-    columns: Mapping[str, Column]
+    position: DistanceColumn
+    columns: Mapping[str, DistanceColumn]
     variants: Mapping[str, Variant]
 
     @property
@@ -151,7 +151,9 @@ class Table:
         return None if column is None else column.values
 
 
-def read_table(path: str | Path, needed: Collection[str], rows: int, ignore: Collection[str] = ()) -> Table:
+def read_table(
+    path: str | Path, needed: Collection[str], rows: int, ignore: Collection[str] = ()
+) -> DistanceTable:
     """Read a file over distance.
 
     Parameters
@@ -189,11 +191,11 @@ def read_table(path: str | Path, needed: Collection[str], rows: int, ignore: Col
     _check_radius(text, {name: k for k, (name, _) in found.items()})
     numbers = physical_numbers(text, places)
     columns = {
-        found[k][0]: Column(text.names[k], factors[k][1] * numbers[:, j], *factors[k])
+        found[k][0]: DistanceColumn(text.names[k], factors[k][1] * numbers[:, j], *factors[k])
         for j, k in enumerate(places)
     }
     variants = {name: variant for name, variant in found.values() if variant is not None}
-    table = Table(text, columns.pop(_POSITION), columns, variants)
+    table = DistanceTable(text, columns.pop(_POSITION), columns, variants)
     _check_positions(table)
     return table
 
@@ -313,7 +315,7 @@ def _factor(text: TextTable, column: int, name: str, where: str) -> tuple[str, f
     return known.name, known.factor
 
 
-def _check_positions(table: Table) -> None:
+def _check_positions(table: DistanceTable) -> None:
     spacing = np.diff(table.x)
     wrong = np.flatnonzero(spacing <= 0.0)
     if wrong.size:

@@ -49,7 +49,7 @@ _DAY = 86400.0
 
 
 @dataclass(frozen=True)
-class Column:
+class FileColumn:
     """A column or channel of a recording."""
 
     header: str
@@ -67,7 +67,7 @@ class Contents:
     """What is in the file of a recording."""
 
     source: str
-    columns: tuple[Column, ...]
+    columns: tuple[FileColumn, ...]
     values: Callable[[Sequence[int]], list[Array]]
     """Values of columns by their places, NaN where a cell is empty."""
     where: Callable[[int, int], str]
@@ -179,7 +179,7 @@ def _text(path: Path) -> Iterator[Contents]:
     yield Contents(
         table.source,
         tuple(
-            Column(name, "s" if k in clocks else unit, len(table))
+            FileColumn(name, "s" if k in clocks else unit, len(table))
             for k, (name, unit) in enumerate(zip(table.names, units, strict=True))
         ),
         values,
@@ -246,7 +246,7 @@ def _mdf(path: Path) -> Iterator[Contents]:
 
         names = _distinct([(str(group + 1), channel.name) for group, _, channel, _ in found])
         columns = tuple(
-            Column(names[place], str(channel.unit or ""), count, time=_times_of(signal, place))
+            FileColumn(names[place], str(channel.unit or ""), count, time=_times_of(signal, place))
             for place, (_, _, channel, count) in enumerate(found)
         )
         yield _of_channels(path, columns, values)
@@ -267,14 +267,14 @@ def _tdms(path: Path) -> Iterator[Contents]:
         yield _of_channels(path, columns, lambda k: _numeric(path, found[k].name, found[k][:]))
 
 
-def _tdms_column(name: str, channel: Any) -> Column:
+def _tdms_column(name: str, channel: Any) -> FileColumn:
     about: Mapping[str, Any] = channel.properties
     unit = str(about.get("unit_string") or about.get("NI_UnitDescription") or "")
     count, step = len(channel), float(about.get("wf_increment") or 0.0)
     if not step:
-        return Column(name, unit, count)
+        return FileColumn(name, unit, count)
     start = float(about.get("wf_start_offset") or 0.0)
-    return Column(name, unit, count, time=lambda: start + step * np.arange(count, dtype=np.float64))
+    return FileColumn(name, unit, count, time=lambda: start + step * np.arange(count, dtype=np.float64))
 
 
 def _distinct(names: Sequence[tuple[str, str]]) -> list[str]:
@@ -300,13 +300,13 @@ def _parquet(path: Path) -> Iterator[Contents]:
         about = [{k.lower(): v for k, v in (each.metadata or {}).items()} for each in fields]
         units = [(each.get(b"unit") or each.get(b"units") or b"").decode() for each in about]
         columns = tuple(
-            Column(each.name, "s" if clock else unit, file.metadata.num_rows)
+            FileColumn(each.name, "s" if clock else unit, file.metadata.num_rows)
             for each, clock, unit in zip(fields, clocks, units, strict=True)
         )
         yield _of_channels(path, columns, values)
 
 
-def _of_channels(path: Path, columns: tuple[Column, ...], values: Callable[[int], Array]) -> Contents:
+def _of_channels(path: Path, columns: tuple[FileColumn, ...], values: Callable[[int], Array]) -> Contents:
     return Contents(
         str(path),
         columns,
@@ -357,7 +357,7 @@ def _check_declared(path: Path) -> None:
         raise DataError(f"{path}: declares {sum(sizes):.3g} values; at most {MOST_VALUES:.3g} are read")
 
 
-def _matlab_channels(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[Column, Any]]:
+def _matlab_channels(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[FileColumn, Any]]:
     """Vectors, columns of matrices whose names stand beside them, and structures of data, unit and time."""
     names, units = _part(content, _NAMES), _part(content, _UNIT)
     for key, value in content.items():
@@ -370,15 +370,15 @@ def _matlab_channels(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[
                 channel = _matlab_structure(each, f"{name}{number}")
                 yield from _matlab_channels(each, f"{name}{number}") if channel is None else [channel]
         elif isinstance(value, np.ndarray) and value.ndim == 1 and value.size > 1:
-            yield Column(name, "", value.size), value
+            yield FileColumn(name, "", value.size), value
         elif isinstance(value, np.ndarray) and value.ndim == 2:
             for number, each in enumerate(value.T):
                 named = names[number] if _fits(names, value) else f"{name}_{number + 1}"
                 unit = units[number] if _fits(units, value) else ""
-                yield Column(str(named), str(unit), each.size), each
+                yield FileColumn(str(named), str(unit), each.size), each
 
 
-def _matlab_structure(content: Mapping[str, Any], name: str) -> tuple[Column, Any] | None:
+def _matlab_structure(content: Mapping[str, Any], name: str) -> tuple[FileColumn, Any] | None:
     """A channel that is a structure, None for any other one."""
     data = _part(content, _DATA)
     if not isinstance(data, np.ndarray) or data.ndim != 1:
@@ -390,7 +390,7 @@ def _matlab_structure(content: Mapping[str, Any], name: str) -> tuple[Column, An
         own = lambda: np.asarray(times, dtype=np.float64)  # noqa: E731 - one of two
     elif isinstance(rate, int | float) and rate > 0:
         own = lambda: np.arange(data.size, dtype=np.float64) / float(rate)  # noqa: E731
-    return Column(
+    return FileColumn(
         label if isinstance(label, str) else name, unit if isinstance(unit, str) else "", data.size, own
     ), data
 

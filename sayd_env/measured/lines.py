@@ -24,7 +24,7 @@ from sayd_env.config.files import read_bytes
 from sayd_env.config.line import LineConfig, outline, read_line, resolve, resolve_rails
 from sayd_env.config.track import FileConfig
 from sayd_env.config.units import Array
-from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, Column, Table, read_table
+from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, DistanceColumn, DistanceTable, read_table
 from sayd_env.measured.table import LARGEST
 from sayd_env.measured.tracks import refuse_unused, stated_gauge
 
@@ -185,7 +185,7 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
     return line
 
 
-def _check_signs(table: Table) -> None:
+def _check_signs(table: DistanceTable) -> None:
     """Refuse speeds backwards, and a cant that is in another unit or of the other sign."""
     speed, cant, curvature = table.columns.get("speed"), table.columns.get("cant"), _curvature(table)
     if speed is not None and (back := np.flatnonzero(speed.values <= 0.0)).size:
@@ -205,7 +205,7 @@ def _check_signs(table: Table) -> None:
         _check_sides(table, cant, curvature)
 
 
-def _check_sides(table: Table, cant: Column, curvature: Array) -> None:
+def _check_sides(table: DistanceTable, cant: DistanceColumn, curvature: Array) -> None:
     """Refuse a curve whose cant, on the whole, raises its inner rail."""
     width = np.gradient(table.x)
     for rows in _curves(table.x - table.x[0], curvature):
@@ -235,7 +235,7 @@ def _mean(knots: Knots, s: Array, length: float) -> Array:
     return (knots.integral(s + 0.5 * length) - knots.integral(s - 0.5 * length)) / length
 
 
-def _check_jumps(table: Table, line: Line) -> None:
+def _check_jumps(table: DistanceTable, line: Line) -> None:
     """Refuse a curvature or gauge that changes faster than over the shortest transition of a section.
 
     Within 10 m a linear transition of 20 m goes half its way, a half cosine 0.7 of it, a jump all of it.
@@ -262,7 +262,7 @@ def _check_jumps(table: Table, line: Line) -> None:
             )
 
 
-def _line(table: Table, config: LineConfig) -> Line:
+def _line(table: DistanceTable, config: LineConfig) -> Line:
     s = table.x - table.x[0]
     length, none = float(s[-1]), Knots((0.0,), (0.0,))
     curvature = _knots(s, _curvature(table)) or none
@@ -282,7 +282,7 @@ def _line(table: Table, config: LineConfig) -> Line:
     )
 
 
-def _curvature(table: Table) -> Array | None:
+def _curvature(table: DistanceTable) -> Array | None:
     radius, curvature = table.values("radius"), table.values("curvature")
     if radius is None:
         return curvature
@@ -297,7 +297,7 @@ def _knots(s: Array, values: Array | None) -> Knots | None:
     return None if values is None else joined(zip(s.tolist(), values.tolist(), strict=True))
 
 
-def _tracks(table: Table, length: float, config: LineConfig) -> tuple[TrackPiece, ...]:
+def _tracks(table: DistanceTable, length: float, config: LineConfig) -> tuple[TrackPiece, ...]:
     if not table.variants:
         return ()
     offset = -float(table.x[0])

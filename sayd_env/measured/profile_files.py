@@ -19,12 +19,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sayd_env.config.errors import DataError
 from sayd_env.config.files import MIB, read_bytes
 from sayd_env.config.loader import nearest
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags
 from sayd_env.measured.dialect import decode, is_number, lines_of
 from sayd_env.measured.table import TextTable, refuse_hollow, table_of
 from sayd_env.measured.units import name_and_unit, unit_of
@@ -302,7 +301,7 @@ def _simpack_point(text: str, where: str) -> tuple[float, float]:
     return values[0], values[1]
 
 
-def _apart(y: Array, z: Array, distance: float) -> NDArray[np.bool_]:
+def _apart(y: Array, z: Array, distance: float) -> Flags:
     """Points that are so far from the last one that is kept."""
     keep = np.ones(len(y), dtype=bool)
     last = 0

@@ -6,11 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from sayd_env.config.errors import DataError
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 
 # What is judged lies below 14 Hz, whose period is 71 ms: a spline follows the signal over a quarter of it.
 LONGEST_GAP = 0.02
@@ -44,7 +43,7 @@ class Series:
 
     time: Array
     values: Array
-    rows: NDArray[np.int64]
+    rows: Integers
     where: Callable[[int], str]
 
     def place(self, sample: int) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sayd_env.config.errors import DataError
 from sayd_env.config.files import MIB, read_bytes
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.measured.dialect import (
     BLANKS,
     Head,
@@ -64,7 +64,7 @@ class TextTable:
 
     source: str
     head: Head
-    lines: NDArray[np.int64]
+    lines: Integers
     width: int
     encoding: str
     _body: str = field(repr=False)

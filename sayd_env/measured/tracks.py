@@ -14,7 +14,7 @@ from sayd_env.config.conditions import smooth_step
 from sayd_env.config.errors import DataError
 from sayd_env.config.track import CHANNELS, DOMAINS, FileConfig, GeometryConfig
 from sayd_env.config.units import Array
-from sayd_env.measured.distance import IRREGULARITIES, Column, Table, Variant, read_table
+from sayd_env.measured.distance import IRREGULARITIES, DistanceColumn, DistanceTable, Variant, read_table
 
 _MIN_ROWS = 4
 # A hole this many times wider than the usual spacing is missing data, over which a spline would swing freely.
@@ -97,7 +97,7 @@ def read_measured(config: FileConfig) -> MeasuredTrack:
     """
     table = read_table(config.path, IRREGULARITIES, _MIN_ROWS, config.ignore)
     _check_gaps(table)
-    columns: dict[str, list[tuple[Variant, Column]]] = {channel: [] for channel in CHANNELS}
+    columns: dict[str, list[tuple[Variant, DistanceColumn]]] = {channel: [] for channel in CHANNELS}
     for name, variant in table.variants.items():
         columns[variant.channel].append((variant, table.columns[name]))
     notes: list[str] = []
@@ -132,7 +132,7 @@ def check_gauge(measured: MeasuredTrack, gauge: float) -> None:
     )
 
 
-def stated_gauge(table: Table, config: GeometryConfig) -> Array | None:
+def stated_gauge(table: DistanceTable, config: GeometryConfig) -> Array | None:
     """Nominal gauge (m), shape (n,), of a file that has a gauge, or a nominal one over distance.
 
     Raises
@@ -144,7 +144,7 @@ def stated_gauge(table: Table, config: GeometryConfig) -> Array | None:
     return _nominal(table, config) if has_gauge or "nominal_gauge" in table.columns else None
 
 
-def refuse_unused(table: Table, config: GeometryConfig) -> None:
+def refuse_unused(table: DistanceTable, config: GeometryConfig) -> None:
     """Refuse what is stated of columns that a line's file lacks.
 
     Raises
@@ -177,7 +177,7 @@ def refuse_unused(table: Table, config: GeometryConfig) -> None:
 
 
 def _channel(
-    table: Table, columns: list[tuple[Variant, Column]], config: FileConfig, notes: list[str]
+    table: DistanceTable, columns: list[tuple[Variant, DistanceColumn]], config: FileConfig, notes: list[str]
 ) -> Array:
     """Values of a channel (m) from the columns that hold it."""
     ways = {variant.way for variant, _ in columns}
@@ -195,7 +195,7 @@ def _channel(
 
 
 def _added(
-    table: Table, columns: list[tuple[Variant, Column]], config: FileConfig, notes: list[str]
+    table: DistanceTable, columns: list[tuple[Variant, DistanceColumn]], config: FileConfig, notes: list[str]
 ) -> Array:
     """Sum of wavelength domains."""
     found = {variant.domain: column for variant, column in columns}
@@ -225,7 +225,7 @@ def _added(
     return np.asarray(np.sum([column.values for column in used], axis=0))
 
 
-def _departures(table: Table, column: Column, config: FileConfig, notes: list[str]) -> Array:
+def _departures(table: DistanceTable, column: DistanceColumn, config: FileConfig, notes: list[str]) -> Array:
     """Gauge less its nominal."""
     typical = float(np.median(column.values))
     if abs(typical) <= _MOST:
@@ -252,7 +252,7 @@ def _departures(table: Table, column: Column, config: FileConfig, notes: list[st
     return np.asarray(column.values - nominal)
 
 
-def _nominal(table: Table, config: GeometryConfig) -> Array | None:
+def _nominal(table: DistanceTable, config: GeometryConfig) -> Array | None:
     """Nominal gauge (m), shape (n,)."""
     own = table.values("nominal_gauge")
     stated = [
@@ -271,7 +271,9 @@ def _nominal(table: Table, config: GeometryConfig) -> Array | None:
     return np.full(len(table.x), stated[0]) if stated else None
 
 
-def _restored(table: Table, variant: Variant, column: Column, config: FileConfig, notes: list[str]) -> Array:
+def _restored(
+    table: DistanceTable, variant: Variant, column: DistanceColumn, config: FileConfig, notes: list[str]
+) -> Array:
     """What a chord or a space curve shows of the waves of a band; its transfer function is undone there.
 
     Of a symmetrical chord of length L the offset at its middle is z(x) - (z(x - L/2) + z(x + L/2)) / 2: a
@@ -355,7 +357,7 @@ def _band(x: Array, values: Array, band: tuple[float, float], shown: Callable[[A
     return np.asarray(np.interp(x, even, found[padding : padding + len(x)]))
 
 
-def _check_gaps(table: Table) -> None:
+def _check_gaps(table: DistanceTable) -> None:
     spacing = np.diff(table.x)
     usual = float(np.median(spacing))
     if usual > _FURTHEST:
@@ -372,7 +374,7 @@ def _check_gaps(table: Table) -> None:
         )
 
 
-def _check_size(table: Table, column: Column, values: Array) -> None:
+def _check_size(table: DistanceTable, column: DistanceColumn, values: Array) -> None:
     """Refuse numbers that are no departures from a nominal geometry."""
     large = np.flatnonzero(np.abs(values) > _MOST)
     if large.size:

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import ConfigError, StudyError
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.physics.formation import (
     Formation,
     References,
@@ -32,8 +31,6 @@ from sayd_env.physics.rows import ABREAST, SINGLE, Lanes
 from sayd_env.physics.simulator import Simulator
 from sayd_env.physics.step import largest_shift, measure, record, steps
 
-Index = npt.NDArray[np.int64]
-
 
 @kernel(allocates=False)
 def _advance(
@@ -42,10 +39,10 @@ def _advance(
     states: References,
     together: State,
     work: Work,
-    members: Index,
+    members: Integers,
     substeps: int,
     signals: Array,
-    done: Index,
+    done: Integers,
 ) -> None:
     """`sayd_env.physics.step.advance` for vehicles side by side, into the rows of the batch's arrays.
 
@@ -79,9 +76,9 @@ def _advance_units(
     group_plants: References,
     group_states: References,
     group_works: References,
-    substeps: Index,
+    substeps: Integers,
     signals: Array,
-    done: Index,
+    done: Integers,
 ) -> None:
     """Advance v vehicles by as many samples as `signals` has.
 

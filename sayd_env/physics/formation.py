@@ -15,19 +15,17 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Integers
 from sayd_env.physics import plant as at
 from sayd_env.physics import sayd
 from sayd_env.physics.aligned import zeros
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import LANES, Index, Plant, State, Work
+from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.ragged import RaggedBatch, vehicle_from
 from sayd_env.physics.rows import ABREAST, Lanes
 
-Flags = npt.NDArray[np.bool_]
-References = npt.NDArray[np.int64]
+References = Integers
 """`RaggedBatch.table`."""
 
 WIDTH = len(ABREAST)
@@ -127,7 +125,7 @@ work_of = vehicle_from(Work)
 
 
 @kernel(allocates=False)
-def interleave(lanes: Lanes, members: Index, states: References, group: State) -> None:
+def interleave(lanes: Lanes, members: Integers, states: References, group: State) -> None:
     """Copy the members' states into their group's; lanes without a member get another one's.
 
     Parameters
@@ -169,11 +167,11 @@ def put_back(lanes: Lanes, k: int, states: References, vehicle: int, group: Stat
 class Units(NamedTuple):
     """Who runs in a compiled call: groups first, then vehicles alone."""
 
-    groups: Index
+    groups: Integers
     """(g,) groups that run."""
-    members: Index
+    members: Integers
     """(g, W) their vehicles; -1 for a lane whose results nobody wants."""
-    alone: Index
+    alone: Integers
     """(a,) vehicles that run alone."""
 
 

@@ -13,9 +13,8 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.config.vehicle import (
     DOFS,
     GROUND,
@@ -30,7 +29,6 @@ from sayd_env.config.vehicle import (
     YawDamper,
 )
 
-Index = npt.NDArray[np.int64]
 AXES = {"x": 0, "y": 1, "z": 2, "roll": 0, "pitch": 1, "yaw": 2}
 SECTION_DOFS = ("y", "z", "roll")
 """Degrees of freedom of a track section."""
@@ -50,11 +48,11 @@ class Instance:
 class Entries(NamedTuple):
     """Contributions to a matrix, each ``factor * numbers[number]``, in the order in which they are added."""
 
-    place: Index
+    place: Integers
     """(e,) place in the flat matrix."""
     factor: Array
     """(e,)."""
-    number: Index
+    number: Integers
     """(e,) which of the numbers."""
 
     def added_up(self, numbers: Array, n: int, *more: tuple[Entries, Array]) -> Array:
@@ -118,7 +116,7 @@ class Layout:
     instances: dict[str, Instance]
     wheelsets: tuple[str, ...]
     sections: dict[str, int]
-    mass: Index
+    mass: Integers
     linear: Entries
     carriers: tuple[Carrier, ...]
     vertical: Entries
@@ -134,14 +132,14 @@ class Arrangement:
     """A layout with its unknowns in another order; fields as in `multibody.Multibody`."""
 
     layout: Layout
-    order: Index
+    order: Integers
     """(n,) column of the layout for each unknown."""
     dof_names: tuple[str, ...]
     dampers: tuple[Place, ...]
     stops: tuple[Place, ...]
     yaw_dampers: tuple[tuple[str, Array, Array], ...]
-    wheelset_dofs: Index
-    section_dofs: Index
+    wheelset_dofs: Integers
+    section_dofs: Integers
     wheelset_x: Array
     measuring_points: tuple[tuple[str, Array], ...]
     instances: dict[str, Instance]
@@ -171,7 +169,7 @@ def layout(vehicle: VehicleConfig, with_sections: bool) -> Layout:
     return _layout(_Design(_key(vehicle), vehicle, with_sections))
 
 
-def arrange(made: Layout, order: Index) -> Arrangement:
+def arrange(made: Layout, order: Integers) -> Arrangement:
     """The layout with its unknowns in the order of these columns; made once for each."""
     return _arrangement(made, order.tobytes())
 
@@ -316,9 +314,9 @@ class _Entries:
 
     def __init__(self, n: int) -> None:
         self.n = n
-        self.place: list[Index] = []
+        self.place: list[Integers] = []
         self.factor: list[Array] = []
-        self.number: list[Index] = []
+        self.number: list[Integers] = []
 
     def add(self, rows: Any, columns: Any, factor: Any, number: int) -> None:
         """Add factors at the places (row, column)."""
@@ -453,7 +451,7 @@ class _Builder:
 
 def _mass_places(
     vehicle: VehicleConfig, instances: dict[str, Instance], sections: dict[str, int], n: int
-) -> Index:
+) -> Integers:
     places = np.zeros(n, dtype=np.int64)
     row = {body.name: k * len(DOFS) for k, body in enumerate(vehicle.bodies)}
     for i in instances.values():
@@ -475,7 +473,7 @@ def _dof_names(instances: dict[str, Instance], sections: dict[str, int], n: int)
     return names
 
 
-def _renumbered(instance: Instance, rank: Index) -> Instance:
+def _renumbered(instance: Instance, rank: Integers) -> Instance:
     columns = {dof: int(rank[c]) for dof, c in instance.columns.items()}
     carrier = None if instance.carrier is None else _renumbered(instance.carrier, rank)
     return Instance(instance.name, instance.body, instance.position, columns, carrier)

@@ -25,14 +25,13 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import eig, eigvals, lstsq
 from scipy.optimize import brentq, linear_sum_assignment
 
 from sayd_env.config import StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import KMH, Array, Complex
 from sayd_env.physics import plant as at
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
@@ -50,7 +49,6 @@ from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.step import contact_at, rates
 from sayd_env.physics.track.realisation import TrackRealisation, realise
 
-Complex = npt.NDArray[np.complex128]
 Tables: TypeAlias = tuple[ContactTable, ContactTable | None]
 """Contact tables of the left wheels and of the right ones; None: the same."""
 

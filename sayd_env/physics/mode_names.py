@@ -6,12 +6,10 @@ from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
-import numpy.typing as npt
 
+from sayd_env.config.units import Complex
 from sayd_env.physics.layout import AXES, Instance
 from sayd_env.physics.multibody import Multibody
-
-Complex = npt.NDArray[np.complex128]
 
 TRACK = "track"
 GROUPS = {

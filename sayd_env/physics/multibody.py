@@ -12,13 +12,12 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from sayd_env.config import ConfigError
 from sayd_env.config.track import SectionConfig
-from sayd_env.config.units import GRAVITY, Array
+from sayd_env.config.units import GRAVITY, Array, Integers
 from sayd_env.config.vehicle import Bush, Damper, Stop, Torsion, VehicleConfig
 from sayd_env.measured.dampers import force_velocity
 from sayd_env.physics.layout import (
@@ -32,7 +31,6 @@ from sayd_env.physics.layout import (
     layout,
 )
 
-Index = npt.NDArray[np.int64]
 _ROUNDING = 1e-14  # of a matrix's largest entry
 
 
@@ -66,9 +64,9 @@ class Multibody:
     stops: tuple[ForceElement, ...]
     yaw_dampers: tuple[tuple[str, Array, Array], ...]
     """Name, connection vector of the bogie end and of the carbody end (elongation = bogie - carbody)."""
-    wheelset_dofs: Index
+    wheelset_dofs: Integers
     """Columns of x, y, z, roll, pitch, yaw of each wheelset, shape (w, 6); -1: not free."""
-    section_dofs: Index
+    section_dofs: Integers
     """Columns of y, z, roll of the track section under each wheelset, shape (w or 0, 3)."""
     wheelset_x: Array
     """Longitudinal position of each wheelset, shape (w,), m."""
@@ -239,14 +237,14 @@ def _without_rounding(matrix: Array) -> Array:
     return np.where(np.abs(matrix) > _ROUNDING * np.max(np.abs(matrix), initial=0.0), matrix, 0.0)
 
 
-def _compact_order(*matrices: Array) -> Index:
+def _compact_order(*matrices: Array) -> Integers:
     """Order of the unknowns that keeps the non-zero rows of each column close together."""
     pattern = sum(np.abs(m) for m in matrices) != 0.0
     return _order_of(np.asarray(pattern).tobytes(), len(matrices[0]))
 
 
 @lru_cache(maxsize=64)
-def _order_of(pattern: bytes, n: int) -> Index:
+def _order_of(pattern: bytes, n: int) -> Integers:
     matrix = csr_matrix(np.frombuffer(pattern, dtype=np.bool_).reshape(n, n))
     return np.asarray(reverse_cuthill_mckee(matrix, symmetric_mode=True), dtype=np.int64)
 

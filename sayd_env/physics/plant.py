@@ -13,11 +13,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from sayd_env.config.units import Array
-from sayd_env.physics.ragged import Index, Matrix
+from sayd_env.physics.ragged import Matrix
 from sayd_env.physics.rows import Column
-
-__all__ = ["Array", "Index"]
-
 
 LANES = 8
 """Wheels of a vehicle, and its yaw dampers: so many elements for each vehicle has a row of theirs."""

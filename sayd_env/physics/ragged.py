@@ -24,20 +24,18 @@ from typing import (
 )
 
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba.core import types
 from numba.np import arrayobj, numpy_support
 
 from sayd_env.config import ConfigError
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.physics.kernel import instructions
 
-Index = npt.NDArray[np.int64]
 Matrix = Annotated[Array, 2]
 """An array of two dimensions, where a named tuple says `Array` for one."""
 Cube = Annotated[Array, 3]
-IndexMatrix = Annotated[Index, 2]
+IndexMatrix = Annotated[Integers, 2]
 Fields = TypeVar("Fields", bound=NamedTuple)
 
 _make_array: Any = arrayobj.make_array  # without annotations
@@ -141,13 +139,13 @@ class RaggedBatch(Generic[Fields]):
             self.put(i, fields)
 
 
-def vehicle_from(kind: type[Fields]) -> Callable[[Index, SupportsIndex], Fields]:
+def vehicle_from(kind: type[Fields]) -> Callable[[Integers, SupportsIndex], Fields]:
     """Compiled counterpart of `RaggedBatch.view`: ``f(table, i)`` makes vehicle i's named tuple.
 
     A Numba intrinsic, so that a field that somebody adds needs no second list of fields here.
     """
 
-    def plain(table: Index, vehicle: SupportsIndex) -> Fields:
+    def plain(table: Integers, vehicle: SupportsIndex) -> Fields:
         entries = zip(table[vehicle], _fields(kind), strict=True)
         return kind(*(_in_memory(entry, *field) for entry, field in entries))
 
@@ -192,7 +190,7 @@ def vehicle_from(kind: type[Fields]) -> Callable[[Index, SupportsIndex], Fields]
     return view
 
 
-def _in_memory(entry: Index, dtype: np.dtype[Any], dimensions: int) -> Any:
+def _in_memory(entry: Integers, dtype: np.dtype[Any], dimensions: int) -> Any:
     """What lies at an address of a batch's table, which somebody else keeps alive."""
     address, *lengths = entry.tolist()
     shape = lengths[:dimensions]

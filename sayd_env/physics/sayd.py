@@ -144,7 +144,7 @@ _TEARING = 1e6  # stiffness of oil that tears at vapour pressure, over that of t
 _PER_ROOT_STEP = 1.0 / ROOT_STEP
 _NEXT, _BELOW = np.uint32(1), np.uint32(ROOTS)  # unsigned: indices that need no check for being negative
 _LAST_CURRENT = float(CURRENTS - 2)
-_LAST_ROOT = float(ROOTS - 2)
+LAST_ROOT = float(ROOTS - 2)
 
 
 @kernel(inline=True, allocates=False)
@@ -158,7 +158,7 @@ def _rectified(
     `share` how far the current is above it.
     """
     place = (root - DROP_ROOT) * _PER_ROOT_STEP
-    below = place if place < _LAST_ROOT else _LAST_ROOT
+    below = place if place < LAST_ROOT else LAST_ROOT
     node = np.uint32(below)
     right = place - node
     p = first + node

@@ -30,15 +30,13 @@ from scipy.signal import besselap
 
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.track import CHANNELS
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Complex
 from sayd_env.physics.equivalent_damper import STATE_UNITS
 from sayd_env.physics.layout import longitudinal_rows
 from sayd_env.physics.linear import Linearisation, OperatingPoint, equivalent, equivalent_plant, rates_of
 from sayd_env.physics.plant import Plant
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.track.realisation import TrackRealisation
-
-Complex = npt.NDArray[np.complex128]
 
 CHANNEL_UNITS = dict(zip(CHANNELS, ("m", "m", "rad", "m"), strict=True))
 """Irregularities and their units."""

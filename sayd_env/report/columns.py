@@ -15,6 +15,12 @@ if TYPE_CHECKING:
 
 Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
 """Header and rows; units stand in the header names (``speed_kmh``)."""
+DERAILED = "derailed"
+"""How an infinite ratio to a limit is printed."""
+LIMITED: dict[str, Any] = {"digits": 2, "limit": 1.0, "infinite": DERAILED}
+"""Of a column of ratios to a limit."""
+PERCENT: dict[str, Any] = {"unit": "%", "scale": 100.0, "digits": 0}
+"""Of a column of shares."""
 
 
 _GAP = 2  # characters between columns

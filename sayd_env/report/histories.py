@@ -21,7 +21,7 @@ FORMATS = {"csv": ".csv", "parquet": ".parquet", "mat": ".mat", "mf4": ".mf4"}
 """Ending of the files by format."""
 
 
-class Column(NamedTuple):
+class FileSignal(NamedTuple):
     """A signal of a file."""
 
     name: str
@@ -49,7 +49,7 @@ def checked_format(kind: str, option: str = "--format") -> str:
 
 
 def write_history(
-    path: Path, kind: str, time: Array, columns: list[Column], about: Mapping[str, str]
+    path: Path, kind: str, time: Array, columns: list[FileSignal], about: Mapping[str, str]
 ) -> None:
     """Write signals into one file, under another name until it is complete.
 
@@ -60,7 +60,7 @@ def write_history(
         One of `FORMATS`.
     time : ndarray, shape (t,)
         s, rising.
-    columns : list of Column
+    columns : list of FileSignal
     about : mapping
         What Parquet and MDF say of the file.
 
@@ -71,19 +71,19 @@ def write_history(
     StudyError
         The file cannot be written.
     """
-    every = [Column("time", "s", "time_s", time), *columns]
+    every = [FileSignal("time", "s", "time_s", time), *columns]
     with replacing(path) as temporary, temporary.open("wb+") as stream:
         _WRITERS[kind](stream, every, about)
 
 
-def _write_csv(stream: BinaryIO, columns: list[Column], about: Mapping[str, str]) -> None:
+def _write_csv(stream: BinaryIO, columns: list[FileSignal], about: Mapping[str, str]) -> None:
     import pandas  # noqa: PLC0415 - slow to import
 
     table = pandas.DataFrame({column.full_name: column.values for column in columns})
     table.to_csv(stream, index=False, lineterminator="\n")
 
 
-def _write_parquet(stream: BinaryIO, columns: list[Column], about: Mapping[str, str]) -> None:
+def _write_parquet(stream: BinaryIO, columns: list[FileSignal], about: Mapping[str, str]) -> None:
     arrow = _library("parquet")
     fields = [
         arrow.field(column.full_name, arrow.float64(), metadata={"unit": column.unit}) for column in columns
@@ -94,7 +94,7 @@ def _write_parquet(stream: BinaryIO, columns: list[Column], about: Mapping[str, 
     import_module("pyarrow.parquet").write_table(table, stream)
 
 
-def _write_mat(stream: BinaryIO, columns: list[Column], about: Mapping[str, str]) -> None:
+def _write_mat(stream: BinaryIO, columns: list[FileSignal], about: Mapping[str, str]) -> None:
     from scipy.io import savemat  # noqa: PLC0415 - slow to import
 
     # A variable of MATLAB is letters, digits and underscores.
@@ -102,7 +102,7 @@ def _write_mat(stream: BinaryIO, columns: list[Column], about: Mapping[str, str]
     savemat(stream, named, oned_as="column", do_compression=True)
 
 
-def _write_mf4(stream: BinaryIO, columns: list[Column], about: Mapping[str, str]) -> None:
+def _write_mf4(stream: BinaryIO, columns: list[FileSignal], about: Mapping[str, str]) -> None:
     library = _library("mf4")
     time, *signals = columns
     with warnings.catch_warnings(), library.MDF(version="4.10") as file:
@@ -121,7 +121,7 @@ def _write_mf4(stream: BinaryIO, columns: list[Column], about: Mapping[str, str]
 
 
 _LIBRARIES = {"parquet": "pyarrow", "mf4": "asammdf"}
-_WRITERS: Mapping[str, Callable[[BinaryIO, list[Column], Mapping[str, str]], None]] = {
+_WRITERS: Mapping[str, Callable[[BinaryIO, list[FileSignal], Mapping[str, str]], None]] = {
     "csv": _write_csv,
     "parquet": _write_parquet,
     "mat": _write_mat,

@@ -10,13 +10,11 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image  # comes with Matplotlib, which writes its own pictures with it
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.storage import replacing, try_to_write
-
-Picture = npt.NDArray[np.uint8]
+from sayd_env.envs.canvas import Picture
 
 HUNDREDTHS = 100
 """A GIF counts the time of its pictures in hundredths of a second; below two, browsers slow it down."""

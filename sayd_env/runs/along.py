@@ -17,7 +17,7 @@ from sayd_env.config.conditions import Line
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.line import LineConfig
 from sayd_env.config.scenario import CostConfig, Scenario
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.envs.cost import charged, squares
 from sayd_env.envs.loop import (
     LOG_ACCELERATION,
@@ -76,7 +76,7 @@ class Trip:
         found = self.line.speed_at(s)
         return np.full(s.shape, self.speed) if found is None else found
 
-    def sections(self, t: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    def sections(self, t: npt.ArrayLike) -> Integers:
         """Numbers of the sections in which the train is at times (s)."""
         ends = np.array([each.end for each in self.line.sections[:-1]])
         return np.searchsorted(ends, self.distance(t), side="right")

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import decimate, welch
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import KMH, Array, Single
 from sayd_env.envs.loop import LOG_ACCELERATION, LOG_FORCE, LOG_HYDRAULIC, LOG_TRACK_SHIFT
 from sayd_env.envs.rollout import Rollout
 from sayd_env.runs.context import RunContext
@@ -32,8 +31,6 @@ FRONT, REAR = 0, 1
 _REAR_DAMPER = 4  # the rear bogie's first damper, in the order of `Multibody.yaw_dampers`
 _TRACE_RATE, _TRACE_TIME = 200.0, 40.0  # Hz and s: enough for figures 12, 14, 16 and 18
 _SPECTRUM_SEGMENT = 2.0  # s, so that 10 Hz is the twentieth line and leakage across it is small
-
-Single = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import CostConfig, Scenario
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import KMH, Array, Flags, Single
 from sayd_env.envs.cost import charged
 from sayd_env.envs.loop import (
     BOGIES,
@@ -180,7 +179,7 @@ def row_of(
     run: Run,
     rollout: Rollout,
     measure: Callable[[Run, Rollout], dict[str, float]],
-    command: npt.NDArray[np.float32],
+    command: Single,
     distance: float,
 ) -> Row:
     """A run as a row.
@@ -294,7 +293,7 @@ def comfort_index(rollout: Rollout, settings: AssessmentConfig) -> float:
     return max(mean_comfort(place, rate, part.start, part.stop) for place in places)
 
 
-def switchings(command: npt.NDArray[np.float32], lower: float = LOWER, upper: float = UPPER) -> float:
+def switchings(command: Single, lower: float = LOWER, upper: float = UPPER) -> float:
     """Passages of commands, shape (steps, valves), from one end of their range to the other, their mean.
 
     The ends lie up to `lower` and from `upper` on. What lies between them does not count, nor does a return
@@ -333,15 +332,17 @@ def _measured(run: Run, rollout: Rollout) -> dict[str, float]:
     }
 
 
+RATIOS = ("acceleration_ratio", "track_shift_ratio")
+"""Columns of ratios to the limits of EN 14363."""
 OVER_THE_LENGTH = (
     *("J_run", "J_offline", "J_offline_acceleration", "J_offline_force"),
-    *("acceleration_ratio", "track_shift_ratio"),
+    *RATIOS,
     *("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2", "comfort"),
 )
 """Columns that belong to the whole assessed length."""
 
 
-def _use(rollout: Rollout, command: npt.NDArray[np.float32], distance: float) -> dict[str, Any]:
+def _use(rollout: Rollout, command: Single, distance: float) -> dict[str, Any]:
     """What commands of a rollout did over a distance (m); nothing where the run ended before step 0."""
     if not len(command):
         return {}
@@ -354,5 +355,5 @@ def _use(rollout: Rollout, command: npt.NDArray[np.float32], distance: float) ->
     }
 
 
-def _share(intervened: npt.NDArray[np.bool_] | None, periods: int) -> float | None:
+def _share(intervened: Flags | None, periods: int) -> float | None:
     return None if intervened is None else float(intervened[:periods].mean())

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.errors import Diverged, StudyError
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import KMH, Array, Integers
 from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.simulator import RUN_OUT, Simulator, VehicleModel
 from sayd_env.runs.context import RunContext
@@ -29,7 +28,7 @@ from sayd_env.stability import (
     thinned_grids,
 )
 
-Selection: TypeAlias = slice | npt.NDArray[np.int64]
+Selection: TypeAlias = slice | Integers
 """Of seeds by their places, with repetitions in a bootstrap."""
 ALL = slice(None)
 FAR = 100.0

@@ -21,9 +21,9 @@ from scipy.signal import get_window
 from sayd_env.config import ConfigError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.control import OnlineConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.ragged import Cube, Index, IndexMatrix, Matrix
+from sayd_env.physics.ragged import Cube, IndexMatrix, Matrix
 from sayd_env.stability.signals import band_sections
 
 CHUNK = 16
@@ -46,7 +46,7 @@ class Band(NamedTuple):
     """(f, s, 5) b0, b1, b2, a1, a2 of the biquads of each grid frequency's band."""
     frequency: Array
     """(f,) grid of f_0, Hz."""
-    counts: Index
+    counts: Integers
     """(3,) samples in a block, samples kept for settling, index of the start frequency."""
     segment: Array
     """(2,) distance behind f_0 (m) and sampling rate (Hz)."""
@@ -71,9 +71,9 @@ class BandState(NamedTuple):
     """(capacity, c) ring of block means."""
     window: Matrix
     """(capacity, g) Hann window of the spectrum, scaled so that a harmonic gives its RMS."""
-    length: Index
+    length: Integers
     """(g,) block means that make 500 m, at most `capacity`."""
-    choice: Index
+    choice: Integers
     """(g,) index of f_0."""
     place: IndexMatrix
     """(g, 5) next row of `recent`, of `history`; samples in the block; samples kept, block means kept."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.plant import Index
 
 
 @kernel(distinct=True, allocates=False)
-def slide(values: Array, samples: float, place: Index, ring: Array, sums: Array, means: Array) -> None:
+def slide(values: Array, samples: float, place: Integers, ring: Array, sums: Array, means: Array) -> None:
     """Take one sample of every channel into its mean over the last so many samples.
 
     The oldest sample counts by its part of the window, so that the window is exactly as long as asked for.
@@ -46,7 +45,7 @@ def slide(values: Array, samples: float, place: Index, ring: Array, sums: Array,
 
 
 @kernel(distinct=True, allocates=False)
-def add_up(samples: float, place: Index, ring: Array, sums: Array) -> None:
+def add_up(samples: float, place: Integers, ring: Array, sums: Array) -> None:
     """Sums over the whole samples of a window of this length; parameters as for `slide`."""
     rows, whole = ring.shape[0], int(samples)
     for k in range(sums.shape[0]):

@@ -19,7 +19,7 @@ from sayd_env.config.units import KMH
 from sayd_env.envs.cost import charged
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.throttle import overlap
-from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
+from sayd_env.report.columns import PERCENT, Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, heat_maps
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import CostParts, cost_parts
@@ -83,14 +83,13 @@ BEST = tuple(
     Column(name) for name in ("force_weight", *_CONDITION, "current", "J", "J_single", "J_closed", "J_open")
 )
 """Of the table of best constant commands."""
-_PERCENT: dict[str, Any] = {"unit": "%", "scale": 100.0, "digits": 0}
 ADAPTATION = (
     Column("force_weight", "k_F"),
     Column("current", "best for all", digits=2),
-    Column("loss", "it costs", **_PERCENT),
-    Column("loss_by_speed", "best by speed", **_PERCENT),
-    Column("loss_closed", "closed", **_PERCENT),
-    Column("loss_open", "open", **_PERCENT),
+    Column("loss", "it costs", **PERCENT),
+    Column("loss_by_speed", "best by speed", **PERCENT),
+    Column("loss_closed", "closed", **PERCENT),
+    Column("loss_open", "open", **PERCENT),
     Column("worst", "worst ratio", digits=1),
 )
 """Of the table of what fixed commands cost."""
@@ -219,7 +218,7 @@ class ConstantMap:
         title = f"constant commands in {len(self.conditions)} conditions: geometric mean of J over the best"
         yield Listing(title, ADAPTATION, [self.adaptation(weight) for weight in self.costs])
         columns = [Column("where", "where")]
-        columns += [Column(f"loss_{w:g}", f"k_F {w:g}", **_PERCENT) for w in self.costs]
+        columns += [Column(f"loss_{w:g}", f"k_F {w:g}", **PERCENT) for w in self.costs]
         where = [row | {"where": _in_words(row["quantity"], row["value"])} for row in self._where()]
         yield Listing("what the best for all costs", columns, where, "quantity")
         speeds = [Column(f"{kmh:g}", f"{kmh:g} km/h", digits=2) for kmh in self.config.speeds_kmh]

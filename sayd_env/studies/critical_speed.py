@@ -45,7 +45,7 @@ HALF_WORN = 0.5
 
 
 @dataclass(frozen=True)
-class History:
+class AccelerationHistory:
     """Acceleration of the bogie frame in one run, at the wheelset where it is worst, as in figure 8 (a)."""
 
     speed: float
@@ -73,7 +73,7 @@ class CriticalSpeedResult:
     sweep: Sweep
     limits: Limits
     wheelsets: tuple[str, ...]
-    histories: tuple[History, ...]
+    histories: tuple[AccelerationHistory, ...]
     laws: CreepLawComparison | None = None
     """The same by other creep laws, if asked for."""
 
@@ -211,7 +211,7 @@ TRENDS = (
 """Of the printed table."""
 
 
-def draw_histories(figure: Figure, histories: Sequence[History], bounds: Limits) -> None:
+def draw_histories(figure: Figure, histories: Sequence[AccelerationHistory], bounds: Limits) -> None:
     """Draw band-passed accelerations, their sliding RMS and its limit, one below the other (figure 8 a)."""
     axes = panels(figure, len(histories), size=(8.0, 3.0), sharex=True)
     for axis, h in zip(axes, histories, strict=True):
@@ -405,14 +405,15 @@ def _found(
         required = [(name, speed, 0.0) for speed in speeds]
         runs = controlled_runs(scenario, environment, seeds, required, context, {name: policy})
         found = runs.sweep(name)
-        (rollout,) = roll_out_runs([Run(policy, scenario, environment, speeds[0], seeds[0])])
-        acceleration = rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]
-        shown = (history(acceleration, PassiveRun(scenario, speeds[0], seeds[0])),)
+        first = Run(policy, scenario, environment, speeds[0], seeds[0])
+        shown = tuple(_quiet(context).records(recorded_controlled, [first], AccelerationHistory))
     model = VehicleModel(scenario)
     return CriticalSpeedResult(scenario, found, model_limits(model), wheelset_names(model), shown)
 
 
-def histories(scenario: Scenario, found: Sweep, bounds: Limits, context: RunContext) -> tuple[History, ...]:
+def histories(
+    scenario: Scenario, found: Sweep, bounds: Limits, context: RunContext
+) -> tuple[AccelerationHistory, ...]:
     """Make the histories of figure 8 on the first seed's track: they count as no step of the progress.
 
     One at the lowest speed, and one at the first speed whose median acceleration is above its limit.
@@ -420,12 +421,24 @@ def histories(scenario: Scenario, found: Sweep, bounds: Limits, context: RunCont
     above = found.criteria(bounds)["acceleration"].medians() > bounds.acceleration
     places = dict.fromkeys([0, *np.flatnonzero(above)[:1].tolist()])
     runs = [PassiveRun(scenario, float(found.speeds[i]), found.seeds[0]) for i in places]
-    return tuple(replace(context, progress=silent).records(recorded, runs, History))
+    return tuple(_quiet(context).records(recorded, runs, AccelerationHistory))
 
 
-def recorded(runs: list[PassiveRun]) -> list[History]:
+def _quiet(context: RunContext) -> RunContext:
+    return replace(context, progress=silent)
+
+
+def recorded(runs: list[PassiveRun]) -> list[AccelerationHistory]:
     """Make runs that are companions, and keep their histories."""
     return [history(signals, run) for run, (signals, _) in zip(runs, simulated(runs), strict=True)]
+
+
+def recorded_controlled(runs: list[Run]) -> list[AccelerationHistory]:
+    """The same of runs with a policy."""
+    return [
+        history(rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT], run)
+        for run, rollout in zip(runs, roll_out_runs(runs), strict=True)
+    ]
 
 
 def wheelset_names(model: VehicleModel) -> tuple[str, ...]:
@@ -433,7 +446,7 @@ def wheelset_names(model: VehicleModel) -> tuple[str, ...]:
     return tuple(name.removeprefix("wheelset.") for name, _ in model.multibody.measuring_points)
 
 
-def history(acceleration: Array, run: PassiveRun) -> History:
+def history(acceleration: Array, run: PassiveRun | Run) -> AccelerationHistory:
     """Assess the accelerations of a run, shape (t, w) in m/s2, and keep those of its worst wheelset."""
     settings = run.scenario.assessment
     rate, names = settings.sample_rate, wheelset_names(VehicleModel(run.scenario))
@@ -443,7 +456,7 @@ def history(acceleration: Array, run: PassiveRun) -> History:
     filtered = band_pass(acceleration[:, [worst]], rate, frequency, settings)[:, 0]
     distance = distance_run(run.speed, rate, len(filtered))
     signals = distance, filtered, found.position, found.rms[:, worst]
-    return History(run.speed, run.seed, names[worst], float(frequency[0]), *signals)
+    return AccelerationHistory(run.speed, run.seed, names[worst], float(frequency[0]), *signals)
 
 
 def check_laws(laws: Sequence[str], option: str) -> None:

@@ -15,11 +15,11 @@ from sayd_env.config.palette import policy_style
 from sayd_env.config.reward import REPORTED, reported_costs
 from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.units import Array
-from sayd_env.report.columns import Column, Listing, Table, csv_table
+from sayd_env.report.columns import DERAILED, LIMITED, Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
 from sayd_env.report.html import Grid, Page, Picture, Section
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.metrics import Row, rows
+from sayd_env.runs.metrics import RATIOS, Row, rows
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.runs.rollouts import conditions, own_policy, policy_runs
 from sayd_env.studies.standing import Standing, verdict
@@ -29,12 +29,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-DERAILED = "derailed"
 COSTS = (
     *("J", "J_acceleration", "J_force", "J_run"),
     *("J_offline", "J_offline_acceleration", "J_offline_force"),
 )
-RATIOS = ("acceleration_ratio", "track_shift_ratio")
 FORCES = ("force_rms_n", "force_peak_n", "force_power_above_10_hz_n2")
 VALVES = ("valve_mean", "valve_travel_per_km", "switching_per_s", "fallback_share")
 AVERAGED = (*COSTS, *RATIOS, *FORCES, "comfort", *VALVES)
@@ -63,8 +61,8 @@ _COST_COLUMNS = (
     Column("J_acceleration", "acceleration", digits=4, best=True, wide=True),
     Column("J_force", "force", digits=4, best=True, wide=True),
     Column("J_offline", "J off-line", digits=4, best=True),
-    Column("acceleration_ratio", "acc. / limit", digits=2, best=True, limit=1.0, infinite=DERAILED),
-    Column("track_shift_ratio", "shift / limit", digits=2, best=True, limit=1.0, infinite=DERAILED),
+    Column("acceleration_ratio", "acc. / limit", best=True, **LIMITED),
+    Column("track_shift_ratio", "shift / limit", best=True, **LIMITED),
     Column("comfort", "N_MV", digits=2, best=True, wide=True),
 )
 _DAMPER_COLUMNS = (
@@ -81,7 +79,7 @@ _POLICY_COLUMNS = (
     Column("J", "J", digits=4, best=True),
     *_REPORTED,
     Column("J_offline", "J off-line", digits=4, best=True),
-    Column("largest_ratio", "largest ratio", digits=2, best=True, limit=1.0, infinite=DERAILED),
+    Column("largest_ratio", "largest ratio", best=True, **LIMITED),
     Column("force_rms_n", "force", "kN", 1e-3, 2, best=True, wide=True),
     Column("comfort", "N_MV", digits=2, best=True, wide=True),
     Column("derailed", "derailed", limit=0.0),

@@ -20,7 +20,7 @@ from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.draw import draw_episode
 from sayd_env.physics.throttle import overlap
-from sayd_env.report.columns import Column, Listing, Table, csv_table
+from sayd_env.report.columns import PERCENT, Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, ratio_rows
 from sayd_env.report.html import Grid, Page, Picture, Section, Verdict
 from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, resolved
@@ -40,7 +40,6 @@ SINGLE = "best for the line"
 FOR_ALL = "best for all lines"
 """The one constant command with the lowest geometric mean of J over the lines."""
 _PICTURE_WORDS = "Points: lines; bar: geometric mean over the lines."
-_PERCENT: dict[str, Any] = {"unit": "%", "scale": 100.0, "digits": 0}
 
 
 class Gap(NamedTuple):
@@ -201,9 +200,9 @@ class HindsightResult:
     def _listings(self) -> Iterator[Listing]:
         columns = (
             Column("rule", "commands"),
-            Column("gap", "costs more", **_PERCENT),
-            Column("worst", "at most", **_PERCENT),
-            Column("by_section", "section by section", **_PERCENT),
+            Column("gap", "costs more", **PERCENT),
+            Column("worst", "at most", **PERCENT),
+            Column("by_section", "section by section", **PERCENT),
             Column("derailed", "derailed", limit=0.0),
         )
         title = f"J over that of the best commands by section: geometric mean of {len(self.lines)} lines"

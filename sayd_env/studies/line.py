@@ -20,7 +20,7 @@ from sayd_env.config.units import GRAVITY, KMH, Array
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.measured.lines import refuse_said
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
+from sayd_env.report.columns import DERAILED, LIMITED, Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
 from sayd_env.report.html import Grid, Page, Picture, Section
 from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, own_speed
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 WHOLE = "whole line"
 """What tables call all sections together."""
-DERAILED = "derailed"
 _STEP = 20.0  # m, of what pictures show of a line
 _NO_STRAIGHT = (
     "Running RMS of acceleration and track shift force were not judged: no section has 500 m of straight "
@@ -94,7 +93,7 @@ _PICTURE_WORDS = (
     "right. Below: command, J and running values over their limits, one line for each policy, on the first "
     "track. Every second section is shaded."
 )
-_LIMIT: dict[str, Any] = {"digits": 2, "best": True, "limit": 1.0, "infinite": DERAILED}
+_LIMIT: dict[str, Any] = {"best": True, **LIMITED}
 COLUMNS = (
     Column("section", "section"),
     Column("policy", "policy"),

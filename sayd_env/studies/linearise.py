@@ -8,19 +8,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.palette import cycled
 from sayd_env.config.track import CHANNELS
-from sayd_env.config.units import KMH
+from sayd_env.config.units import KMH, Complex
 from sayd_env.physics.linear import Linearisation, Mode, OperatingPoint, equivalent, modes_of
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.state_space import StateSpace, state_space_of, wheelset_delays
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.context import Progress, silent
+from sayd_env.studies.modes import SHOWN_FREQUENCY, SHOWN_MODES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,9 +35,6 @@ STROKE_SPEED = 10e-3
 FREQUENCIES = np.geomspace(0.3, 30.0, 161)
 """Of the frequency responses (Hz)."""
 
-_SHOWN_MODES = 8
-_SHOWN_FREQUENCY = 20.0  # Hz, as in `sayd modes`
-
 
 @dataclass(frozen=True)
 class LineariseResult:
@@ -47,7 +44,7 @@ class LineariseResult:
     steady: Linearisation
     modes: list[Mode]
     system: StateSpace
-    responses: Mapping[str, npt.NDArray[np.complex128]]
+    responses: Mapping[str, Complex]
     """(f,) frequency responses at `FREQUENCIES` by their names: what, then of what."""
 
     def as_dict(self) -> dict[str, Any]:
@@ -129,21 +126,21 @@ class LineariseResult:
                 f"{sayd.force_per_command * 1e-3:+.3g} kN per unit of current",
                 highlight=False,
             )
-        low = [mode for mode in self.modes if mode.frequency_hz < _SHOWN_FREQUENCY]
+        low = [mode for mode in self.modes if mode.frequency_hz < SHOWN_FREQUENCY]
         rows = [
             {
                 "name": mode.name,
                 "frequency": f"{mode.frequency_hz:.2f}",
                 "damping": f"{mode.damping_ratio:+.3f}",
             }
-            for mode in sorted(low, key=lambda mode: mode.damping_ratio)[:_SHOWN_MODES]
+            for mode in sorted(low, key=lambda mode: mode.damping_ratio)[:SHOWN_MODES]
         ]
         columns = [
             Column("name", "mode"),
             Column("frequency", "frequency (Hz)"),
             Column("damping", "damping ratio", bad=lambda words: words is not None and "-" in words),
         ]
-        title = f"least damped modes below {_SHOWN_FREQUENCY:g} Hz"
+        title = f"least damped modes below {SHOWN_FREQUENCY:g} Hz"
         print_table(console, title, columns, rows, wide=wide)
 
     def _rows(self) -> list[dict[str, Any]]:
@@ -224,9 +221,7 @@ def linearise(
     return result
 
 
-def _responses(
-    model: VehicleModel, system: StateSpace, speed: float
-) -> dict[str, npt.NDArray[np.complex128]]:
+def _responses(model: VehicleModel, system: StateSpace, speed: float) -> dict[str, Complex]:
     """Lateral acceleration of one track's irregularities, and of forces and commands that turn a bogie."""
     out = next(name for name in system.outputs if name.startswith("lateral_acceleration"))
     names, delays = wheelset_delays(model, speed)

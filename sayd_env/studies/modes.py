@@ -8,10 +8,10 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config.palette import SHADE, cycled
-from sayd_env.config.units import KMH
+from sayd_env.config.units import KMH, Integers
+from sayd_env.physics.contact.conicity import AMPLITUDE
 from sayd_env.physics.linear import HUNTING_BAND, RootLocus, linear_critical_speed, root_locus
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, csv_table, print_table
@@ -24,17 +24,15 @@ if TYPE_CHECKING:
 
     from sayd_env.config.scenario import Scenario
 
-AMPLITUDE = 3e-3
-"""Amplitude of the wheelsets' lateral motion at which EN 15302 quotes conicities (m)."""
 LOWEST, HIGHEST = 100.0 / KMH, 500.0 / KMH
 """Speeds between which the linear critical speed is looked for (m/s)."""
 SPEEDS = tuple(np.arange(100.0, 501.0, 20.0) / KMH)
 """Speeds of the root locus (m/s)."""
 
 _SPACING = 10.0 / KMH  # m/s; modes of speeds this near to each other are distinguished by their shapes
-_SHOWN_MODES = 8
+SHOWN_MODES = 8
 _SHOWN_SPEEDS, _NARROW_SPEEDS = 5, 3
-_SHOWN_FREQUENCY = 20.0  # Hz; above it stand the modes of wheelsets and track, which do not decide stability
+SHOWN_FREQUENCY = 20.0  # Hz; above it stand the modes of wheelsets and track, which do not decide stability
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class ModesResult:
     """Amplitude of the harmonic linearisation of the contact, m."""
     locus: RootLocus
     """Modes at speeds near enough to each other to be followed."""
-    asked: npt.NDArray[np.int64]
+    asked: Integers
     """Indices of the speeds that were asked for."""
     critical_speed: float | None
     """Linear critical speed, m/s; None: there is none in the range."""
@@ -75,7 +73,7 @@ class ModesResult:
         speeds = {f"{self.locus.speeds[s] * KMH:.0f}": s for s in self.asked[few]}
         rows: list[dict[str, str | None]] = [
             {"name": self.locus.names[b], **{kmh: self._words(s, b) for kmh, s in speeds.items()}}
-            for b in self._least_damped()[:_SHOWN_MODES]
+            for b in self._least_damped()[:SHOWN_MODES]
         ]
         columns = [
             Column(kmh, f"{kmh} km/h", bad=_is_unstable, wide=len(speeds) > _NARROW_SPEEDS and i % 2 == 1)
@@ -83,7 +81,7 @@ class ModesResult:
         ]
         print_table(
             console,
-            f"least damped modes below {_SHOWN_FREQUENCY:g} Hz: frequency (Hz), damping ratio",
+            f"least damped modes below {SHOWN_FREQUENCY:g} Hz: frequency (Hz), damping ratio",
             [Column("name", "mode"), *columns],
             rows,
             wide=wide,
@@ -117,7 +115,7 @@ class ModesResult:
     def _least_damped(self) -> list[int]:
         """Branches below the highest shown frequency, the least damped first."""
         frequency, damping = self.locus.frequency_hz[self.asked], self.locus.damping_ratio[self.asked]
-        low = np.where(frequency < _SHOWN_FREQUENCY, damping, np.inf)
+        low = np.where(frequency < SHOWN_FREQUENCY, damping, np.inf)
         least = np.min(low, axis=0, initial=np.inf, where=np.isfinite(low))
         return [int(b) for b in np.argsort(least, kind="stable") if np.isfinite(least[b])]
 
@@ -137,10 +135,10 @@ class ModesResult:
             ylabel="frequency (Hz)",
             title=f"root locus, linearised at {self.amplitude * 1e3:g} mm",
             xlim=(-40.0, max(10.0, 1.1 * np.nanmax(values[:, shown].real))),
-            ylim=(0.0, _SHOWN_FREQUENCY),
+            ylim=(0.0, SHOWN_FREQUENCY),
         )
         figure.colorbar(dots, ax=left, label="speed (km/h)")
-        for i, b in enumerate(shown[:_SHOWN_MODES]):
+        for i, b in enumerate(shown[:SHOWN_MODES]):
             named = label(self.locus.names[b])
             right.plot(speeds, self.locus.damping_ratio[:, b], label=named, **cycled(i).plain)
         reference_line(right, 0.0)

@@ -14,9 +14,10 @@ from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
+from sayd_env.envs.canvas import Picture
 from sayd_env.report.columns import Table
 from sayd_env.report.figures import Plot
-from sayd_env.report.video import Picture, checked_video, write_video
+from sayd_env.report.video import checked_video, write_video
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.policies import PolicySpec, for_policy
 from sayd_env.studies.ride import COLUMNS, Ride

@@ -27,7 +27,7 @@ from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.track import read_irregularity
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
+from sayd_env.report.columns import LIMITED, Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, name_rows, panels
 from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
 from sayd_env.runs.context import RunContext
@@ -123,7 +123,6 @@ class Outcome(NamedTuple):
     """Whether it does what is asked, see `Asked`."""
 
 
-_LIMITED: dict[str, Any] = {"digits": 2, "limit": 1.0, "infinite": "derailed"}
 OUTCOMES = (
     Column("policy", "policy"),
     Column("axis"),
@@ -131,7 +130,7 @@ OUTCOMES = (
     Column("J", "J", digits=4),
     Column("to_passive", "/ passive", digits=2),
     Column("to_best_constant", "/ constant", digits=2),
-    Column("largest_acceleration_ratio", "acc.", **_LIMITED),
+    Column("largest_acceleration_ratio", "acc.", **LIMITED),
     Column("derailed"),
     Column("valve_mean", "mean V", digits=2, wide=True),
     Column("fallback_share", "fallback", "%", 100.0, 0, wide=True),

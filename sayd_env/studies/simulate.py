@@ -287,7 +287,7 @@ def simulate(
     found = history(run, wanted, episode=episode)
     found = found if run_in else found.behind_run_in()
     columns = [
-        files.Column(signal.name, signal.unit, signal.full_name, values)
+        files.FileSignal(signal.name, signal.unit, signal.full_name, values)
         for signal, values in zip(found.signals, found.values, strict=True)
     ]
     files.write_history(target.file, target.kind, found.time, columns, about or {})

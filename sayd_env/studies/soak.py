@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from sayd_env.config import ConfigError
 from sayd_env.config.palette import BLUE, VERMILION
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import KMH, Array, Flags, Integers, Single
 from sayd_env.envs.loop import NOT_FINITE, RUNNING
 from sayd_env.envs.vector import SaydVectorEnv
 from sayd_env.report.columns import Column, Table, csv_table, print_table
@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-Flags = npt.NDArray[np.bool_]
-Commands = npt.NDArray[np.float32]
+Commands = Single
 
 KINDS = {"held": 0.4, "fresh": 0.2, "open": 0.1, "closed": 0.1, "bang-bang": 0.2}
 """Stretches of commands and how often they come: random and held, random anew at each step, all valves open,
@@ -191,7 +190,7 @@ class SoakResult:
         costs = self.costs if len(self.costs) else [math.nan]
         return dict(zip(QUANTILES, map(float, np.quantile(costs, QUANTILES)), strict=True))
 
-    def _histogram(self) -> tuple[npt.NDArray[np.int64], Array]:
+    def _histogram(self) -> tuple[Integers, Array]:
         """Counts of seconds in bins of equal ratio, ten in a decade."""
         positive = self.costs[self.costs > 0.0]
         if not len(positive):
@@ -314,7 +313,7 @@ class RandomCommands:
             self._ends[end, which] = of_kinds[kind, np.arange(count)]
 
 
-def _lengths(random: np.random.Generator, longest: int, count: int) -> npt.NDArray[np.int64]:
+def _lengths(random: np.random.Generator, longest: int, count: int) -> Integers:
     """Lengths from 1 to the longest, short ones more often: uniform in their logarithms."""
     drawn = np.exp(random.uniform(0.0, math.log(longest + 1), count)).astype(np.int64)
     return np.clip(drawn, 1, longest)
@@ -341,7 +340,7 @@ class _Watch:
         self.episodes += int(np.count_nonzero(which))
         self._sum[which] = 0.0
 
-    def check(self, observations: npt.NDArray[np.float32], rewards: Array) -> None:
+    def check(self, observations: Single, rewards: Array) -> None:
         """Count numbers that are not finite, or beyond their space."""
         states = self.env.batch.vehicles.state
         found = {
@@ -355,9 +354,7 @@ class _Watch:
         for name, flags in found.items():
             self.defects[name] += int(np.count_nonzero(flags))
 
-    def take(
-        self, observations: npt.NDArray[np.float32], rewards: Array, terminated: Flags, truncated: Flags
-    ) -> None:
+    def take(self, observations: Single, rewards: Array, terminated: Flags, truncated: Flags) -> None:
         """Count one step of the batch."""
         if self._ended.any():
             self.begun(self._ended)

@@ -12,6 +12,7 @@ from sayd_env import baselines
 from sayd_env.config import palette
 from sayd_env.config.palette import CYCLE, Style, cycled, policy_style, rgb, wheelset_style
 from sayd_env.config.robustness import load_robustness
+from sayd_env.config.units import Array
 from sayd_env.runs.policies import PAPER, TUNED
 
 # H. Brettel, F. Vienot, J. D. Mollon, "Computerized simulation of color appearance for dichromats" (1997), in
@@ -22,7 +23,7 @@ DICHROMATS = {
 }
 
 
-def lab(colour: str, seen: npt.ArrayLike | None = None) -> npt.NDArray[np.float64]:
+def lab(colour: str, seen: npt.ArrayLike | None = None) -> Array:
     """CIE L*a*b* of a colour (IEC 61966-2-1, D65)."""
     share = np.array(rgb(colour)) / 255.0
     linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)

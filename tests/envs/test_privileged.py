@@ -11,8 +11,8 @@ from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import load_scenario
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
-from sayd_env.envs.privileged import AHEAD, AMPLITUDE, CONDITIONS, HALF_CHORD, Conditions
-from sayd_env.physics.contact.conicity import equivalent_conicity, radius_difference
+from sayd_env.envs.privileged import AHEAD, CONDITIONS, HALF_CHORD, Conditions
+from sayd_env.physics.contact.conicity import AMPLITUDE, equivalent_conicity, radius_difference
 from sayd_env.physics.simulator import VehicleModel
 
 

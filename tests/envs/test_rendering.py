@@ -17,6 +17,7 @@ from gymnasium.error import DependencyNotInstalled
 from gymnasium.utils.env_checker import check_env
 
 from sayd_env.config import ConfigError
+from sayd_env.config.units import Array
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
@@ -75,7 +76,7 @@ def picture(renderer: Renderer, frame: Frame) -> Picture:
     return renderer.canvas.pixels()
 
 
-def middle_of(image: Picture, colour: tuple[int, int, int]) -> npt.NDArray[np.float64]:
+def middle_of(image: Picture, colour: tuple[int, int, int]) -> Array:
     """Mean pixel (x, y) of what has a colour in the vehicle's panel."""
     left, top, width, height = (int(value) for value in rendering.ROAD)
     part = image[top : top + height, left : left + width]

@@ -8,16 +8,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.signal import butter, get_window, sosfilt
 
+from sayd_env.config.units import Array
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.loop import LOG_ACCELERATION, LOG_HYDRAULIC
 from sayd_env.envs.single import SaydEnv
 
-Array = npt.NDArray[np.float64]
 RATE = 1000
 GRID = np.arange(14, 122) / 10  # 1.5 to 12 Hz, and a step beyond both ends
 

@@ -13,16 +13,15 @@ from typing import Any
 
 import fmpy
 import numpy as np
-import numpy.typing as npt
 import pytest
 from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
 from sayd_env.config.damper import EqualPercentageThrottle, SaydDamperConfig, load_sayd
+from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES
 
-Array = npt.NDArray[np.float64]
 STEP = 5e-4
 CONTINUED, REACHED = 1, 2
 

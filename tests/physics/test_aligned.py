@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from sayd_env.config.units import Array, Integers
 from sayd_env.physics.aligned import LINE, aligned, copied, zeros
-
-Array = npt.NDArray[np.float64]
 
 
 class Two(NamedTuple):
     values: Array
-    places: npt.NDArray[np.int64]
+    places: Integers
     number: float
 
 

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.units import Array, Flags, Integers
 from sayd_env.physics import kernel as kernel_module
 from sayd_env.physics.batch import BatchSimulator, advance_units_in_parallel
 from sayd_env.physics.formation import FEWEST, WIDTH, Formation
@@ -23,9 +23,6 @@ from sayd_env.physics.ragged import Matrix, RaggedBatch, vehicle_from
 from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.physics.step import advance as advance_one
 
-Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
-Index = npt.NDArray[np.int64]
 SAMPLES = 250
 KMH = 3.6
 
@@ -113,7 +110,7 @@ def advance(formation: Formation, substeps: list[int], active: Flags | None = No
 
 def advance_to_the_end(
     formation: Formation, substeps: list[int], active: Flags | None = None
-) -> tuple[Array, Index]:
+) -> tuple[Array, Integers]:
     """The same, and how many samples each vehicle took."""
     signals, done = np.zeros((len(formation), SAMPLES, 16)), np.zeros(len(formation), dtype=np.int64)
     units = formation.units(active)
@@ -457,7 +454,7 @@ parts_of = vehicle_from(Parts)
 
 
 @kernel(allocates=False)
-def _double(table: npt.NDArray[np.int64], i: int) -> float:
+def _double(table: Integers, i: int) -> float:
     """Change one vehicle's arrays by their addresses; return its number and the sum of its lengths."""
     one = parts_of(table, i)
     for k in range(one.row.shape[0]):

@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.units import Array
 from sayd_env.physics import step as kernels
 from sayd_env.physics.contact.geometry import contact_table
 from sayd_env.physics.plant import (
@@ -29,8 +29,6 @@ from sayd_env.physics.plant import (
 from sayd_env.physics.profiles import Profile
 from sayd_env.physics.rows import SINGLE
 from sayd_env.physics.simulator import Simulator, VehicleModel
-
-Array = npt.NDArray[np.float64]
 
 RADIUS, HALF, CONE, CROWN, LOAD = 0.46, 0.75, 0.05, 0.3, 75e3
 OUT = {

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import SaydDamperConfig, load_sayd
+from sayd_env.config.units import Complex
 from sayd_env.physics import sayd
 from sayd_env.physics.equivalent_damper import (
     EquivalentSayd,
@@ -19,8 +19,6 @@ from sayd_env.physics.equivalent_damper import (
     fundamental,
 )
 from sayd_env.physics.rig import steady_sayd_states
-
-Complex = npt.NDArray[np.complex128]
 
 POINTS = 800
 

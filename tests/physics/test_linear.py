@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.units import Array, Complex
 from sayd_env.physics.linear import (
     HUNTING_BAND,
     critical_speed,
@@ -20,8 +20,6 @@ from sayd_env.physics.linear import (
 from sayd_env.physics.mode_names import describe, numbered
 from sayd_env.physics.multibody import Multibody
 from sayd_env.physics.simulator import VehicleModel
-
-Array = npt.NDArray[np.float64]
 
 AMPLITUDE = 3e-3
 SPEED = 250.0 / 3.6
@@ -145,7 +143,7 @@ class TestNames:
     """Names of motions made by hand."""
 
     @staticmethod
-    def shape(body: Multibody, **values: complex) -> npt.NDArray[np.complex128]:
+    def shape(body: Multibody, **values: complex) -> Complex:
         """Shape from values by body and freedom: carbody_z=1, or wheelset_y=1 for all wheelsets."""
         result = np.zeros(body.n, dtype=complex)
         for key, value in values.items():

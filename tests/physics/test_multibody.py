@@ -6,18 +6,17 @@ import json
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sayd_env.config import ConfigError, apply_overrides, read_config, validate
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.track import SectionConfig, read_track
+from sayd_env.config.units import Array
 from sayd_env.config.vehicle import VehicleConfig
 from sayd_env.physics import layout
 from sayd_env.physics.multibody import Multibody, assemble
 from sayd_env.physics.simulator import VehicleModel
 
-Array = npt.NDArray[np.float64]
 STANDARD_GRAVITY = 9.81
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from numba.core.errors import TypingError
 
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.rows import ABREAST, SINGLE, Lanes, Rows, add_product, multiply, sparse_rows
-
-Array = npt.NDArray[np.float64]
 
 ROWS, COLUMNS = 23, 17
 EMPTY = (0, 7, 8, 22)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sayd_env.config.damper import (
@@ -18,12 +17,12 @@ from sayd_env.config.damper import (
     Throttle,
     load_sayd,
 )
+from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.rig import steady_sayd_cycles
 from sayd_env.physics.throttle import spring_valve_drop
 
-Array = npt.NDArray[np.float64]
 STEP = 5e-4
 
 

@@ -8,7 +8,6 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.io import loadmat
 
@@ -16,6 +15,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.track import CHANNELS
+from sayd_env.config.units import Array, Complex
 from sayd_env.physics import sayd
 from sayd_env.physics.equivalent_damper import STATES, equivalent_slope
 from sayd_env.physics.linear import (
@@ -36,9 +36,6 @@ from sayd_env.physics.state_space import (
 )
 from sayd_env.physics.track.realisation import TrackRealisation
 from sayd_env.physics.track.spline import interpolation_coefficients
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 
 SPEED = 250.0 / 3.6
 FREQUENCY = 4.0

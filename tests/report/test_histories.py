@@ -12,17 +12,17 @@ import pytest
 from scipy.io import loadmat
 
 from sayd_env.config import ConfigError, StudyError
-from sayd_env.report.histories import FORMATS, Column, checked_format, write_history
+from sayd_env.report.histories import FORMATS, FileSignal, checked_format, write_history
 
 RANDOM = np.random.default_rng(5)
 TIME = (np.arange(400) + 1 - 150) / 1000
 COLUMNS = [
-    Column("Y.front.leading.left", "N", "Y.front.leading.left_n", 1e5 * RANDOM.normal(size=400)),
-    Column(
+    FileSignal("Y.front.leading.left", "N", "Y.front.leading.left_n", 1e5 * RANDOM.normal(size=400)),
+    FileSignal(
         "carbody_acceleration.front.y", "m/s2", "carbody_acceleration.front.y_m_s2", RANDOM.normal(size=400)
     ),
-    Column("valve.front.left.upper", "-", "valve.front.left.upper", RANDOM.random(400)),
-    Column(
+    FileSignal("valve.front.left.upper", "-", "valve.front.left.upper", RANDOM.random(400)),
+    FileSignal(
         "pressure_a.rear.right.lower",
         "Pa",
         "pressure_a.rear.right.lower_pa",

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from sayd_env.config.units import Array
 from sayd_env.stability.sliding import slide
-
-Array = npt.NDArray[np.float64]
 
 
 def slid(values: Array, samples: float) -> Array:

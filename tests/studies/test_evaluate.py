@@ -11,7 +11,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
 import pytest
 from rich.console import Console
 from scipy.signal import butter, get_window, sosfiltfilt
@@ -23,6 +22,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.environment import load_environment
 from sayd_env.config.reward import with_reward
 from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.config.units import Array
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import RUN_OUT, Simulator, Telemetry, VehicleModel
 from sayd_env.runs.context import RunContext
@@ -32,7 +32,6 @@ from sayd_env.runs.passive import assessed_run
 from sayd_env.runs.policies import policy_spec
 from sayd_env.studies.evaluate import AVERAGED, EvaluateResult, Row, evaluate
 
-Array = npt.NDArray[np.float64]
 SPEED = 360 / 3.6
 RUN_IN, LENGTH, RATE = 200.0, 600.0, 1000.0
 SAMPLES = 9490

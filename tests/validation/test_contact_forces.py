@@ -30,6 +30,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.units import Array
 from sayd_env.physics.contact import creep
 from sayd_env.physics.contact.fastsim import fastsim
 from sayd_env.physics.contact.kalker import kalker_coefficients
@@ -59,7 +60,7 @@ def table(name: str) -> NDArray[np.void]:
     return np.genfromtxt(lines, delimiter=",", names=True)
 
 
-def polach_on(rows: NDArray[np.void], ratio: float, friction: NDArray[np.float64]) -> NDArray[np.float64]:
+def polach_on(rows: NDArray[np.void], ratio: float, friction: Array) -> Array:
     c = contact(ratio)
     return np.array(
         polach_forces(
@@ -165,7 +166,7 @@ def test_polach_linear_and_coulomb(ratio: str) -> None:
             np.testing.assert_allclose(force, 0.3 * NORMAL, rtol=1e-6)
 
 
-def by_table(rows: NDArray[np.void], ratio: float, friction: NDArray[np.float64]) -> NDArray[np.float64]:
+def by_table(rows: NDArray[np.void], ratio: float, friction: Array) -> Array:
     c = contact(ratio)
     found = creep.creep_forces(
         "table",
@@ -223,7 +224,7 @@ def test_table_against_extrapolated_half_space(ratio: str) -> None:
     assert np.all(np.abs(found - expected) <= 0.03 * largest)
 
 
-def fastsim_forces(x: NDArray[np.float64], shear_modulus: float, elements: int) -> NDArray[np.float64]:
+def fastsim_forces(x: Array, shear_modulus: float, elements: int) -> Array:
     """Forces over mu N of contacts in the columns of x, as the time loop's laws read them, by FASTSIM."""
     n = x.shape[1]
     out = np.empty(creep.ROWS_OUT * n)

@@ -10,16 +10,14 @@ printed there, computed independently of this project.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sayd_env.config import validate
 from sayd_env.config.loader import parse_yaml
+from sayd_env.config.units import Array
 from sayd_env.config.vehicle import VehicleConfig
 from sayd_env.physics.linear import critical_speed
 from sayd_env.physics.multibody import Multibody, assemble
-
-Array = npt.NDArray[np.float64]
 
 # Heights above the rail follow from h1 = 0.0762 m (axles below the frame's centre) and h2 = 0.6584 m
 # (secondary springs above it). Inertias of motions that are not free do not count; the schema wants them

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
@@ -24,7 +23,7 @@ from sayd_env.config.loader import parse_yaml
 from sayd_env.config.profile import RailProfileConfig, WheelProfileConfig
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.track import NoIrregularityConfig
-from sayd_env.config.units import GRAVITY
+from sayd_env.config.units import GRAVITY, Array
 from sayd_env.config.vehicle import VehicleConfig
 from sayd_env.physics import plant as at
 from sayd_env.physics import step as kernels
@@ -32,8 +31,6 @@ from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.line import GRID_STEP, LineTable, tabulated
 from sayd_env.physics.simulator import Simulator, Telemetry, VehicleModel
 from sayd_env.physics.track.realisation import realise
-
-Array = npt.NDArray[np.float64]
 
 RADIUS, HALF_BASE = 0.46, 1.25  # of the wheels and of the bogie's wheelbase, m
 RAIL_RADIUS = 0.08

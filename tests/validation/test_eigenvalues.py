@@ -20,11 +20,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.signal import find_peaks
 
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics.equivalent_damper import STATES
 from sayd_env.physics.linear import (
@@ -41,8 +41,6 @@ from sayd_env.physics.linear import (
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.physics.step import rates
-
-Array = npt.NDArray[np.float64]
 
 AMPLITUDE = 3e-3
 DISTURBANCE = 1e-6

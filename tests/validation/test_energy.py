@@ -14,14 +14,13 @@ against the forces of the connections; and by what turns the frames, against the
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.integrate import trapezoid
 from scipy.linalg import eigh
 
 from sayd_env.config import validate
 from sayd_env.config.scenario import NumericsConfig, Scenario, load_scenario
-from sayd_env.config.units import GRAVITY
+from sayd_env.config.units import GRAVITY, Array
 from sayd_env.config.vehicle import VehicleConfig
 from sayd_env.physics import step as kernels
 from sayd_env.physics.line import CENTRE_KAPPA, CENTRE_ROWS, LineTable, tabulated
@@ -40,8 +39,6 @@ from sayd_env.physics.plant import (
     WHEELSETS,
 )
 from sayd_env.physics.simulator import Simulator, VehicleModel
-
-Array = npt.NDArray[np.float64]
 
 
 def row(lanes: Array, index: int) -> Array:

@@ -11,20 +11,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from pydantic import BaseModel
 from scipy.integrate import cumulative_trapezoid
 
 from sayd_env.config.damper import EqualPercentageThrottle, SaydDamperConfig, load_sayd
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics import step as kernels
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.physics.throttle import series_table, spring_valve_flow
-
-Array = npt.NDArray[np.float64]
 
 
 def random_motion(rng: np.random.Generator, times: Array, speed: float) -> tuple[Array, Array]:

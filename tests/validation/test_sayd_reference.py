@@ -20,15 +20,14 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
 from sayd_env.config.damper import EqualPercentageThrottle, OrificeThrottle, SaydDamperConfig, load_sayd
+from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics.plant import LANES
 
-Array = npt.NDArray[np.float64]
 State = tuple[float, float, float, float, float, float]
 """Stroke, stroke rate, rod position, rod rate, p_A, p_B."""
 Pair = tuple[float, float]

@@ -19,7 +19,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import yaml
 from scipy.integrate import solve_ivp
@@ -27,12 +26,11 @@ from scipy.signal import butter, sosfiltfilt
 
 from sayd_env.config import StudyError, validate
 from sayd_env.config.scenario import NumericsConfig, Scenario, load_scenario
+from sayd_env.config.units import Array
 from sayd_env.physics import step as kernels
 from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.plant import FORCE_Y, WHEELSETS, Plant, Work
 from sayd_env.physics.simulator import Simulator, VehicleModel
-
-Array = npt.NDArray[np.float64]
 
 DATA = Path(__file__).parent / "data"
 FROZEN = DATA / "time_step_scenario.yaml"

@@ -23,6 +23,8 @@ from sayd_env.config import DataError
 from sayd_env.config.units import Array
 from sayd_env.physics.contact.geometry import ContactTable, RigidContact
 
+AMPLITUDE = 3e-3
+"""Of the wheelset's lateral motion, at which EN 15302 quotes conicities (m)."""
 _QUADRATURE_NODES = 400
 _ROUNDING = 1e-9  # of the potential, by which two sides that are alike differ
 _FLAT = 1e-6  # a conicity below this is that of a cylinder

@@ -43,12 +43,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from sayd_env.config import DataError
 from sayd_env.config.contact import ContactConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.physics.array_cache import cached_array
 from sayd_env.physics.contact import hertz, kalker
 from sayd_env.physics.contact.hertz import hertz_coefficients
@@ -390,7 +389,7 @@ class _Pair:
     h: Array  # rail curve (m), -_FAR beyond the rail
     slope: Array  # rail slope dh/dt
     arm: Array  # e + s of the wheel samples (m)
-    shifts: NDArray[np.int64]  # index into h below the wheel's first sample, per node
+    shifts: Integers  # index into h below the wheel's first sample, per node
     offset: float  # t - s in the centred position (m)
 
 
@@ -587,7 +586,7 @@ def _off_profile(pair: _Pair) -> str:
 
 @kernel
 def _lowest(
-    p: Array, h: Array, arm: Array, shifts: NDArray[np.int64], roll: Array
+    p: Array, h: Array, arm: Array, shifts: Integers, roll: Array
 ) -> tuple[Array, Array]:  # pragma: no cover
     """Least gap of each node (z = 0) and its position in samples, refined by a parabola."""
     nodes, count = len(shifts), len(p)
@@ -612,8 +611,8 @@ def _lowest(
 
 @kernel
 def _windows(
-    p: Array, h: Array, arm: Array, shifts: NDArray[np.int64], roll: Array
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # pragma: no cover
+    p: Array, h: Array, arm: Array, shifts: Integers, roll: Array
+) -> tuple[Integers, Integers]:  # pragma: no cover
     """First and last sample of each node that comes near its least gap: within `_NEAR` at a roll."""
     nodes, count = len(shifts), len(p)
     first, last = np.empty(nodes, dtype=np.int64), np.empty(nodes, dtype=np.int64)
@@ -637,9 +636,9 @@ def _moments(
     h: Array,
     slope: Array,
     arm: Array,
-    shifts: NDArray[np.int64],
-    first_sample: NDArray[np.int64],
-    last_sample: NDArray[np.int64],
+    shifts: Integers,
+    first_sample: Integers,
+    last_sample: Integers,
     roll: Array,
     eps: Array,
     stride: int,

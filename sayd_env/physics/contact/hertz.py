@@ -15,18 +15,19 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.special import ellipkm1, elliprd
 
 from sayd_env.config.errors import DataError
+from sayd_env.config.units import Array
 
 # Axis ratios down to exp(-9) = 1.2e-4. A wheel on a rail stays above about 0.02.
 _LARGEST_LOG_ASPECT = 9.0
 _SPLINE_NODES = 1500
 
 
-def _curvature_integrals(kappa: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _curvature_integrals(kappa: Array) -> tuple[Array, Array]:
     """Integrals K and D = (K - E) / e^2 of the ellipse with the axis ratio kappa = minor / major.
 
     D comes from Carlson's R_D: the difference K - E loses all digits for a nearly circular contact.
@@ -35,7 +36,7 @@ def _curvature_integrals(kappa: NDArray[np.float64]) -> tuple[NDArray[np.float64
     return ellipkm1(squared), elliprd(0.0, squared, 1.0) / 3.0
 
 
-def curvature_ratio(kappa: ArrayLike) -> NDArray[np.float64]:
+def curvature_ratio(kappa: ArrayLike) -> Array:
     """Ratio of the relative curvatures (across the minor over along the major axis) of an axis ratio.
 
     Parameters
@@ -61,7 +62,7 @@ def _inverse() -> tuple[CubicSpline, float]:
     return CubicSpline(log_ratio, log_aspect), float(log_ratio[-1])
 
 
-def _axis_ratio(ratio: NDArray[np.float64]) -> NDArray[np.float64]:
+def _axis_ratio(ratio: Array) -> Array:
     """Axis ratio kappa of a curvature ratio >= 1."""
     inverse, largest = _inverse()
     log_ratio = np.log(ratio)
@@ -73,9 +74,7 @@ def _axis_ratio(ratio: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.exp(-inverse(log_ratio)))
 
 
-def hertz_coefficients(
-    A: ArrayLike, B: ArrayLike, E: float, nu: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def hertz_coefficients(A: ArrayLike, B: ArrayLike, E: float, nu: float) -> tuple[Array, Array, Array]:
     """Coefficients of force and semi-axes in powers of the penetration.
 
     Parameters

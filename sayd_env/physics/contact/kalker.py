@@ -18,29 +18,31 @@ asymptotes.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from sayd_env.config.units import Array
 
 # Nodes of the table: a/b = 0.1 ... 1.0 and then b/a = 0.9 ... 0.1; the columns are nu = 0, 0.25 and 0.5.
-TABLE_RATIO: NDArray[np.float64] = np.concatenate(
+TABLE_RATIO: Array = np.concatenate(
     [np.arange(1, 11) / 10.0, 10.0 / np.arange(9, 0, -1)],
 )
-TABLE_NU: NDArray[np.float64] = np.array([0.0, 0.25, 0.5])
+TABLE_NU: Array = np.array([0.0, 0.25, 0.5])
 
 # fmt: off
-TABLE_C11: NDArray[np.float64] = np.array([
+TABLE_C11: Array = np.array([
     [2.51, 3.31, 4.85], [2.59, 3.37, 4.81], [2.68, 3.44, 4.80], [2.78, 3.53, 4.82], [2.88, 3.62, 4.83],
     [2.98, 3.72, 4.91], [3.09, 3.81, 4.97], [3.19, 3.91, 5.05], [3.29, 4.01, 5.12], [3.40, 4.12, 5.20],
     [3.51, 4.22, 5.30], [3.65, 4.36, 5.42], [3.82, 4.54, 5.58], [4.06, 4.78, 5.80], [4.37, 5.10, 6.11],
     [4.84, 5.57, 6.57], [5.57, 6.34, 7.34], [6.96, 7.78, 8.82], [10.7, 11.7, 12.9],
 ])
-TABLE_C22: NDArray[np.float64] = np.array([
+TABLE_C22: Array = np.array([
     [2.51, 2.52, 2.53], [2.59, 2.63, 2.66], [2.68, 2.75, 2.81], [2.78, 2.88, 2.98], [2.88, 3.01, 3.14],
     [2.98, 3.14, 3.31], [3.09, 3.28, 3.48], [3.19, 3.41, 3.65], [3.29, 3.54, 3.82], [3.40, 3.67, 3.98],
     [3.51, 3.81, 4.16], [3.65, 3.99, 4.39], [3.82, 4.21, 4.67], [4.06, 4.50, 5.04], [4.37, 4.90, 5.56],
     [4.84, 5.48, 6.31], [5.57, 6.40, 7.51], [6.96, 8.14, 9.79], [10.7, 12.8, 16.0],
 ])
 # Some printings have 1.15 at a/b = 0.8, nu = 0.25, out of line with its neighbours; 1.25 is right.
-TABLE_C23: NDArray[np.float64] = np.array([
+TABLE_C23: Array = np.array([
     [0.334, 0.473, 0.731], [0.483, 0.603, 0.809], [0.607, 0.715, 0.889], [0.720, 0.823, 0.977],
     [0.827, 0.929, 1.07], [0.930, 1.03, 1.18], [1.03, 1.14, 1.29], [1.13, 1.25, 1.40], [1.23, 1.36, 1.51],
     [1.33, 1.47, 1.63], [1.44, 1.59, 1.77], [1.58, 1.75, 1.94], [1.76, 1.95, 2.18], [2.01, 2.23, 2.50],
@@ -52,7 +54,7 @@ TABLE_C23: NDArray[np.float64] = np.array([
 _TABLE_AXIS = np.where(TABLE_RATIO <= 1.0, TABLE_RATIO, 2.0 - 1.0 / TABLE_RATIO)
 
 
-def _nu_weights(nu: float) -> NDArray[np.float64]:
+def _nu_weights(nu: float) -> Array:
     """Lagrange weights of the three columns at a Poisson's ratio."""
     n0, n1, n2 = TABLE_NU
     return np.array(
@@ -64,7 +66,7 @@ def _nu_weights(nu: float) -> NDArray[np.float64]:
     )
 
 
-def _asymptotes_wide(g: NDArray[np.float64], nu: float) -> list[NDArray[np.float64]]:
+def _asymptotes_wide(g: Array, nu: float) -> list[Array]:
     """C11, C22, C23 of a contact much wider than long, g = a/b << 1."""
     c11 = np.full_like(g, np.pi**2 / (4.0 * (1.0 - nu)))
     c22 = np.full_like(g, np.pi**2 / 4.0)
@@ -72,7 +74,7 @@ def _asymptotes_wide(g: NDArray[np.float64], nu: float) -> list[NDArray[np.float
     return [c11, c22, c23]
 
 
-def _asymptotes_long(g: NDArray[np.float64], nu: float) -> list[NDArray[np.float64]]:
+def _asymptotes_long(g: Array, nu: float) -> list[Array]:
     """C11, C22, C23 of a contact much longer than wide, g = b/a << 1."""
     log = np.log(16.0 / (g * g))
     rest = 3.0 - np.log(4.0)
@@ -84,9 +86,7 @@ def _asymptotes_long(g: NDArray[np.float64], nu: float) -> list[NDArray[np.float
     return [c11, c22, c23]
 
 
-def kalker_coefficients(
-    a_over_b: ArrayLike, nu: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def kalker_coefficients(a_over_b: ArrayLike, nu: float) -> tuple[Array, Array, Array]:
     """Kalker's C11, C22 and C23 at any axis ratio.
 
     Parameters

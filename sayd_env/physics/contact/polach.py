@@ -16,8 +16,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sayd_env.config.units import Array
 from sayd_env.physics.kernel import kernel
 
 # Odd fraction t P(z) / Q(z), z = t^2, with the least maximum error (4.6e-10) to atan on [0, 1], by iterated
@@ -47,7 +48,7 @@ def arctangent(x: float) -> float:
     return _HALF_PI - value if beyond else value
 
 
-def polach_spin_gain(a_over_b: ArrayLike) -> NDArray[np.float64]:
+def polach_spin_gain(a_over_b: ArrayLike) -> Array:
     """Factor K = 1 + 6.3 (1 - exp(-a/b)) of Polach's spin force (1999), constant for an ellipse."""
     return np.asarray(1.0 - 6.3 * np.expm1(-np.asarray(a_over_b, dtype=float)))
 
@@ -135,9 +136,7 @@ def polach(
 
 
 @kernel
-def _polach_loop(
-    cases: NDArray[np.float64], shear_modulus: float, k_a: float, k_s: float, forces: NDArray[np.float64]
-) -> None:
+def _polach_loop(cases: Array, shear_modulus: float, k_a: float, k_s: float, forces: Array) -> None:
     """`polach` over the columns of cases (11, n), in the order of its arguments, into forces (2, n)."""
     for i in range(cases.shape[1]):
         forces[0, i], forces[1, i] = polach(
@@ -170,7 +169,7 @@ def polach_forces(
     shear_modulus: float,
     k_a: float = 1.0,
     k_s: float = 1.0,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """`polach` for arrays that broadcast against each other.
 
     Parameters

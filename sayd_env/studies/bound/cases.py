@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sayd_env.config.base import is_multiple
 from sayd_env.config.bound import BoundCondition, BoundConfig, ConstantSearch, SequenceSearch
@@ -15,7 +14,7 @@ from sayd_env.config.control import load_online
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.envs.draw import Episode, draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
@@ -274,7 +273,7 @@ class _Constants:
                 [new for each in set(self.by_section()[0]) for new in halfway(each, tried, self._closed)]
             )
 
-    def by_section(self) -> tuple[list[float], npt.NDArray[np.int64]]:
+    def by_section(self) -> tuple[list[float], Integers]:
         """The best command of each section, and the section of each control period."""
         sections = {
             current: np.asarray(np.bincount(self._place, costs, self._sections), dtype=np.float64)

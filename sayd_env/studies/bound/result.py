@@ -13,7 +13,7 @@ import numpy as np
 from sayd_env.config.bound import BoundConfig
 from sayd_env.config.palette import policy_style
 from sayd_env.config.units import Array
-from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
+from sayd_env.report.columns import PERCENT, Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, ratio_rows
 from sayd_env.report.html import Grid, Page, Picture, Section, Verdict
 from sayd_env.studies.bound.cases import CONSTANT, SCHEDULE
@@ -241,15 +241,14 @@ def _part(way: Array, whole: Array) -> float:
     return float(way.sum()) / total if total > 0.0 else math.nan
 
 
-_PERCENT: dict[str, Any] = {"unit": "%", "scale": 100.0, "digits": 0}
 _SEARCH = ("start", "changes", "decisions", "seconds")
 _SHARES = (
     Column("rule", "commands"),
     Column("J", "mean J"),
-    Column("gap", "over it", **_PERCENT),
-    Column("share", "of the way", **_PERCENT),
-    Column("share_of_mean", "in mean J", **_PERCENT),
-    Column("least", "least", wide=True, **_PERCENT),
+    Column("gap", "over it", **PERCENT),
+    Column("share", "of the way", **PERCENT),
+    Column("share_of_mean", "in mean J", **PERCENT),
+    Column("least", "least", wide=True, **PERCENT),
     Column("lowest", "lowest"),
     Column("derailed", "derailed", limit=0.0, wide=True),
 )

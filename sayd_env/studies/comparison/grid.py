@@ -24,7 +24,7 @@ from sayd_env.envs.draw import draw_episode
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.along import Trip, judged_along
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.metrics import Row, rows
+from sayd_env.runs.metrics import RATIOS, Row, rows
 from sayd_env.runs.policies import PolicySpec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of
 
@@ -80,7 +80,6 @@ OWN = Variant("online", 1.0)
 """The environment's J, in MPPT2's weighting."""
 OFFLINE = Variant("offline", 1.0)
 
-RATIOS = ("acceleration_ratio", "track_shift_ratio")
 AVERAGED = ("force_rms_n", "comfort", "valve_mean", "valve_travel_per_km", "switching_per_s")
 MEASURED = ("J_acceleration", "J_force", "J_offline_acceleration", "J_offline_force", *RATIOS, *AVERAGED)
 """Fields of a `Row` that a comparison reads."""

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sayd_env.config.reward import REPORTED
-from sayd_env.report.columns import Column, Listing, Table, csv_table
+from sayd_env.report.columns import LIMITED, Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot
 from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
+from sayd_env.runs.metrics import RATIOS
 from sayd_env.studies.comparison.figures import draw
-from sayd_env.studies.comparison.grid import OFFLINE, OWN, RATIOS, TOGETHER, Variant
+from sayd_env.studies.comparison.grid import OFFLINE, OWN, TOGETHER, Variant
 from sayd_env.studies.comparison.result import MATRIX, Comparison
 from sayd_env.studies.comparison.scores import Stability
 from sayd_env.studies.comparison.statistics import Estimate
@@ -57,13 +58,12 @@ _COSTS = (
     Column("J_best_training_seed"),
     Column("J_worst_training_seed"),
 )
-_LIMITED: dict[str, Any] = {"digits": 2, "limit": 1.0, "infinite": "derailed"}
 _BESIDE = (
     *(Column(column, f"J {name}", digits=4, best=True) for column, name in REPORTED.items()),
     Column("J_offline", "J off line", digits=4, best=True, wide=True),
-    Column("largest_acceleration_ratio", "acc. / limit", wide=True, **_LIMITED),
-    Column("largest_track_shift_ratio", "shift / limit", wide=True, **_LIMITED),
-    Column("largest_ratio", "largest ratio", **_LIMITED),
+    Column("largest_acceleration_ratio", "acc. / limit", wide=True, **LIMITED),
+    Column("largest_track_shift_ratio", "shift / limit", wide=True, **LIMITED),
+    Column("largest_ratio", "largest ratio", **LIMITED),
     Column("critical", "crit. km/h"),
 )
 """Printed beside the scores of J on line."""

@@ -11,6 +11,7 @@ import numpy as np
 from sayd_env.config.comparison import ComparisonConfig
 from sayd_env.config.frozen import frozen
 from sayd_env.config.units import Array
+from sayd_env.runs.metrics import RATIOS
 from sayd_env.runs.policies import PAPER, TUNED
 from sayd_env.studies.comparison.entrants import Entrant
 from sayd_env.studies.comparison.grid import (
@@ -18,7 +19,6 @@ from sayd_env.studies.comparison.grid import (
     FILTERS,
     OFFLINE,
     OWN,
-    RATIOS,
     TOGETHER,
     Runs,
     ScenarioGrid,

@@ -25,14 +25,13 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import trim_mean
 
 from sayd_env.config.comparison import BootstrapConfig
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Integers
 from sayd_env.envs.cost import mean_cost
 
-Draws = npt.NDArray[np.int64]
+Draws = Integers
 LEVEL = 0.95
 """Level of the intervals."""
 SMALLEST = 1e-300

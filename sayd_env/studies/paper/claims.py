@@ -12,13 +12,11 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.config.units import Array
+from sayd_env.config.units import Array, Flags, Integers
 from sayd_env.report.columns import Column, json_rows
 
-Flags = npt.NDArray[np.bool_]
-Seeds = npt.NDArray[np.int64]
+Seeds = Integers
 """A selection of seeds by their places, with repetitions in a bootstrap."""
 
 SHARE = 0.8

@@ -14,21 +14,12 @@ import numpy as np
 
 from sayd_env.config.assessment import AssessmentConfig, load_assessment
 from sayd_env.config.reproduction import load_reproduction
-from sayd_env.config.units import KMH, Array
+from sayd_env.config.units import KMH, Array, Flags
 from sayd_env.runs.controlled import REAR, ControlledRun, ControlledRuns
 from sayd_env.runs.metrics import switchings
 from sayd_env.runs.policies import PAPER
 from sayd_env.stability import Limits
-from sayd_env.studies.paper.claims import (
-    Claim,
-    Flags,
-    Seeds,
-    Verdict,
-    bootstrapped,
-    by_median,
-    by_seed,
-    spread,
-)
+from sayd_env.studies.paper.claims import Claim, Seeds, Verdict, bootstrapped, by_median, by_seed, spread
 
 MPPT1, MPPT2, ON_OFF, CONTINUOUS = PAPER
 CLOSED, OPEN = 0.0, 1.0

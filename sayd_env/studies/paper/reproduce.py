@@ -22,8 +22,8 @@ from sayd_env.runs.passive import Sweep, runs_table
 from sayd_env.runs.policies import PAPER, PolicySpec, policy_spec
 from sayd_env.studies.components.conicity import conicity, plot_conicity
 from sayd_env.studies.critical_speed import (
+    AccelerationHistory,
     CreepLawComparison,
-    History,
     check_laws,
     compare_laws,
     draw_histories,
@@ -60,7 +60,7 @@ class ReproduceResult(Judged):
     """Track realisations that a verdict needs."""
     by_period: periods.PeriodClaims = field(default_factory=dict)
     """Rows S1 to S6 at other control periods."""
-    histories: tuple[History, ...] = ()
+    histories: tuple[AccelerationHistory, ...] = ()
     """Of the passive vehicle on new wheels."""
     creep_laws: Mapping[str, CreepLawComparison] = field(default_factory=dict)
     """Critical speeds on new and on worn wheels by creep law."""

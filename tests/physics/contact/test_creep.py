@@ -10,9 +10,9 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from sayd_env.config.units import Array
 from sayd_env.physics import array_cache
 from sayd_env.physics.array_cache import stored_array
 from sayd_env.physics.contact import creep
@@ -20,8 +20,6 @@ from sayd_env.physics.contact.fastsim import fastsim
 from sayd_env.physics.contact.kalker import TABLE_C11, TABLE_C22, TABLE_C23, TABLE_RATIO, kalker_coefficients
 from sayd_env.physics.contact.polach import polach_forces
 from sayd_env.physics.kernel import _DistinctArrays
-
-Array = NDArray[np.float64]
 
 G, MU, N, POISSON, AXIS = 82e9, 0.35, 75e3, 0.28, 5.5e-3
 CREEPAGES = 2e-3 * np.array([1.0, 1.0, 1.0 / AXIS])
