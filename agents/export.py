@@ -75,10 +75,10 @@ def onnx_model(stored: StoredPolicy) -> Any:
     model = helper.make_model(
         made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=8, producer_name="sayd-env"
     )
-    told = _metadata(stored.description)
+    properties = _metadata(stored.description)
     if policy.encoding.memory_width:
-        told["remembered"] = str(policy.encoding.memory_width)
-    helper.set_model_props(model, told)
+        properties["remembered"] = str(policy.encoding.memory_width)
+    helper.set_model_props(model, properties)
     return model
 
 

@@ -52,7 +52,7 @@ def started(state: Any | None, episode_start: Any | None, count: int, width: int
 def run_in(heard: RunIn, interface: Interface) -> Iterator[tuple[Flags, Single]]:
     """Vehicles on their way to step 0, and what they observed, period by period.
 
-    Of a history the two newest rows are told, which is all that memories read. The last observation is left
+    Of a history these are the two newest rows, which is all that memories read. The last observation is left
     out: it comes with the first call of a policy.
 
     Yields

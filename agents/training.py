@@ -67,7 +67,7 @@ LOGS = 10
 
 Report = Callable[[float, float, str], None]
 Judge = Callable[[int, float], bool]
-"""Hears steps and J of each evaluation, and says whether to stop there."""
+"""Gets steps and J of each evaluation, and says whether to stop there."""
 Evaluator = Callable[[StoredPolicy | str], Array]
 """Gives J of a policy, or of that of a name, in each of `EvaluationConfig.cases`."""
 

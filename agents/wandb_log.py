@@ -63,8 +63,8 @@ class WandbWriter(KVWriter):
                 resume="allow",
             )
         except Exception as error:  # its errors have no common base
-            told = str(error).splitlines() or [type(error).__name__]
-            raise ConfigError(f"--wandb: {told[0]}") from None
+            message = str(error).splitlines() or [type(error).__name__]
+            raise ConfigError(f"--wandb: {message[0]}") from None
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, Any], step: int = 0) -> None:
         """Send a row of numbers."""

@@ -436,7 +436,7 @@ def summary(model: type[BaseModel]) -> str:
 
 
 def meaning(name: str, field: FieldInfo) -> str:
-    """What a key is: its description, or that of the section that stands there."""
+    """What a key is: its description, or that of its section."""
     if field.description:
         return field.description
     inner = [summary(model) for model, _ in _models(field.annotation)]

@@ -1,4 +1,4 @@
-"""Co-simulation as in the paper's figure 7: damper units drive the vehicle, told and telling at a fixed step.
+"""Co-simulation as in the paper's figure 7: damper units and vehicle exchange signals at a fixed step.
 
 Eight instances of the damper's FMU (machine code, loaded by FMPy) stand in place of the vehicle's own
 dampers; the vehicle stands for anybody's. Shown is what the communication step costs: the error of a damper's
@@ -27,13 +27,13 @@ FORCE, ACCELERATION = "force.front.left.upper", "lateral_acceleration.front.lead
 
 
 class Dampers:
-    """Eight instances of a damper's unit (FMI 2.0), told the ends at the end of each step."""
+    """Eight instances of a damper's unit (FMI 2.0), with the ends set at the end of each step."""
 
     def __init__(self, path: str, command: float) -> None:
         folder = fmpy.extract(path)
         about = fmpy.read_model_description(folder)
         place = {variable.name: variable.valueReference for variable in about.modelVariables}
-        self.told = [place[name] for name in ("x_1", "v_1", "x_2", "v_2", "current")]
+        self.inputs = [place[name] for name in ("x_1", "v_1", "x_2", "v_2", "current")]
         self.tells = [place["F_1"], place["F_2"]]
         self.command = command
         self.units = [fmpy.instantiate_fmu(folder, about) for _ in DAMPERS]
@@ -48,7 +48,7 @@ class Dampers:
         """Forces F_1 and F_2 (2, 8) after a step that the ends (4, 8) have arrived from."""
         forces = []
         for unit, end in zip(self.units, ends.T, strict=True):
-            unit.setReal(self.told, [*end, self.command])
+            unit.setReal(self.inputs, [*end, self.command])
             unit.doStep(currentCommunicationPoint=time, communicationStepSize=h)
             forces.append(unit.getReal(self.tells))
         return np.array(forces).T

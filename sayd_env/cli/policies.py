@@ -60,7 +60,7 @@ def evaluate(
     charged in it as the environment does. J_run is the same over the whole assessed 5 km, J_offline with the
     filter of the assessment. The weights do not change what the controllers mppt1 and mppt2 minimise.
 
-    With --line, policies run over the whole of a line, and all is told by its sections: J, the part of its
+    With --line, policies run over the whole of a line, and results are by section: J, the part of its
     force that the curve itself asks for, sliding RMS by EN 14363 on straight parts of 500 m and more, 2 m
     means of Y/Q, of the track shift force and of wheel unloading.
     """
@@ -432,7 +432,7 @@ def tune(
     The list, the ranges and the budget are those of configs/study/tuning.yaml (--config, --set); J has the
     weights of MPPT2 (--set reward=low-force). constant: Brent's search, some three minutes; the others:
     differential evolution, then COBYQA, six to eleven minutes; --quick takes a few scenarios and evaluations.
-    The simulated time is told beside that of one PPO training.
+    The simulated time is printed beside that of one PPO training.
 
     The result is a file of parameters that --policies takes like a name, for example
     results/tune-mppt2/mppt2-tuned.yaml; the packaged controllers with names in -tuned were found so.

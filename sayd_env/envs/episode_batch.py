@@ -229,8 +229,8 @@ class EpisodeBatch:
             for i, vehicle in zip(which, built, strict=True):
                 self._vehicles.put(i, vehicle)
         self.heard = self._prepared(self._vehicles, which) if listen else None
-        told = [call for call in (self._hear if listen else None, watch) if call is not None]
-        logs = self._vehicles.run_in(which, log=log, hear=_in_turn(told) if told else None)
+        listeners = [call for call in (self._hear if listen else None, watch) if call is not None]
+        logs = self._vehicles.run_in(which, log=log, hear=_in_turn(listeners) if listeners else None)
         for i, model, episode, line in zip(which, models, episodes, lines, strict=True):
             self.episodes[i], self.lines[i], self._models[i] = episode, line, model
             self.limits[i] = model_limits(model)
@@ -353,7 +353,7 @@ class EpisodeBatch:
         vehicles = self.vehicles
         running = self._running(active)
         np.asarray(actions, dtype=np.float64).take(self._valve, axis=1, out=self._commanded)
-        if active is not None:  # the others keep theirs, as what is told of them does
+        if active is not None:  # the others keep theirs, and so does their telemetry
             self._commanded[~active] = vehicles.command[~active]
         vehicles.step(self._commanded, log=log, active=active)
         self.elapsed += running

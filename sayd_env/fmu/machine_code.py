@@ -22,7 +22,7 @@ def object_file(kernel: Callable[..., Any], arguments: tuple[Any, ...], symbol: 
     """Machine code of a kernel as a C function.
 
     The kernel's own source is compiled as its decorator does, with the kernels that it calls; only Numba's
-    wrapper, which takes Python's objects, is left out. What remains is told to the processor anew: no
+    wrapper, which takes Python's objects, is left out. What remains is compiled for the target: no
     instruction of the machine that compiles is taken for granted.
 
     Parameters

@@ -140,7 +140,7 @@ class VehicleUnit:
         if self._outside:
             rows[sayd.ATTACHED] = 0.0
         self._signals = np.zeros(self._run.channels)
-        self._tell(value)
+        self._write_outputs(value)
 
     def step(self, h: float, value: Array) -> None:
         """Advance over a communication step (s), over which the inputs hold.
@@ -170,14 +170,14 @@ class VehicleUnit:
         signals = self._signals[None, :]
         if advance(self._plant, state, self._work, count, signals, none, none, none) < 1:
             raise StudyError(self._run.divergence())
-        self._tell(value)
+        self._write_outputs(value)
 
     def _input(self, value: Array, name: str) -> Array:
         return value[self._first[name] : self._first[name] + LANES]
 
-    def _tell(self, value: Array) -> None:
+    def _write_outputs(self, value: Array) -> None:
         state, count = self._run.state, len(self.model.multibody.wheelset_x)
-        told = {
+        outputs = {
             "x_1": self._bogie @ state.q,
             "v_1": self._bogie @ state.v,
             "x_2": self._car @ state.q,
@@ -188,8 +188,8 @@ class VehicleUnit:
         }
         rows = state.sayd.reshape(sayd.STATES, LANES)
         attached = 0.0 if self._outside else 1.0
-        told |= {name: rows[row] * (attached if name == "force" else 1.0) for name, _, _, row in _OWN}
-        for name, numbers in told.items():
+        outputs |= {name: rows[row] * (attached if name == "force" else 1.0) for name, _, _, row in _OWN}
+        for name, numbers in outputs.items():
             value[self._first[name] : self._first[name] + len(numbers)] = numbers
         if not math.isfinite(float(np.sum(value))):
             raise StudyError(self._run.divergence())

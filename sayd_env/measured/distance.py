@@ -110,7 +110,7 @@ class DistanceTable:
     x : ndarray, shape (n,)
         Ascending distances (m).
     position : DistanceColumn
-        The same as it stands there.
+        The same as it stands in the file.
     columns : mapping
         The other columns by name.
     variants : mapping

@@ -1,4 +1,4 @@
-"""What a user is told of the measured files that a configuration names."""
+"""Notes for the user on the measured files that a configuration names."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ WIDEST_GAP, RUNNING = 6e-3, (-0.025, 0.020)
 """Points may be so far apart (m) where wheels run, about the tape circle and the middle of the head."""
 
 COARSE = 1e-3
-"""Points of a tread that are farther apart (m) are told: conicity at small amplitudes depends on what lies
+"""Points of a tread that are farther apart (m) are noted: conicity at small amplitudes depends on what lies
 between them."""
 
 STANDS_OFF, KINK, NOISE = 3e-5, 0.06, 8.0
@@ -200,7 +200,7 @@ def _upright(
     invert: bool | None,
     tape_to_back: float | None,
 ) -> tuple[Array, Array, list[str]]:
-    """Curve with z upwards and a wheel's flange at negative y, if not told otherwise.
+    """Curve with z upwards and a wheel's flange at negative y, unless stated otherwise.
 
     Most of a wheel's width is its tread, from which the flange stands out; most of a rail's is the top of its
     head, below which the sides hang.

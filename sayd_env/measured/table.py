@@ -302,7 +302,7 @@ def table_of(
     may_end_short: bool = False,
     cut: bool = False,
 ) -> TextTable:
-    """Table of lines, one at least: of a whole file, or of a part of it whose beginning is told otherwise.
+    """Table of lines, one at least: of a whole file, or of a part of it whose header is read elsewhere.
 
     Parameters
     ----------

@@ -106,7 +106,7 @@ def without_brackets(text: str) -> str:
 
 
 def name_and_unit(header: str) -> tuple[str, str]:
-    """A column's name, and the unit in brackets or at its end as it stands there; "" where there is none.
+    """A column's name, and the unit in brackets or at its end as in the file; "" where there is none.
 
     Examples
     --------

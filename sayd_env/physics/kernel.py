@@ -26,7 +26,7 @@ from sayd_env.physics.kernel_cache import kernel_cache, kernel_folder, numba_con
 njit: Any = numba.njit  # its annotations leave out the option that switches reference counts off
 _ANNOUNCEMENTS: dict[tuple[str, str], str] = {}
 REMINDED_EVERY = 15.0
-"""Time after which somebody who waits for a compilation hears that it goes on (s)."""
+"""Time after which a compilation that goes on is reported (s)."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -38,7 +38,7 @@ CACHE_DIRECTORY = kernel_folder() if COMPILES else None
 
 
 class _DistinctArrays(Compiler):
-    """Numba's compiler, with LLVM told that array arguments do not overlap."""
+    """Numba's compiler, which declares to LLVM that array arguments do not overlap."""
 
     def define_pipelines(self) -> Any:
         self.state.flags.noalias = True

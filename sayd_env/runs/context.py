@@ -1,4 +1,4 @@
-"""How a study has its runs made: who computes, where finished runs are kept, who hears of progress."""
+"""How a study has its runs made: who computes, where finished runs are kept, who reports progress."""
 
 from __future__ import annotations
 

@@ -170,8 +170,8 @@ def train(
     about = provenance(command)
     with KeptExecutor(executor or ExecutorChoice()) as kept:
         evaluator = policy_evaluator(config, kept)
-        told: dict[str, Any] = {"about": about, "progress": progress, "judge": judge, "wandb": wandb}
-        return TrainResult(learn(config, folder, evaluator, resume=resume, **told))
+        options: dict[str, Any] = {"about": about, "progress": progress, "judge": judge, "wandb": wandb}
+        return TrainResult(learn(config, folder, evaluator, resume=resume, **options))
 
 
 def policy_evaluator(config: TrainConfig, kept: KeptExecutor | None = None) -> Evaluator:

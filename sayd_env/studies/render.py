@@ -243,10 +243,10 @@ def _filmed(
     first = recorders[0].frame()
     result = RenderResult(video, first.speed, seed, first.wear, first.friction)
 
-    def told(done: float, total: float, what: str = "") -> None:
+    def report(done: float, total: float, what: str = "") -> None:
         progress(before + done, before + total, what)
 
-    write_video(video.file, _pictures(result, rides, draw, told), video.fps, colours())
+    write_video(video.file, _pictures(result, rides, draw, report), video.fps, colours())
     return result
 
 

@@ -70,11 +70,11 @@ def test_a_sine_has_its_level_and_its_frequency(interface: Interface) -> None:
     names = {f"stroke.rear.{side}.{level}": s for side, s in sides.items() for level in ("upper", "lower")}
     wave = away + amplitude * np.sin(2.0 * np.pi * frequency * t)
     found = numbers(encoding_of(interface), moving(interface, names, wave))
-    told = np.sin(np.pi * frequency * PERIOD) / (np.pi * PERIOD)
+    expected = np.sin(np.pi * frequency * PERIOD) / (np.pi * PERIOD)
     assert found["yaw_stroke_level"][1] == pytest.approx(amplitude / np.sqrt(2.0), rel=0.02)
-    assert found["frequency"][1] == pytest.approx(told, rel=0.02)
+    assert found["frequency"][1] == pytest.approx(expected, rel=0.02)
     assert found["yaw_rate_level"][1] == pytest.approx(
-        2.0 * np.pi * told * amplitude / np.sqrt(2.0), rel=0.02
+        2.0 * np.pi * expected * amplitude / np.sqrt(2.0), rel=0.02
     )
 
 

@@ -402,9 +402,9 @@ def test_onnxruntime_gives_the_same_commands(
     seen[3, 0], seen[4, 1] = np.nan, 0.0
     (found,) = session.run(None, {"observation": seen})
     np.testing.assert_allclose(found, policy.bound(interface).predict(seen)[0], atol=1e-6, rtol=0)
-    told = session.get_modelmeta().custom_metadata_map
-    assert told["signals"].split() == [signal.name for signal in interface.signals]
-    assert (told["valves"], float(told["control_period"])) == ("bogie", 0.05)
+    reported = session.get_modelmeta().custom_metadata_map
+    assert reported["signals"].split() == [signal.name for signal in interface.signals]
+    assert (reported["valves"], float(reported["control_period"])) == ("bogie", 0.05)
 
 
 @pytest.mark.parametrize(

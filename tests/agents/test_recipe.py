@@ -34,9 +34,9 @@ SHORT = (
 def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> Any:
     """Result of a command."""
     status = main([*arguments, "--json"])
-    told = capsys.readouterr()
-    assert status == 0, told.err
-    return json.loads(told.out)
+    reported = capsys.readouterr()
+    assert status == 0, reported.err
+    return json.loads(reported.out)
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])

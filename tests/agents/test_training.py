@@ -172,10 +172,10 @@ def test_a_run_is_exported(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["export", str(trained.folder), "--out", "here", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    (file,) = told["files"]
+    reported = json.loads(capsys.readouterr().out)
+    (file,) = reported["files"]
     assert read_policy(file).description == read_policy(trained.folder / "best.npz").description
-    assert told["made"]["judged"] == trained.best
+    assert reported["made"]["judged"] == trained.best
     assert main(["export", str(trained.folder), "--out", "here"]) == 2
     assert "exists already" in capsys.readouterr().err
     (tmp_path / "bad.npz").write_bytes(Path(file).read_bytes()[:500])

@@ -75,8 +75,8 @@ def test_the_exit_status_says_whether_something_is_missed(
     values = {check.ROOT: 10.0, tmp_path: 5.0}
     monkeypatch.setattr(check, "measure", lambda _, root: {"value": values[root]})
     assert check.main(["--only", "ppo", "--rounds", "2", "--json"]) == 0
-    (told,) = json.loads(capsys.readouterr().out)["rows"]
-    assert (told["ratio"], told["ok"], told["tree"]["values"]) == (2.0, True, [10.0, 10.0])
+    (reported,) = json.loads(capsys.readouterr().out)["rows"]
+    assert (reported["ratio"], reported["ok"], reported["tree"]["values"]) == (2.0, True, [10.0, 10.0])
     values[tmp_path] = 5.1
     assert check.main(["--only", "ppo"]) == 1
     assert "NO" in capsys.readouterr().out

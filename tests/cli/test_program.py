@@ -17,7 +17,7 @@ import pytest
 
 from sayd_env.cli import learning, main, policies
 
-# A program with one more command, which does what it is told.
+# A program with one more command, which does what a test asks.
 PROGRAM = """
 import sys, time
 from typing import Annotated

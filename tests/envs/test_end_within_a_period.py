@@ -1,4 +1,4 @@
-"""What is told of a run that ends within a control period: of the sample at which it ended.
+"""Telemetry of a run that ends within a control period: of the sample at which it ended.
 
 The vehicle's time steps do not know of control periods: with a constant command, a run with control periods
 of one sample is the same run, and it stops right there.
@@ -99,7 +99,7 @@ def test_a_quotient_beyond_its_limit(tmp_path: Path, damper: str) -> None:
 
 
 def test_vehicles_side_by_side_tell_the_same(tmp_path: Path) -> None:
-    """The others of a group run on: what is told of one that has ended stays that of its last sample."""
+    """The others of a group run on: telemetry of one that has ended stays that of its last sample."""
     single = environment(tmp_path, 1.5, 0.01, "sayd")
     ends = [run(single, seed) for seed in range(WIDTH)]
     vector = SaydVectorEnv(str(tmp_path / "1.5.yaml"), num_envs=WIDTH, num_threads=1, info="full")

@@ -22,28 +22,28 @@ def over_2_m(values: np.ndarray, speed: float) -> np.ndarray:
 def test_means_are_those_over_the_last_2_m(quick: str, speed_kmh: float) -> None:
     env = SaydEnv(quick, control_period=0.001, info="full")
     env.reset(seed=5, options=BAD | {"speed_kmh": speed_kmh})
-    told, terms = [], []
+    infos, terms = [], []
     for _ in range(180):
-        told.append(env.step(ACTION)[4])
+        infos.append(env.step(ACTION)[4])
         terms.append(env.batch.vehicles.terms[0].copy())
     lateral, vertical = (
-        np.array([info[f"wheel_{way}_force"] for info in told]) for way in ("lateral", "vertical")
+        np.array([info[f"wheel_{way}_force"] for info in infos]) for way in ("lateral", "vertical")
     )
     # Towards the flange: the left wheels, which come first, push their rail to the left.
     quotient = np.where(vertical > 0.0, lateral * np.tile([1.0, -1.0], 4) / vertical, 0.0)
-    shift = np.array([info["track_shift_force"] for info in told])
+    shift = np.array([info["track_shift_force"] for info in infos])
     full = int(2.0 / (speed_kmh / 3.6 * 1e-3)) + 1
     for name, values, place, size in (
         ("mean_quotient", quotient, PEAK_QUOTIENT, lambda mean: max(0.0, mean.max())),
         ("mean_track_shift", shift, PEAK_TRACK_SHIFT, lambda mean: np.abs(mean).max()),
     ):
-        found = np.array([info[name] for info in told])
+        found = np.array([info[name] for info in infos])
         expected = over_2_m(values, speed_kmh / 3.6)
         scale = np.abs(expected).max()
         np.testing.assert_allclose(found[full:], expected[full:], rtol=0, atol=1e-12 * scale)
         peaks = [size(mean) for mean in found]
         np.testing.assert_array_equal([row[place] for row in terms], peaks)
-    assert told[0]["limit_mean_track_shift"] == 2.0 * told[0]["limit_track_shift"]
+    assert infos[0]["limit_mean_track_shift"] == 2.0 * infos[0]["limit_track_shift"]
 
 
 def test_the_run_ends_at_the_first_sample_whose_mean_exceeds_the_limit(quick: str) -> None:

@@ -1,4 +1,4 @@
-"""One vehicle: seeds and episodes, options, bad input, what is told, how an episode ends."""
+"""One vehicle: seeds and episodes, options, bad input, telemetry, how an episode ends."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def integrated(config: SaydDamperConfig, t: Array) -> Array:
     state, inputs = sayd.rest(config), np.zeros(sayd.INPUTS * LANES)
     rows, given = state.reshape(-1, LANES), inputs.reshape(-1, LANES)
     line = np.full(sayd.line_length(config, step) * LANES, config.current)
-    told = [rows[:, 0].copy()]
+    reported = [rows[:, 0].copy()]
     for n in range(len(t) - 1):
         for x, v, old, end in (
             (sayd.END_1, sayd.RATE_1, sayd.OLD_RATE_1, "1"),
@@ -71,8 +71,8 @@ def integrated(config: SaydDamperConfig, t: Array) -> Array:
         rows[sayd.COMMAND] = ends["current"][n]
         sayd.move_valves((0,), arrays.constant, line, inputs, state)
         sayd.integrate((0,), step, arrays.substeps, arrays.constant, arrays.table, inputs, state)
-        told.append(rows[:, 0].copy())
-    return np.array(told)[:, [sayd.FORCE_1, sayd.FORCE_2, sayd.PRESSURE_A, sayd.PRESSURE_B, sayd.STROKE]]
+        reported.append(rows[:, 0].copy())
+    return np.array(reported)[:, [sayd.FORCE_1, sayd.FORCE_2, sayd.PRESSURE_A, sayd.PRESSURE_B, sayd.STROKE]]
 
 
 def columns(found: Any) -> Array:
@@ -256,7 +256,7 @@ class Stepped:
 
 
 def test_a_moving_train_and_an_offset_change_nothing(damper_units: list[Path]) -> None:
-    """Galilei: ends told in a frame at rest, 800 m along the line at 80 m/s, with a length between them."""
+    """Galilei: ends given in a frame at rest, 800 m along the line at 80 m/s, with a length between them."""
     t = STEP * np.arange(401)
     moving = {"motion": REACHED, "x_1": 800.7, "x_2": 800.0, "v_1": 80.0, "v_2": 80.0}
     with Stepped(damper_units[0], {"motion": REACHED}) as still, Stepped(damper_units[0], moving) as unit:

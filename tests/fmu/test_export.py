@@ -16,11 +16,14 @@ from sayd_env.fmu import unit as units
 def test_command_writes_a_vehicle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ("export", "--fmu", "vehicle", "--speed", "320", "--json", "--out", str(tmp_path))
     assert main(arguments) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["needs_python"] is True
-    assert [Path(file).name for file in told["files"]] == ["sayd_vehicle_fmi2.fmu", "sayd_vehicle_fmi3.fmu"]
-    assert all(Path(file).is_file() for file in told["files"])
-    (speed,) = [v["start"] for v in told["variables"] if v["name"] == "speed"]
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["needs_python"] is True
+    assert [Path(file).name for file in reported["files"]] == [
+        "sayd_vehicle_fmi2.fmu",
+        "sayd_vehicle_fmi3.fmu",
+    ]
+    assert all(Path(file).is_file() for file in reported["files"])
+    (speed,) = [v["start"] for v in reported["variables"] if v["name"] == "speed"]
     assert speed == pytest.approx(320 / 3.6)
 
 

@@ -111,8 +111,8 @@ def test_keys_of_its_irregularities_are_the_lines(tmp_path: Path) -> None:
     assert isinstance(piece.irregularity, FileConfig)
     note = "gauge_mm: the nominal gauge, 1437 mm, is taken off"
     assert read_measured(piece.irregularity).notes == (note,)
-    told = measured_notes({"line": line_content(str(tmp_path / "mine.yaml"))})
-    assert told == (f"{tmp_path / 'twist.csv'}: {note}",)
+    reported = measured_notes({"line": line_content(str(tmp_path / "mine.yaml"))})
+    assert reported == (f"{tmp_path / 'twist.csv'}: {note}",)
 
 
 @pytest.mark.parametrize("way", ["key", "comment", "column"])

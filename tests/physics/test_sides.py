@@ -54,9 +54,12 @@ def test_the_mirrored_vehicle_moves_as_in_a_mirror(two_sided: VehicleModel, exch
 
 
 def test_two_sides_that_are_alike_are_one() -> None:
-    plain, told = model(), model("wheel={left: s1002, right: s1002}", "rail={left: '60e1', right: '60e1'}")
-    assert told.right_table is None
-    for ours, theirs in zip(vehicle(plain, 0.0).plant, vehicle(told, 0.0).plant, strict=True):
+    plain, named = (
+        model(),
+        model("wheel={left: s1002, right: s1002}", "rail={left: '60e1', right: '60e1'}"),
+    )
+    assert named.right_table is None
+    for ours, theirs in zip(vehicle(plain, 0.0).plant, vehicle(named, 0.0).plant, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 

@@ -82,14 +82,14 @@ def test_losses_are_geometric_means_over_the_conditions(found: ConstantMap):
 
 
 def test_json_keeps_its_keys_and_tells_all_weights(found: ConstantMap):
-    told = found.as_dict()
-    entry = told["best_constant"][0]
+    reported = found.as_dict()
+    entry = reported["best_constant"][0]
     assert entry["condition"] == {
         **{"speed_kmh": 200.0, "wheel": "new", "wear": 0.0, "gauge": 1.435, "friction": 0.35, "level": None}
     }
     assert {"current", "J"} <= set(entry)
     assert set(entry["by_force_weight"]) == {"0.5", "1"}
-    assert [row["force_weight"] for row in told["adaptation"]] == [0.5, 1.0]
+    assert [row["force_weight"] for row in reported["adaptation"]] == [0.5, 1.0]
     assert set(found.tables()) == {"best_constant", "adaptation", "adaptation_by_condition"}
     assert set(found.plots()) == {"map_best_constant", "map_single"}
     console = Console(file=io.StringIO(), width=80)

@@ -161,12 +161,12 @@ def test_where_the_vehicle_derails_the_limit_is_exceeded(result: Make):
 
 
 def test_progress_counts_every_run_once(short_scenario: Scenario):
-    told: list[tuple[float, float]] = []
+    progress: list[tuple[float, float]] = []
     context = RunContext(
-        ExecutorChoice(workers=4), progress=lambda done, total, what="": told.append((done, total))
+        ExecutorChoice(workers=4), progress=lambda done, total, what="": progress.append((done, total))
     )
     result = find_critical_speed(short_scenario, SPEEDS, (0, 1), context=context)
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert progress == [(1, 4), (2, 4), (3, 4), (4, 4)]
     # A history shows the wheelset with the highest RMS, of the first seed.
     for history in result.histories:
         shown = result.sweep.acceleration[SPEEDS.index(history.speed), 0]

@@ -49,10 +49,10 @@ def _program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_each_seed_is_a_run_of_its_own_with_one_thread(tmp_path: Path) -> None:
-    config, folder, told = load_train("ppo"), tmp_path / "runs", list[float]()
+    config, folder, shares = load_train("ppo"), tmp_path / "runs", list[float]()
 
     def progress(done: float, total: float, what: str = "") -> None:
-        told.append(done / total)
+        shares.append(done / total)
 
     result = train_seeds(config, [1, 3], folder, parallel=1, progress=progress)
     assert result.best == {1: 1.1, 3: 3.1}
@@ -60,8 +60,8 @@ def test_each_seed_is_a_run_of_its_own_with_one_thread(tmp_path: Path) -> None:
     assert load_train(str(folder / "s3.yaml")) == config.model_copy(update={"seed": 3})
     said = (folder / "s3" / "said").read_text()
     assert said == f"train --config {folder / 's3.yaml'} --out {folder / 's3'} --workers 1 1 1"
-    assert told == sorted(told)
-    assert told[-1] == 128 / (2 * config.total_steps)
+    assert shares == sorted(shares)
+    assert shares[-1] == 128 / (2 * config.total_steps)
     again = train_seeds(config, [1, 3], folder, parallel=2)
     assert again.best == result.best
     assert (folder / "s1" / "said").read_text().startswith(f"train --resume {folder / 's1'} --set total_")
@@ -101,7 +101,7 @@ def test_an_interruption_lets_all_save(tmp_path: Path) -> None:
 def test_the_command_line_says_what_came_of_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     assert main(["train", "ppo", "--seed", "2", "--seeds", "2", "--out", "runs", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["best_J"] == {"2": 2.1, "3": 3.1}
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["best_J"] == {"2": 2.1, "3": 3.1}
     names = {path.name for path in Path("runs").iterdir()}
     assert names >= {"s2", "s3", "s2.yaml", "s3-output.txt", "seeds.csv", "learning.png", "result.json"}

@@ -98,7 +98,7 @@ def series(p: Array, square: float, drop: float) -> float:
 
 @_inline
 def ends(now: Array, then: Array, share: float) -> tuple[float, float, float, float]:
-    """x'_1, v'_1, x'_2, v'_2 within a sample: velocities are linear, as the simulator is told them."""
+    """x'_1, v'_1, x'_2, v'_2 within a sample: velocities are linear, as the simulator takes them."""
     left = (1.0 - share) * STEP
     rise_1, rise_2 = (then[1] - now[1]) / STEP, (then[3] - now[3]) / STEP
     x1 = then[0] - left * (then[1] - 0.5 * left * rise_1)

@@ -342,7 +342,7 @@ class _Search:
         """All of them, but those that failed."""
         found = []
         for trial in self.study.get_trials(deepcopy=False):
-            state, told = trial.state.name.lower(), trial.user_attrs
+            state, attributes = trial.state.name.lower(), trial.user_attrs
             if state in DONE:
                 ranges = self.settings.ranges
                 settings = {
@@ -350,7 +350,14 @@ class _Search:
                     for name, value in trial.params.items()
                 }
                 found.append(
-                    Trial(trial.number, state, settings, told["cost"], told["steps"], told["driven"])
+                    Trial(
+                        trial.number,
+                        state,
+                        settings,
+                        attributes["cost"],
+                        attributes["steps"],
+                        attributes["driven"],
+                    )
                 )
         return found
 

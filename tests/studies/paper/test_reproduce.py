@@ -37,14 +37,14 @@ SHORT = ["--config", "estimates", "--set", "assessment.run_in=200", "--set", "as
 
 
 @pytest.fixture(scope="module")
-def told() -> list[tuple[float, float]]:
+def progress() -> list[tuple[float, float]]:
     return []
 
 
 @pytest.fixture(scope="module")
-def result(short_scenario: Scenario, told: list[tuple[float, float]]) -> ReproduceResult:
+def result(short_scenario: Scenario, progress: list[tuple[float, float]]) -> ReproduceResult:
     context = RunContext(
-        ExecutorChoice(workers=2), progress=lambda done, total, what="": told.append((done, total))
+        ExecutorChoice(workers=2), progress=lambda done, total, what="": progress.append((done, total))
     )
     return reproduce(short_scenario, [3], context=context)
 
@@ -59,8 +59,8 @@ def test_every_row_is_judged(result: ReproduceResult):
         assert 0.0 <= row["fraction"] <= 1.0
 
 
-def test_progress_goes_on_over_all_runs(result: ReproduceResult, told: list[tuple[float, float]]):
-    assert told == [(done, RUNS) for done in range(1, RUNS + 1)]
+def test_progress_goes_on_over_all_runs(result: ReproduceResult, progress: list[tuple[float, float]]):
+    assert progress == [(done, RUNS) for done in range(1, RUNS + 1)]
 
 
 class Stop(Exception):
@@ -260,10 +260,10 @@ def test_rows_under_other_assumptions(short_scenario: Scenario):
             "assumptions=[{name: p, creep_law: polach, seeds: 1}, {name: c, track: china, seeds: 2}]",
         ]
     )
-    told: list[tuple[float, float]] = []
-    context = RunContext(progress=lambda done, total, what="": told.append((done, total)))
+    progress: list[tuple[float, float]] = []
+    context = RunContext(progress=lambda done, total, what="": progress.append((done, total)))
     found = reproduce(short_scenario, [3, 4], study=study, assumptions=True, context=context)
-    assert told[-1] == (35 * 5, 35 * 5)
+    assert progress[-1] == (35 * 5, 35 * 5)
     assert {name: judged.new.seeds for name, judged in found.assumptions.items()} == {"p": (3,), "c": (3, 4)}
     china = short_scenario.track.model_copy(update={"irregularity": read_track("china").irregularity})
     contact = short_scenario.contact.model_copy(update={"creep_law": "polach"})
@@ -295,10 +295,10 @@ def test_critical_speeds_by_creep_law(short_scenario: Scenario):
     """On new and on worn wheels as `find_critical_speed` finds them; progress ends at all."""
     speeds = (300 / 3.6, 400 / 3.6)
     study = load_reproduction(overrides=["speeds_kmh.creep_laws=[300.0, 400.0]", "fixed=[]"])
-    told: list[tuple[float, float]] = []
-    context = RunContext(progress=lambda done, total, what="": told.append((done, total)))
+    progress: list[tuple[float, float]] = []
+    context = RunContext(progress=lambda done, total, what="": progress.append((done, total)))
     found = reproduce(short_scenario, [3], study=study, creep_laws=["polach"], context=context)
-    assert told[-1][0] == told[-1][1]
+    assert progress[-1][0] == progress[-1][1]
     keys = found.as_dict()["by_creep_law"]
     for wheels, wear in (("new", 0.0), ("worn", 1.0)):
         contact = short_scenario.contact.model_copy(update={"creep_law": "polach"})

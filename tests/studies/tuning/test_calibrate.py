@@ -247,10 +247,10 @@ def test_an_interrupted_calibration_goes_on_where_it_stopped(config: Calibration
     with pytest.raises(Stop):
         calibrate(config, context=RunContext(cache=RunCache(tmp_path), progress=stop))
     assert len(list(tmp_path.glob("*/*.npz"))) == 4 * (SWEEPS + HELD)
-    told: list[float] = []
+    counts: list[float] = []
     cache = RunCache(tmp_path)
-    result = calibrate(config, context=RunContext(cache=cache, progress=lambda done, *_: told.append(done)))
-    assert told[:2] == [4, 4 + 5]
+    result = calibrate(config, context=RunContext(cache=cache, progress=lambda done, *_: counts.append(done)))
+    assert counts[:2] == [4, 4 + 5]
     assert cache.reused == 4 * (SWEEPS + HELD)
     best = min(trial.cost for trial in result.trials["passive"])
     assert result.best("passive").cost == best
@@ -272,8 +272,8 @@ def test_a_search_starts_again_until_an_end_is_good(config: CalibrationConfig, g
     def rugged(places: Sequence[module.Place], seeds: int, length: float) -> list[module.Outcome]:
         return [({"P1": 1.0 + np.cos(40.0 * a) * np.cos(31.0 * b)}, {}) for a, b in places]
 
-    told: list[tuple[float, float]] = []
-    context = RunContext(progress=lambda done, total, what="": told.append((done, total)))
+    counts: list[tuple[float, float]] = []
+    context = RunContext(progress=lambda done, total, what="": counts.append((done, total)))
     trials = module._searched("passive", stage, rugged, 0, module._Teller(context, 12))
     begun = [next(trials) for _, trials in itertools.groupby(trials, lambda trial: trial.stage)]
     assert [trial.stage for trial in begun] == [
@@ -283,7 +283,7 @@ def test_a_search_starts_again_until_an_end_is_good(config: CalibrationConfig, g
     assert begun[0].place == (0.5, 0.5)
     assert len({trial.place for trial in begun[:-1]}) == starts
     assert begun[-1].place == min(trials[: 8 * starts], key=lambda trial: trial.cost).place
-    assert told[-1] == (8 * starts + 4, 8 * starts + 4)
+    assert counts[-1] == (8 * starts + 4, 8 * starts + 4)
 
 
 def test_no_finite_run_at_all_is_a_failed_study(config: CalibrationConfig, monkeypatch: pytest.MonkeyPatch):

@@ -57,13 +57,13 @@ def test_the_search_comes_near_the_minimum_and_ships_a_training(
 ) -> None:
     trainings = Trainings()
     monkeypatch.setattr(study, "train", trainings)
-    told: list[float] = []
+    progress: list[float] = []
     result = study.search(
-        "ppo", settings(), tmp_path / "s", progress=lambda done, total, what="": told.append(done / total)
+        "ppo", settings(), tmp_path / "s", progress=lambda done, total, what="": progress.append(done / total)
     )
     assert len(result.trials) == len(trainings.configs) == 12
     assert abs(math.log(result.best.settings["discount_s"] / BEST)) < 0.5
-    assert told == sorted(told)
+    assert progress == sorted(progress)
     assert all(config.seed == 900 and not config.evaluation.references for config in trainings.configs)
     # Two bogies of each of 64 vehicles make a decision, of 40 ms, together.
     assert result.simulated_s == pytest.approx(sum(trial.steps for trial in result.trials) / 2 * 0.04)

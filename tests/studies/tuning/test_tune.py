@@ -145,14 +145,14 @@ def test_an_interrupted_tuning_goes_on_where_it_stopped(bowl: type[Bowl], tmp_pa
 
 
 def test_progress_counts_every_evaluation_once(bowl: type[Bowl]):
-    told: list[tuple[float, float]] = []
-    context = RunContext(progress=lambda done, total, what="": told.append((done, total)))
+    progress: list[tuple[float, float]] = []
+    context = RunContext(progress=lambda done, total, what="": progress.append((done, total)))
     result = tune("constant", load_tuning(), context=context)
     search = load_tuning().of("constant")
     total = len(result.references) + search.search + search.polish
-    assert told == [(done, total) for done in range(1, len(told) + 1)]
+    assert progress == [(done, total) for done in range(1, len(progress) + 1)]
     # Scenarios, and lines; a closed constant is a reference and a place of the search.
-    assert 2 * len(told) >= 2 * len(result.evaluations) >= bowl.made
+    assert 2 * len(progress) >= 2 * len(result.evaluations) >= bowl.made
 
 
 def test_the_mean_is_the_geometric_one_over_scenarios_and_lines(bowl: type[Bowl]):
