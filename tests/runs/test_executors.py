@@ -86,17 +86,20 @@ def test_what_the_work_raises_ends_the_study_as_it_is(kind: str):
         list(computed(math.sqrt, [4.0, -1.0], choice(kind)))
 
 
+def failed(future: Future[None]) -> bool:
+    return future.cancelled() or future.exception() is not None
+
+
 def test_an_executor_is_abandoned_at_once_and_other_processes_live() -> None:
-    """Pieces of a minute; a process that is not the executor's goes on."""
+    """No piece, of a minute each, is waited for; a process that is not the executor's goes on."""
     bystander = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
     bystander.start()
     kept = executors.KeptExecutor(ExecutorChoice(executors.PROCESSES, workers=2))
     futures = [kept.get(4).submit(time.sleep, 60) for _ in range(4)]
     while not any(future.running() for future in futures):
         time.sleep(0.05)
-    begin = time.monotonic()
     kept.close(at_once=True)
-    assert time.monotonic() - begin < 30.0  # one piece takes twice as long
+    assert not [future for future in futures if future.done() and not failed(future)]
     assert bystander.is_alive()
     bystander.kill()
     bystander.join()

@@ -9,6 +9,7 @@ beyond the grid of speeds, so that a search can start anywhere.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
 from sayd_env.config import StudyError
-from sayd_env.config.calibration import CalibrationConfig, Parameter, Search, Sensitivity, Stage
+from sayd_env.config.calibration import CalibrationConfig, Parameter, Search, Stage
 from sayd_env.config.control import load_controller
 from sayd_env.config.environment import load_environment
 from sayd_env.config.reproduction import load_reproduction
@@ -29,7 +30,7 @@ from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, legend_below, panels
-from sayd_env.runs.context import RunContext, silent
+from sayd_env.runs.context import Progress, RunContext
 from sayd_env.runs.controlled import ControlledRun, ControlledRuns, assessed_controlled, assessed_or_derailed
 from sayd_env.runs.passive import Assessed, PassiveRun, assessed, gathered
 from sayd_env.runs.policies import PolicySpec, constant_spec
@@ -248,31 +249,44 @@ def calibrate(
     """
     context = context or RunContext()
     stages = config.passive, config.semi_active
-    tell = _Teller(context, sum(search.evaluations for stage in stages for search in stage.searches))
-    runs = RunContext(context.executor, context.cache, silent, context.kept)
+    planned = sum(search.evaluations for stage in stages for search in stage.searches)
+    progress = _Evaluations(context.progress, planned + sum(_of_sensitivity(config)))
+    runs = replace(context, progress=progress.within)
     passive = _Passive(config, runs)
-    found = {"passive": _searched("passive", config.passive, passive.outcomes, seed, tell)}
+    found = {"passive": _searched("passive", config.passive, passive.outcomes, seed, progress)}
     best = best_of(found["passive"], found["passive"][-1].stage)
     semi_active = _SemiActive(config, config.passive.values(best.place), runs)
-    found["semi_active"] = _searched("semi_active", config.semi_active, semi_active.outcomes, seed, tell)
+    found["semi_active"] = _searched("semi_active", config.semi_active, semi_active.outcomes, seed, progress)
     result = CalibrationResult(config, found, [], seed)
-    tell("sensitivity", 0.0)
-    return replace(result, sensitivity=_sensitivity(config.sensitivity, passive, semi_active, result))
+    return replace(result, sensitivity=_sensitivity(passive, semi_active, result, progress))
 
 
 @dataclass
-class _Teller:
+class _Evaluations:
     """Reports progress: evaluations that were made of those that can be."""
 
-    context: RunContext
+    progress: Progress
     total: int
     """Evaluations without those of further starts, which `more` adds."""
     done: int = 0
+    under_way: int = 0
+    words: str = ""
 
-    def __call__(self, what: str, cost: float, count: int = 0) -> None:
-        self.done += count
-        words = f"{what}, best cost {cost:.2f}" if cost else what
-        self.context.progress(min(self.done, self.total), self.total, words)
+    def begin(self, what: str, count: int) -> None:
+        """Report the evaluations that follow."""
+        self.words, self.under_way = what, count
+        self.within(0.0, 1.0)
+
+    def within(self, done: float, total: float, _what: str = "") -> None:
+        """Report how many of their runs are made."""
+        reached = self.done + math.floor(self.under_way * done / total)
+        self.progress(min(reached, self.total), self.total, self.words)
+
+    def end(self, outcome: str = "") -> None:
+        """Report that they are made, and what came of them."""
+        self.done, self.under_way = self.done + self.under_way, 0
+        self.words += outcome
+        self.within(0.0, 1.0)
 
     def more(self, searches: Iterable[Search]) -> None:
         """Count searches that were not foreseen."""
@@ -283,7 +297,7 @@ Evaluate = Callable[[Sequence[Place], int, float], list[Outcome]]
 """Places, number of seeds and assessed distance (m) -> what comes out at each."""
 
 
-def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Teller) -> list[Trial]:
+def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, progress: _Evaluations) -> list[Trial]:
     """Search the ranges of a stage from one start or more, then on from the best of their ends."""
     trials: list[Trial] = []
     *wide, last = stage.searches
@@ -293,10 +307,11 @@ def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Tel
 
         def tried(places: Iterable[Array]) -> list[Trial]:
             keys = [tuple(round(float(u), 6) for u in np.clip(place, 0.0, 1.0)) for place in places]
+            progress.begin(what, len(keys))
             outcomes = evaluate(keys, search.seeds, search.length)
             new = [Trial(what, key, *outcome) for key, outcome in zip(keys, outcomes, strict=True)]
             trials.extend(new)
-            tell(what, best_of(trials, what).cost, len(new))
+            progress.end(f", best cost {best_of(trials, what).cost:.2f}")
             return new
 
         best = _search(search, place, lambda row: _columns(stage, row), tried, _random(seed, start))
@@ -307,7 +322,7 @@ def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, tell: _Tel
     ends: list[Trial] = []
     for start in range(stage.starts if wide else 0):
         if start > 0:
-            tell.more(wide)
+            progress.more(wide)
         place = _start(seed, start, len(stage.parameters))
         for search in wide:
             end = searched(search, place, start)
@@ -427,18 +442,19 @@ class _Passive:
                 scenario = vehicle_of(self.config, each, length, [f"wear={wear}"])
                 scenarios.append((scenario, speeds))
                 runs += [PassiveRun(scenario, speed, track) for track in tracks for speed in speeds]
-        records = iter(self.context.records(assessed, runs, Assessed))
+        whole = len(runs) + len(values) * len(HELD) * len(tracks)
+        records = iter(self.context.part(0, whole).records(assessed, runs, Assessed))
         sweeps = [
             gathered([next(records) for _ in range(len(tracks) * len(speeds))], speeds, tracks)
             for _, speeds in scenarios
         ]
         limits = model_limits(VehicleModel(scenarios[0][0]))
-        held, frequency = self._held(values, tracks, length)
+        held, frequency = self._held(values, tracks, length, self.context.part(len(runs), whole))
         rows = zip(sweeps[::2], sweeps[1::2], held / limits.acceleration, frequency, strict=True)
         return [passive_residuals(new, worn, limits, *each) for new, worn, *each in rows]
 
     def _held(
-        self, values: Sequence[Mapping[str, float]], tracks: Sequence[int], length: float
+        self, values: Sequence[Mapping[str, float]], tracks: Sequence[int], length: float, context: RunContext
     ) -> tuple[Array, Array]:
         """Smallest a_max (m/s2) of `HELD` at 400 km/h on worn wheels, shape (values, tracks).
 
@@ -454,7 +470,7 @@ class _Passive:
                 for command in HELD
                 for track in tracks
             ]
-        records = self.context.records(assessed_or_derailed, runs, ControlledRun)
+        records = context.records(assessed_or_derailed, runs, ControlledRun)
         shape = (len(values), len(HELD), len(tracks))
         largest = np.array([min(record.acceleration.max(), WORST) for record in records])
         frequency = np.array([record.frequency for record in records]).reshape(*shape, -1)
@@ -563,15 +579,22 @@ def _each(
         return [_each([each], measured, lost)[0] for each in values]
 
 
+def _of_sensitivity(config: CalibrationConfig) -> tuple[int, int]:
+    """Evaluations of the passive vehicle and of the one with controllers that its table needs."""
+    passive, semi_active = (2 * len(stage.parameters) for stage in (config.passive, config.semi_active))
+    return 1 + passive, 1 + passive + semi_active
+
+
 def _sensitivity(
-    settings: Sensitivity, passive: _Passive, semi_active: _SemiActive, result: CalibrationResult
+    passive: _Passive, semi_active: _SemiActive, result: CalibrationResult, progress: _Evaluations
 ) -> list[dict[str, Any]]:
     """The calibrated numbers, then each of them moved by a share of its range up and down: what follows.
 
     The valves' positions follow the vehicle's numbers as well as their own; the passive vehicle's critical
     speeds follow its own alone.
     """
-    config = result.config
+    config, settings = result.config, result.config.sensitivity
+    of_vehicle, of_all = _of_sensitivity(config)
     calibrated = {name: np.array(result.best(name).place) for name in result.trials}
     lines: list[tuple[Parameter | None, dict[str, Array]]] = [(None, calibrated)]
     for name, place in calibrated.items():
@@ -579,9 +602,11 @@ def _sensitivity(
             for change in (settings.share, -settings.share):
                 moved = place + change * np.eye(len(place))[i]
                 lines.append((parameter, calibrated | {name: np.clip(moved, 0.0, 1.0)}))
-    of_vehicle = 1 + 2 * len(config.passive.parameters)
     vehicles = [tuple(places["passive"]) for _, places in lines[:of_vehicle]]
+    progress.begin("sensitivity of the critical speeds", of_vehicle)
     outcomes = passive.outcomes(vehicles, settings.seeds, settings.length)
+    progress.end()
+    progress.begin("sensitivity of the valves' positions", of_all)
     pairs = [
         (
             config.passive.values(places["passive"].tolist()),
@@ -591,6 +616,7 @@ def _sensitivity(
     ]
     resting = [run for run in required_runs() if run in RESTING]
     valves = semi_active.measured(pairs, resting, settings.seeds, settings.length)
+    progress.end()
     measures = [m for _, m in outcomes] + [{}] * (len(lines) - of_vehicle)
     return [
         {

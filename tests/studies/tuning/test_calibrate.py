@@ -239,18 +239,23 @@ class Stop(Exception):
 
 
 def test_an_interrupted_calibration_goes_on_where_it_stopped(config: CalibrationConfig, tmp_path: Path):
-    """Progress is reported after each batch of trials: the first one is that of the passive vehicle."""
+    """Interrupted behind the first batch of trials, which is that of the passive vehicle."""
 
     def stop(done: float, total: float, what: str = "") -> None:
-        raise Stop
+        if done >= 4:
+            raise Stop
 
     with pytest.raises(Stop):
         calibrate(config, context=RunContext(cache=RunCache(tmp_path), progress=stop))
     assert len(list(tmp_path.glob("*/*.npz"))) == 4 * (SWEEPS + HELD)
-    counts: list[float] = []
+    counts: list[tuple[float, float]] = []
     cache = RunCache(tmp_path)
-    result = calibrate(config, context=RunContext(cache=cache, progress=lambda done, *_: counts.append(done)))
-    assert counts[:2] == [4, 4 + 5]
+    context = RunContext(cache=cache, progress=lambda done, total, what="": counts.append((done, total)))
+    result = calibrate(config, context=context)
+    # Trials of both stages; then two parameters of the passive one and all five, up and down.
+    whole = 4 + 5 + (1 + 2 * 2) + (1 + 2 * 5)
+    assert counts == sorted(counts)
+    assert {(4, whole), (4 + 5, whole), (whole, whole)} <= set(counts)
     assert cache.reused == 4 * (SWEEPS + HELD)
     best = min(trial.cost for trial in result.trials["passive"])
     assert result.best("passive").cost == best
@@ -274,7 +279,7 @@ def test_a_search_starts_again_until_an_end_is_good(config: CalibrationConfig, g
 
     counts: list[tuple[float, float]] = []
     context = RunContext(progress=lambda done, total, what="": counts.append((done, total)))
-    trials = module._searched("passive", stage, rugged, 0, module._Teller(context, 12))
+    trials = module._searched("passive", stage, rugged, 0, module._Evaluations(context.progress, 12))
     begun = [next(trials) for _, trials in itertools.groupby(trials, lambda trial: trial.stage)]
     assert [trial.stage for trial in begun] == [
         *("passive, wide", "passive, wide 2", "passive, wide 3")[:starts],
