@@ -66,7 +66,7 @@ LOGS = 10
 """Entries of the log from one checkpoint to the next."""
 
 Report = Callable[[float, float, str], None]
-Judge = Callable[[int, float], bool]
+StopRule = Callable[[int, float], bool]
 """Gets steps and J of each evaluation, and says whether to stop there."""
 Evaluator = Callable[[StoredPolicy | str], Array]
 """Gives J of a policy, or of that of a name, in each of `EvaluationConfig.cases`."""
@@ -94,7 +94,7 @@ def train(
     resume: bool = False,
     about: Mapping[str, Any] | None = None,
     progress: Report | None = None,
-    judge: Judge | None = None,
+    stop_rule: StopRule | None = None,
     wandb: bool = False,
 ) -> Trained:
     """Train a policy.
@@ -112,8 +112,8 @@ def train(
         Command line, versions and the like, to be written into the run.
     progress : callable, optional
         Gets the steps done, the steps in all, and how things go.
-    judge : callable, optional
-        Hears steps and J of each evaluation, in the mean by which policies are judged; the training stops
+    stop_rule : callable, optional
+        Gets steps and J of each evaluation, in the mean by which policies are judged; the training stops
         where it returns True.
     wandb : bool
         Log at Weights & Biases as well.
@@ -135,7 +135,7 @@ def train(
     torch.set_num_threads(config.torch_threads)
     with reserved(folder, "trains"):
         run = _Run(config, folder, evaluator, resume=resume, about=dict(about or {}))
-        run.judge = judge
+        run.stop_rule = stop_rule
         try:
             run.learn(progress or _silent, wandb=wandb)
         except KeyboardInterrupt:
@@ -190,7 +190,7 @@ class _Run:
         self.about = about | {"libraries": {name: metadata.version(name) for name in LIBRARIES}}
         start = {"begun": datetime.now(UTC).isoformat(timespec="seconds"), "step": self.steps} | self.about
         self.starts = [*starts, start]
-        self.judge: Judge | None = None
+        self.stop_rule: StopRule | None = None
         self.stopped = False
         text = {"environment_sha256": self.digest, "starts": self.starts}
         write_files(folder, {CONFIG: _yaml(config.model_dump(mode="json")), RUN: _yaml(text)})
@@ -236,7 +236,7 @@ class _Run:
             save_policy(self.folder / BEST, self._policy(row["J"], judged))
             self.best = judged
         self.evaluations.save()
-        self.stopped = self.judge is not None and self.judge(now.steps, judged)
+        self.stopped = self.stop_rule is not None and self.stop_rule(now.steps, judged)
 
     def keep(self) -> None:
         """Write a checkpoint, unless there is one of this step."""

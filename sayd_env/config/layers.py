@@ -35,14 +35,14 @@ from sayd_env.config.loader import (
 
 M = TypeVar("M", bound=BaseModel)
 
-_TELLING: Mapping[str, tuple[str, ...]] = {
+_KEYS_OF: Mapping[str, tuple[str, ...]] = {
     "vehicle": ("bodies", "elements", "wheel_radius"),
     "line": ("sections", "section_length"),
     "lines": ("sections", "curves"),
     "track": ("irregularity",),
     "damper": ("curve", "series_stiffness", "throttle", "cylinder"),
 }
-"""Keys that tell of which kind a file is; those of a line and of a distribution over lines are alike."""
+"""Keys by which a kind of file is recognised; those of a line and of a distribution over lines are alike."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def _base(kind: Kind, own: dict[str, Any], source: str, users: tuple[str, ...]) 
     base = beside(base, Path(source).parent)
     if not is_path(base) and base not in packaged_names(kind.folder):
         names = packaged_names(kind.folder)
-        other = next((each for each in _TELLING if base in packaged_names(each)), None)
+        other = next((each for each in _KEYS_OF if base in packaged_names(each)), None)
         hint = nearest(base, names) if other is None else f", which is a {other}"
         raise ConfigError(
             f"{source}: base: unknown {kind.folder} {shown(base)}{hint}; available: {', '.join(names)}, or a "
@@ -211,9 +211,9 @@ def _identity(name_or_path: str) -> str:
 
 def _refuse_another_kind(kind: Kind, own: dict[str, Any], source: str) -> None:
     """Refuse a vehicle where a damper is expected, and the like, by keys that only one kind has."""
-    if any(key in own for key in _TELLING.get(kind.folder, ())):
+    if any(key in own for key in _KEYS_OF.get(kind.folder, ())):
         return
-    for other, keys in _TELLING.items():
+    for other, keys in _KEYS_OF.items():
         found = [key for key in keys if key in own]
         if found and other != kind.folder:
             raise ConfigError(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from sayd_env.agents.config import TrainConfig
     from sayd_env.agents.policy_file import StoredPolicy
-    from sayd_env.agents.training import Evaluator, Judge, Trained
+    from sayd_env.agents.training import Evaluator, StopRule, Trained
     from sayd_env.config.units import Array
     from sayd_env.runs.policies import ForeignReader
 
@@ -135,7 +135,7 @@ def train(
     command: str | None = None,
     executor: ExecutorChoice | None = None,
     progress: Progress = silent,
-    judge: Judge | None = None,
+    stop_rule: StopRule | None = None,
     wandb: bool = False,
 ) -> TrainResult:
     """Train a policy.
@@ -153,7 +153,7 @@ def train(
         Makes the runs of the evaluations; by default threads on all cores.
     progress : Progress
         Told the steps.
-    judge, wandb
+    stop_rule, wandb
         As `agents.training.train`.
 
     Raises
@@ -170,7 +170,12 @@ def train(
     about = provenance(command)
     with KeptExecutor(executor or ExecutorChoice()) as kept:
         evaluator = policy_evaluator(config, kept)
-        options: dict[str, Any] = {"about": about, "progress": progress, "judge": judge, "wandb": wandb}
+        options: dict[str, Any] = {
+            "about": about,
+            "progress": progress,
+            "stop_rule": stop_rule,
+            "wandb": wandb,
+        }
         return TrainResult(learn(config, folder, evaluator, resume=resume, **options))
 
 

@@ -300,11 +300,11 @@ def test_vehicles_on_lines_learn_and_are_judged_along(tmp_path: Path) -> None:
     assert (config.networks, config.decision_period) == (12, 0.1)
     judged: list[tuple[int, float]] = []
 
-    def judge(steps: int, cost: float) -> bool:
+    def stop_rule(steps: int, cost: float) -> bool:
         judged.append((steps, cost))
         return len(judged) == 2
 
-    found = train(config, tmp_path / "run", judge=judge)
+    found = train(config, tmp_path / "run", stop_rule=stop_rule)
     assert found.steps == 2 * 96 + 12  # stopped by the first step after the second evaluation
     assert len(found.evaluations) == 2
     costs = [value for name, value in found.evaluations[0].items() if "seed" in name]

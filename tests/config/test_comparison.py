@@ -11,9 +11,9 @@ import yaml
 import sayd_env
 from sayd_env.config import ConfigError
 from sayd_env.config.comparison import HELD_OUT, ComparisonConfig, load_comparison
+from sayd_env.config.digests import digests
 from sayd_env.config.distribution import UniformDistribution
 from sayd_env.config.environment import load_environment
-from sayd_env.config.frozen import frozen
 from sayd_env.config.scenario import load_scenario
 from sayd_env.studies.comparison.grid import ScenarioGrid
 
@@ -176,14 +176,16 @@ def test_paths_are_relative_to_the_file(tmp_path: Path):
 
 def test_each_digest_is_that_of_its_part():
     scenario, environment = load_scenario(), load_environment("randomized")
-    before = frozen(scenario, environment)
+    before = digests(scenario, environment)
     heavier = scenario.cost.model_copy(update={"force_weight": 0.6})
-    assert _changed(before, frozen(scenario.model_copy(update={"cost": heavier}), environment)) == {"weights"}
-    assert _changed(before, frozen(scenario.model_copy(update={"friction": 0.3}), environment)) == {"plant"}
+    assert _changed(before, digests(scenario.model_copy(update={"cost": heavier}), environment)) == {
+        "weights"
+    }
+    assert _changed(before, digests(scenario.model_copy(update={"friction": 0.3}), environment)) == {"plant"}
     longer = environment.model_copy(update={"episode_s": 30.0})
-    assert _changed(before, frozen(scenario, longer)) == {"environment"}
+    assert _changed(before, digests(scenario, longer)) == {"environment"}
     assert {"mppt1", "mppt2", "online"} <= before["controllers"].keys()
-    assert frozen(load_scenario(), load_environment("randomized")) == before
+    assert digests(load_scenario(), load_environment("randomized")) == before
 
 
 def _changed(before: dict[str, object], after: dict[str, object]) -> set[str]:

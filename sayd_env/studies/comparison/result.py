@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sayd_env.config.comparison import ComparisonConfig
-from sayd_env.config.frozen import frozen
+from sayd_env.config.digests import digests
 from sayd_env.config.units import Array
 from sayd_env.runs.metrics import RATIOS
 from sayd_env.runs.policies import PAPER, TUNED
@@ -126,7 +126,7 @@ class Comparison:
                 for each in self.entrants
             },
             "learned": self.learned,
-            "frozen": frozen(self.grid.scenario, self.grid.environment),
+            "frozen": digests(self.grid.scenario, self.grid.environment),
             "quick": self.quick,
         }
 

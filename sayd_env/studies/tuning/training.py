@@ -311,7 +311,7 @@ class _Search:
         folder = self.folder / TRIALS / f"{trial.number:04d}"
         shutil.rmtree(folder, ignore_errors=True)
 
-        def judge(step: int, cost: float) -> bool:
+        def stop_rule(step: int, cost: float) -> bool:
             trial.report(cost, step)
             return bool(trial.should_prune())
 
@@ -319,7 +319,7 @@ class _Search:
             at = number * steps + done
             self.progress(at, self.settings.trials * steps, f"trial {number + 1}, {what}")
 
-        trained = train(config, folder, executor=self.executor, progress=tell, judge=judge).trained
+        trained = train(config, folder, executor=self.executor, progress=tell, stop_rule=stop_rule).trained
         given_up = trained.steps < config.total_steps
         driven = config.vehicle_seconds(trained.steps)
         for name, value in {"cost": trained.best, "steps": trained.steps, "driven": driven}.items():

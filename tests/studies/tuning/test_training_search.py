@@ -38,7 +38,7 @@ class Trainings:
         self.configs: list[TrainConfig] = []
         self._dies_at = dies_at
 
-    def __call__(self, config: TrainConfig, folder: Path, *, judge: Any, progress: Any, **_: Any) -> Any:
+    def __call__(self, config: TrainConfig, folder: Path, *, stop_rule: Any, progress: Any, **_: Any) -> Any:
         self.configs.append(config)
         if len(self.configs) == self._dies_at:
             raise Interrupted("saved")
@@ -47,7 +47,7 @@ class Trainings:
         while steps < config.total_steps:
             steps += config.total_steps // 4
             progress(steps, config.total_steps, "")
-            if judge(steps, cost):
+            if stop_rule(steps, cost):
                 break
         return SimpleNamespace(trained=SimpleNamespace(best=cost, steps=steps))
 

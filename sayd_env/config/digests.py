@@ -15,7 +15,7 @@ from sayd_env.config.scenario import Scenario
 _SAID = ("description", "provenance")
 
 
-def frozen(scenario: Scenario, environment: EnvironmentConfig) -> dict[str, Any]:
+def digests(scenario: Scenario, environment: EnvironmentConfig) -> dict[str, Any]:
     """SHA-256 of everything that two results must share to be comparable.
 
     Parameters
