@@ -277,8 +277,9 @@ class _Evaluations:
         self.words, self.under_way = what, count
         self.within(0.0, 1.0)
 
-    def within(self, done: float, total: float, _what: str = "") -> None:
+    def within(self, done: float, total: float, what: str = "") -> None:
         """Report how many of their runs are made."""
+        del what  # of single runs
         reached = self.done + math.floor(self.under_way * done / total)
         self.progress(min(reached, self.total), self.total, self.words)
 
