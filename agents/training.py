@@ -375,13 +375,13 @@ class _Writer(KVWriter):
         self._table = table
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, Any], step: int = 0) -> None:
-        """Add a row."""
+        """Add a row and write the table."""
         numbers = {key: value for key, value in sorted(key_values.items()) if isinstance(value, float | int)}
         self._table.add({"steps": step} | numbers)
+        self._table.save()
 
     def close(self) -> None:
-        """Write the table."""
-        self._table.save()
+        """Nothing is left open."""
 
 
 def _make_folders(folder: Path, *, resume: bool) -> None:

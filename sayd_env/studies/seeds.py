@@ -131,7 +131,7 @@ def train_seeds(
     wandb : bool
         As `sayd_env.studies.learning.train`.
     progress : Progress
-        Told the steps of all together, evaluation by evaluation.
+        Gets the steps of all together, as they log them.
 
     Raises
     ------
@@ -232,10 +232,8 @@ class _Process:
             )
 
     def steps(self) -> float:
-        """Steps that its last evaluation has come to."""
-        with contextlib.suppress(ConfigError, DataError, StudyError, IndexError):
-            return float(_rows(self.folder / "evaluations.csv")[-1]["steps"])
-        return 0.0
+        """Steps that its last evaluation has come to, or what it logged last."""
+        return max(_last_steps(self.folder / name) for name in ("evaluations.csv", "progress.csv"))
 
     def interrupt(self) -> None:
         """Let it save and end."""
@@ -255,3 +253,10 @@ class _Process:
 
 def _rows(path: Path) -> list[dict[str, Any]]:
     return Growing(path, numbers=("steps", "J")).rows
+
+
+def _last_steps(path: Path) -> float:
+    """Steps in the last row of a table of a run; 0 before there is one."""
+    with contextlib.suppress(ConfigError, DataError, StudyError, IndexError):
+        return float(Growing(path, numbers=("steps",)).rows[-1]["steps"])
+    return 0.0
