@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
@@ -11,6 +11,8 @@ from sayd_env.agents.config import Count
 from sayd_env.config import Model
 from sayd_env.config.base import Number
 from sayd_env.config.layers import Kind, read_layered
+
+TrainingSeed = Annotated[int, Field(strict=True, ge=0, lt=1_000_000)]
 
 
 class RangeConfig(Model):
@@ -57,9 +59,13 @@ class SearchConfig(Model):
 
     description: str = ""
     training: str = Field(min_length=1, description="Packaged training, or a path to its YAML file")
-    trials: Count = Field(description="Trainings in all")
+    trials: Count = Field(description="Trainings before the finalists'")
     total_steps: Count = Field(description="Steps of each, unless it is given up")
-    training_seed: int = Field(description="Of each", strict=True, ge=0, lt=1_000_000)
+    training_seed: TrainingSeed = Field(description="Of each")
+    finalists: Count = Field(description="Best trials that are repeated, beside the training's own settings")
+    finalist_seeds: tuple[TrainingSeed, ...] = Field(
+        description="Further training seeds of these; the lowest mean of all seeds wins. None: the best trial"
+    )
     random_trials: Count = Field(description="Trials before the search learns from former ones")
     give_up_after: float = Field(
         strict=True,
@@ -75,7 +81,12 @@ class SearchConfig(Model):
         quick = self.quick
         fewer = min(self.random_trials, quick.trials)
         return self.model_copy(
-            update={"trials": quick.trials, "total_steps": quick.total_steps, "random_trials": fewer}
+            update={
+                "trials": quick.trials,
+                "total_steps": quick.total_steps,
+                "random_trials": fewer,
+                "finalist_seeds": (),
+            }
         )
 
 

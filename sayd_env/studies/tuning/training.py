@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import getitem
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 import yaml
@@ -25,18 +27,20 @@ from sayd_env.report.figures import Plot, panels
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.studies.learning import EXTRA, train
+from sayd_env.studies.seeds import train_seeds
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-JOURNAL, TRIALS, SETTINGS = "study.journal", "trials", "search.yaml"
-"""Files of a search: what Optuna keeps, the trainings, what was asked for."""
+JOURNAL, TRIALS, FINALISTS, SETTINGS = "study.journal", "trials", "finalists", "search.yaml"
+"""Files of a search: what Optuna keeps, the trainings, those repeated, what was asked for."""
 DONE = ("complete", "pruned")
 TRIED = (
     Column("trial", "trial"),
     Column("state", "state"),
     Column("J", "J", digits=5, best=True),
+    Column("mean", "of all seeds", digits=5, best=True),
     Column("steps", "steps"),
     Column("settings", "settings"),
 )
@@ -56,6 +60,13 @@ class Trial:
     steps: int
     simulated_s: float
     """Driven by its vehicles, without evaluations."""
+    repeated: tuple[float, ...] = ()
+    """J with the further training seeds of a finalist."""
+
+    @property
+    def mean(self) -> float | None:
+        """J of a finalist over all of its training seeds."""
+        return fmean((self.cost or 0.0, *self.repeated)) if self.repeated else None
 
 
 @dataclass(frozen=True)
@@ -72,22 +83,22 @@ class SearchResult:
 
     @property
     def best(self) -> Trial:
-        """The complete trial with the lowest J.
+        """The finalist with the lowest mean J; without finalists the complete trial with the lowest J.
 
         Raises
         ------
         StudyError
             There is none.
         """
-        found = [trial for trial in self.trials if trial.state == "complete" and trial.cost is not None]
+        found = _by_cost(self.trials)
         if not found:
             raise StudyError("no trial has come to its end")
-        return min(found, key=lambda trial: trial.cost or 0.0)
+        return min(found, key=lambda trial: trial.mean or math.inf) if found[0].repeated else found[0]
 
     @property
     def simulated_s(self) -> float:
-        """Driven by the vehicles of all trials (s)."""
-        return sum(trial.simulated_s for trial in self.trials)
+        """Driven by the vehicles of all trials and of what was repeated (s)."""
+        return sum(trial.simulated_s * (1 + len(trial.repeated)) for trial in self.trials)
 
     def as_dict(self) -> dict[str, Any]:
         """Settings, J, and the budget."""
@@ -95,6 +106,10 @@ class SearchResult:
             "algorithm": self.algorithm,
             "settings": self.best.settings,
             "best_J": self.best.cost,
+            "mean_J": self.best.mean,
+            "finalists": {
+                str(trial.number): [trial.cost, *trial.repeated] for trial in self.trials if trial.repeated
+            },
             "trials": len(self.trials),
             "given_up": sum(trial.state == "pruned" for trial in self.trials),
             "simulated_s": self.simulated_s,
@@ -104,10 +119,11 @@ class SearchResult:
         """The trials."""
         names = list(self.search.ranges)
         rows = [
-            [t.number, t.state, t.cost, t.steps, t.simulated_s, *(_text(t.settings.get(n)) for n in names)]
+            [t.number, t.state, t.cost, t.mean, t.steps, t.simulated_s]
+            + [_text(t.settings.get(n)) for n in names]
             for t in self.trials
         ]
-        return {"trials": (("trial", "state", "J", "steps", "simulated_s", *names), rows)}
+        return {"trials": (("trial", "state", "J", "mean_J", "steps", "simulated_s", *names), rows)}
 
     def plots(self) -> dict[str, Plot]:
         """J of the trials."""
@@ -115,9 +131,9 @@ class SearchResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the best trials and the budget."""
-        done = sorted((t for t in self.trials if t.cost is not None), key=lambda t: t.cost or 0.0)
+        done = sorted((t for t in self.trials if t.cost is not None), key=lambda t: (t.mean or 1e9, t.cost))
         rows = [
-            {"trial": t.number, "state": t.state, "J": t.cost, "steps": t.steps}
+            {"trial": t.number, "state": t.state, "J": t.cost, "mean": t.mean, "steps": t.steps}
             | {"settings": ", ".join(f"{k.rpartition('.')[2]}={_text(v)}" for k, v in t.settings.items())}
             for t in done[:10]
         ]
@@ -134,15 +150,23 @@ class SearchResult:
         head = [
             f"# {self.algorithm} with settings that `sayd tune` has found.",
             f"# command: {self.command}; commit: {self.commit}; {len(self.trials)} trials of "
-            f"{self.search.total_steps} steps, {self.simulated_s:.0f} s driven; J {self.best.cost:.6g}",
+            f"{self.search.total_steps} steps, {self.simulated_s:.0f} s driven; J {self._reached()}",
         ]
         return "\n".join(head) + "\n" + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+
+    def _reached(self) -> str:
+        """J of the best, in words."""
+        mean = self.best.mean
+        seeds = "" if mean is None else f", {mean:.6g} in the mean of {1 + len(self.best.repeated)} seeds"
+        return f"{self.best.cost:.6g}{seeds}"
 
     def _draw(self, figure: Figure) -> None:
         (axes,) = panels(figure, 1, size=(6.0, 4.2))
         for state, marker in (("complete", "o"), ("pruned", "x")):
             shown = [(t.number, t.cost) for t in self.trials if t.state == state and t.cost is not None]
             axes.plot([number for number, _ in shown], [cost for _, cost in shown], marker, label=state)
+        again = [(t.number, cost) for t in self.trials for cost in t.repeated]
+        axes.plot([number for number, _ in again], [cost for _, cost in again], "_", label="other seeds")
         axes.set(xlabel="trial", ylabel="J of the best policy")
         axes.legend()
 
@@ -164,6 +188,9 @@ def search(
     the folder: an interrupted search goes on with the trial that was under way, from the beginning of it.
     The first trial has the settings of the training itself, where the ranges hold them.
 
+    Of many single trainings the best one is lucky, too. So the best trials, and the one with the training's
+    own settings, are repeated with further training seeds; the lowest mean wins.
+
     Parameters
     ----------
     algorithm : str
@@ -177,7 +204,7 @@ def search(
     executor : ExecutorChoice, optional
         Makes the runs of evaluations.
     progress : Progress
-        Told the steps of all trials together.
+        Gets the steps of all trials together.
 
     Raises
     ------
@@ -202,7 +229,7 @@ def search(
         _check_folder(folder, settings, seed)
         run = _Search(base, settings, folder, executor or ExecutorChoice(), progress, seed)
         run.run()
-        trials = run.trials()
+        trials = run.repeated(run.trials())
     whole = load_train(settings.training)
     return SearchResult(algorithm, settings, whole, trials, git_state()[0], command, folder)
 
@@ -316,8 +343,7 @@ class _Search:
             return bool(trial.should_prune())
 
         def tell(done: float, total: float, what: str = "") -> None:
-            at = number * steps + done
-            self.progress(at, self.settings.trials * steps, f"trial {number + 1}, {what}")
+            self._report(number * steps + done, f"trial {number + 1}, {what}")
 
         trained = train(config, folder, executor=self.executor, progress=tell, stop_rule=stop_rule).trained
         given_up = trained.steps < config.total_steps
@@ -330,6 +356,39 @@ class _Search:
             self.study.tell(trial, state=states.PRUNED)
         else:
             self.study.tell(trial, trained.best)
+
+    def _report(self, done: float, what: str) -> None:
+        """Report steps of all that can be: trials, and finalists with the training's own settings."""
+        settings = self.settings
+        trainings = settings.trials + (settings.finalists + 1) * len(settings.finalist_seeds)
+        self.progress(done, trainings * settings.total_steps, what)
+
+    def repeated(self, trials: list[Trial]) -> list[Trial]:
+        """The trials, the best and the training's own settings repeated with further training seeds."""
+        seeds, steps = self.settings.finalist_seeds, self.settings.total_steps
+        if not seeds:
+            return trials
+        found = {trial.number: trial for trial in trials}
+        complete = _by_cost(trials)
+        own = [trial for trial in complete if with_settings(self.base, trial.settings) == self.base]
+        finalists = {trial.number: trial for trial in [*complete[: self.settings.finalists], *own]}
+        for k, trial in enumerate(finalists.values()):
+            before = (self.settings.trials + k * len(seeds)) * steps
+
+            def tell(
+                done: float, total: float, what: str = "", before: int = before, number: int = trial.number
+            ) -> None:
+                self._report(before + done, f"trial {number + 1} again, {what}")
+
+            again = train_seeds(
+                with_settings(self.base, trial.settings),
+                seeds,
+                self.folder / FINALISTS / f"{trial.number:04d}",
+                parallel=self.executor.count,
+                progress=tell,
+            )
+            found[trial.number] = replace(trial, repeated=tuple(again.best.values()))
+        return list(found.values())
 
     def _suggest(self, trial: Any, name: str, each: RangeConfig) -> Any:
         if each.choices:  # Optuna keeps texts and numbers alone
@@ -360,6 +419,12 @@ class _Search:
                     )
                 )
         return found
+
+
+def _by_cost(trials: Sequence[Trial]) -> list[Trial]:
+    """The complete ones, the lowest J first."""
+    found = [trial for trial in trials if trial.state == "complete" and trial.cost is not None]
+    return sorted(found, key=lambda trial: trial.cost or 0.0)
 
 
 def _typed(each: RangeConfig, value: float | None) -> Any:
