@@ -20,7 +20,7 @@ from sayd_env.agents.products import columns, times
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.learner import InputConfig
-from sayd_env.config.units import Array, Single
+from sayd_env.config.units import Array, Array32
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
 
 MIRRORED = ("yaw_force", "lateral", "yawing", "yaw_rate", "yaw_stroke")
@@ -162,14 +162,14 @@ class BogieEncoding(Encoding):
         read = weights.reshape(interface.history, -1).any(axis=0)
         self.sensors = self._read(interface.signals[i].name for i in np.flatnonzero(read))
 
-    def encode(self, observations: Single, memory: Array | None = None) -> Single:
+    def encode(self, observations: Array32, memory: Array | None = None) -> Array32:
         """Inputs of the network, shape (2 N, size): front and rear bogie of each vehicle in turn."""
         seen = flat(observations)
         forces = np.abs(times(seen, self._force))
         values = times(seen, self._linear) + times(forces, self._level) + self.constant
         turned = 1.0 - 2.0 * (times(seen, self._moment) < 0.0)
         values = values.reshape(-1, self.shown) * (1.0 + self.mirrored * (turned.reshape(-1, 1) - 1.0))
-        bounded: Single = np.clip(values, -self.clip, self.clip).astype(np.float32)
+        bounded: Array32 = np.clip(values, -self.clip, self.clip).astype(np.float32)
         if self.memory is None:
             return bounded
         assert memory is not None  # `remember` has made it

@@ -14,7 +14,7 @@ from sayd_env.agents.memory import Memory
 from sayd_env.agents.state import run_in
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.learner import InputConfig
-from sayd_env.config.units import KMH, Array, Single
+from sayd_env.config.units import KMH, Array, Array32
 from sayd_env.envs.interface import Interface, RunIn
 from sayd_env.envs.scaled import Scaling
 
@@ -60,7 +60,7 @@ class Encoding(ABC):
         self.speed = None if output.schedule is None else newest + interface.index("speed")
 
     @abstractmethod
-    def encode(self, observations: Single, memory: Array | None = None) -> Single:
+    def encode(self, observations: Array32, memory: Array | None = None) -> Array32:
         """Inputs of the network, shape (N units, size).
 
         Parameters
@@ -75,7 +75,7 @@ class Encoding(ABC):
         """Numbers that are remembered of a vehicle."""
         return 0 if self.memory is None else self.memory.width
 
-    def remember(self, memory: Array, observations: Single) -> Array:
+    def remember(self, memory: Array, observations: Array32) -> Array:
         """What is remembered after these observations of shape (N, *obs), of what was before: a new array.
 
         Both have the shape (N, memory_width); a vehicle that has seen nothing has zeros.
@@ -94,7 +94,7 @@ class Encoding(ABC):
             memory[own] = self.remember(memory[own], seen)
         return memory
 
-    def decode(self, outputs: npt.NDArray[Any], observations: Single) -> Single:
+    def decode(self, outputs: npt.NDArray[Any], observations: Array32) -> Array32:
         """Valve commands, shape (N, A), of the network's outputs for these observations.
 
         Parameters
@@ -107,7 +107,7 @@ class Encoding(ABC):
         commands = self.base_command(observations) + self.output.half * bounded
         return np.clip(commands, 0.0, 1.0).astype(np.float32)
 
-    def base_command(self, observations: Single) -> Array | float:
+    def base_command(self, observations: Array32) -> Array | float:
         """Commands at output 0 for observations of shape (N, *obs): one for all, or shape (N, 1)."""
         schedule = self.output.schedule
         if schedule is None:
@@ -161,11 +161,11 @@ class VehicleEncoding(Encoding):
         self.size = len(self.columns) * interface.history
         self.actions = interface.actions
 
-    def encode(self, observations: Single, memory: Array | None = None) -> Single:
+    def encode(self, observations: Array32, memory: Array | None = None) -> Array32:
         """Inputs of the network, shape (N, size), of observations of shape (N, *obs)."""
         return self.scaling(observations[..., self.columns]).reshape(len(observations), self.size)
 
-    def decode(self, outputs: npt.NDArray[Any], observations: Single) -> Single:
+    def decode(self, outputs: npt.NDArray[Any], observations: Array32) -> Array32:
         """Valve commands, shape (N, A), of the network's outputs for these observations."""
         if self.held is None:
             return super().decode(outputs, observations)
@@ -174,7 +174,7 @@ class VehicleEncoding(Encoding):
         return np.clip(held + change, 0.0, 1.0).astype(np.float32)
 
 
-def flat(observations: Single) -> Array:
+def flat(observations: Array32) -> Array:
     """Observations as rows of numbers, in double precision; what is missing is 0."""
     values: Array = observations.reshape(len(observations), -1).astype(np.float64)
     return values if np.isfinite(values).all() else np.nan_to_num(values)

@@ -28,7 +28,7 @@ from sayd_env.config.control import load_online
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.files import MIB
 from sayd_env.config.learner import WIDEST, InputConfig, load_learner
-from sayd_env.config.units import Single
+from sayd_env.config.units import Array32
 from sayd_env.envs.environment import action_box, observation_box
 from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import ACTIONS, Interface
@@ -283,8 +283,8 @@ def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any], 
     return StoredPolicy(description, own, str(path), normalisation)
 
 
-def _numbers(tensor: Any) -> Single:
-    values: Single = tensor.detach().numpy().astype(np.float32)
+def _numbers(tensor: Any) -> Array32:
+    values: Array32 = tensor.detach().numpy().astype(np.float32)
     return values
 
 

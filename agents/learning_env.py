@@ -16,7 +16,7 @@ from sayd_env.agents.config import BesideConfig, TrainConfig
 from sayd_env.agents.encoding import Encoding
 from sayd_env.agents.sb3_vec import SaydVecEnv, Step
 from sayd_env.config.learner import InputConfig
-from sayd_env.config.units import Array, Flags, Single
+from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.privileged import Conditions, check_conditions
 from sayd_env.envs.scaled import Scaling, ordinary_costs
 
@@ -45,7 +45,7 @@ class JoinedVecEnv(VecEnv):
         ends = np.cumsum([part.num_envs for part in parts]).tolist()
         self.slices = [slice(end - part.num_envs, end) for part, end in zip(parts, ends, strict=True)]
 
-    def reset(self) -> Single:
+    def reset(self) -> Array32:
         """Begin an episode of every vehicle."""
         for part, own in zip(self.parts, self.slices, strict=True):
             part._seeds, part._options = self._seeds[own], self._options[own]
@@ -55,7 +55,7 @@ class JoinedVecEnv(VecEnv):
         self._reset_options()
         return seen
 
-    def step_async(self, actions: Single) -> None:
+    def step_async(self, actions: Array32) -> None:
         """Keep the valve commands for `step_wait`."""
         for part, own in zip(self.parts, self.slices, strict=True):
             part.step_async(actions[own])
@@ -148,12 +148,12 @@ class EncodedVecEnv(VecEnvWrapper):
         self._encoding, self._privileged, self._heard = encoding, privileged, heard
         self._factors, self._factor = factors, np.ones(venv.num_envs)
         self._costs, self._least = costs, least
-        self._seen: Single = np.zeros(0, np.float32)
+        self._seen: Array32 = np.zeros(0, np.float32)
         self._memory = np.zeros((venv.num_envs, encoding.memory_width))
-        self._outputs: Single = np.zeros(0, np.float32)
-        self._conditions: Single = np.zeros(0, np.float32)
+        self._outputs: Array32 = np.zeros(0, np.float32)
+        self._conditions: Array32 = np.zeros(0, np.float32)
 
-    def reset(self) -> Single:
+    def reset(self) -> Array32:
         """Begin an episode of every vehicle."""
         self._seen = self.venv.reset()
         self._begin(np.ones(self.venv.num_envs, dtype=np.bool_))
@@ -169,14 +169,14 @@ class EncodedVecEnv(VecEnvWrapper):
         if self._privileged is not None:
             self._privileged.begin(np.flatnonzero(which))
 
-    def _observed(self) -> Single:
+    def _observed(self) -> Array32:
         inputs = self._encoding.encode(self._seen, self._memory)
         if self._privileged is None:
             return inputs
         self._conditions = self._privileged(self._encoding.units)
         return np.concatenate([inputs, self._conditions], axis=1)
 
-    def step_async(self, actions: Single) -> None:
+    def step_async(self, actions: Array32) -> None:
         """Keep outputs of the network for `step_wait`."""
         self._outputs = actions
 
@@ -204,7 +204,7 @@ class EncodedVecEnv(VecEnvWrapper):
                 each[i * units + j] = info | {"terminal_observation": rows[j]}
         return self._observed(), paid.astype(np.float32).reshape(-1), np.repeat(over, units), each
 
-    def _last(self, i: int, info: dict[str, Any]) -> Single:
+    def _last(self, i: int, info: dict[str, Any]) -> Array32:
         """What vehicle i observed last; its conditions are those of its last decision."""
         seen, units = info["terminal_observation"][None], self._encoding.units
         memory = self._encoding.remember(self._memory[i : i + 1], seen)
@@ -213,7 +213,7 @@ class EncodedVecEnv(VecEnvWrapper):
             return inputs
         return np.concatenate([inputs, self._conditions[i * units : (i + 1) * units]], axis=1)
 
-    def _paid(self, rewards: Single, dones: Flags) -> Array:
+    def _paid(self, rewards: Array32, dones: Flags) -> Array:
         """Rewards of the networks, shape (N, units): their mean over a vehicle is the vehicle's."""
         if self._costs is None or self._encoding.units == 1:
             return np.repeat(rewards[:, None].astype(np.float64), self._encoding.units, axis=1)
@@ -257,7 +257,7 @@ class Privileged:
         for part, (first, end) in zip(self._parts, pairwise(self._firsts), strict=True):
             part.begin([int(i - first) for i in which if first <= i < end])
 
-    def __call__(self, units: int) -> Single:
+    def __call__(self, units: int) -> Array32:
         """Conditions where the vehicles are, a row for each network, shape (N units, size)."""
         return np.repeat(self._scaling(np.concatenate([part() for part in self._parts])), units, axis=0)
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from sayd_env.agents.products import columns, times
 from sayd_env.config.learner import InputConfig
-from sayd_env.config.units import Array, Single
+from sayd_env.config.units import Array, Array32
 from sayd_env.envs.scaled import FLOOR, Scaling
 
 AVERAGED = ("yaw_force", "lateral", "yawing", "yaw_stroke", "yaw_rate", "current", "force_level")
@@ -116,7 +116,7 @@ class Memory:
         level = np.abs(times(seen, self._forces)).reshape(len(linear), self.dampers).sum(axis=1)
         return np.concatenate([linear, level[:, None] / self.dampers], axis=1)
 
-    def inputs(self, state: Array) -> Single:
+    def inputs(self, state: Array) -> Array32:
         """Inputs of the networks, shape (N units, size): time by time."""
         return self.scaling(self.numbers(state).reshape(-1, self.size))
 

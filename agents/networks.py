@@ -23,7 +23,7 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 from torch import nn
 
 from sayd_env.agents.config import EstimateConfig, TrainConfig
-from sayd_env.config.units import Single
+from sayd_env.config.units import Array32
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
 KEPT = 65_536
@@ -206,10 +206,10 @@ class EstimatorTrainer:
         assert inputs.estimator is not None  # whoever has no estimator needs no trainer
         self._network, self._layout, self._config = inputs.estimator, inputs.layout, config
         self.optimizer = torch.optim.Adam(self._network.parameters(), lr=config.learning_rate)
-        self._kept: Single = np.zeros((0, 0), np.float32)
+        self._kept: Array32 = np.zeros((0, 0), np.float32)
         self._place = 0
 
-    def pass_over(self, observations: Single) -> dict[str, float]:
+    def pass_over(self, observations: Array32) -> dict[str, float]:
         """Learn once from each of many observations, and from as many of former rollouts; return the errors.
 
         Parameters
@@ -251,7 +251,7 @@ class EstimatorTrainer:
         """RMS errors of several updates, by name."""
         return self._named(torch.stack(list(errors)).mean(dim=0))
 
-    def _keep(self, observations: Single) -> None:
+    def _keep(self, observations: Array32) -> None:
         """Some of a rollout, in place of the oldest ones."""
         some = observations[:: max(1, 8 * len(observations) // KEPT)]
         if len(self._kept) < KEPT:

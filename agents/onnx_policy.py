@@ -15,7 +15,7 @@ from sayd_env.agents.policy_archive import read_bytes, shown_path
 from sayd_env.agents.state import NEXT_STATE, OUTPUT, STATE, run_in, started
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.explain import shown
-from sayd_env.config.units import Array, Single
+from sayd_env.config.units import Array, Array32
 from sayd_env.envs.episode_batch import checked_actions
 from sayd_env.envs.interface import Interface, RunIn
 
@@ -130,7 +130,7 @@ class OnnxRunner:
         state: Any | None = None,
         episode_start: Any | None = None,
         deterministic: bool = True,
-    ) -> tuple[Single, Any]:
+    ) -> tuple[Array32, Any]:
         """Valve commands for the next control period, as `agents.policy_file.LearnedPolicy.predict`.
 
         The state is that of a model with an input ``state`` and an output ``next_state``; else there is none.
@@ -149,7 +149,7 @@ class OnnxRunner:
         after = np.concatenate([memory for _, memory in found]) if self._width else None
         return (actions[0] if single else actions), after
 
-    def _command(self, row: Single, memory: Array) -> tuple[Single, Array]:
+    def _command(self, row: Array32, memory: Array) -> tuple[Array32, Array]:
         given = {self._input: row} | ({STATE: memory} if self._width else {})
         try:
             found, *after = self._session.run([OUTPUT, NEXT_STATE] if self._width else None, given)

@@ -35,11 +35,11 @@ from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import shown
 from sayd_env.config.learner import WIDEST, InputConfig
 from sayd_env.config.storage import write_file
-from sayd_env.config.units import Array, Single
+from sayd_env.config.units import Array, Array32
 from sayd_env.envs.interface import Interface, RunIn, Signal
 from sayd_env.envs.scaled import Scaling
 
-Layers = tuple[tuple[Single, Single], ...]
+Layers = tuple[tuple[Array32, Array32], ...]
 
 Weights = list[tuple[Array, Array]]
 """The same in double precision, (in, out)."""
@@ -330,7 +330,7 @@ class LearnedPolicy:
         state: Any | None = None,
         episode_start: Any | None = None,
         deterministic: bool = True,
-    ) -> tuple[Single, Any]:
+    ) -> tuple[Array32, Any]:
         """Valve commands for the next control period.
 
         Parameters
@@ -356,7 +356,7 @@ class LearnedPolicy:
         commands = self.encoding.decode(self.outputs(self.encoding.encode(rows)), rows)
         return (commands[0] if single else commands), None
 
-    def outputs(self, inputs: Single) -> Array:
+    def outputs(self, inputs: Array32) -> Array:
         """What the network makes of its inputs, a row for each; `Encoding.decode` cuts it off at -1 and 1."""
         values = inputs.astype(np.float64)
         if self.estimator:
@@ -365,7 +365,7 @@ class LearnedPolicy:
         outputs: Array = np.tanh(values) if self._squash else values
         return outputs
 
-    def estimates(self, inputs: Single) -> Array:
+    def estimates(self, inputs: Array32) -> Array:
         """Conditions as they are estimated from inputs, as the maps of the description make them."""
         clip = self.parameters.clip
         return np.clip(self._through(self.estimator, inputs.astype(np.float64)), -clip, clip)
@@ -401,7 +401,7 @@ class RememberingPolicy(LearnedPolicy):
         state: Any | None = None,
         episode_start: Any | None = None,
         deterministic: bool = True,
-    ) -> tuple[Single, Any]:
+    ) -> tuple[Array32, Any]:
         """Valve commands for the next control period.
 
         Parameters

@@ -12,13 +12,13 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from sayd_env.config import ConfigError
-from sayd_env.config.units import Array, Flags, Single
+from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.environment import SEEDS
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.loop import BOGIES, COST_ACCELERATION, COST_FORCE
 from sayd_env.envs.vector import SaydVectorEnv
 
-Step = tuple[Single, Single, Flags, list[dict[str, Any]]]
+Step = tuple[Array32, Array32, Flags, list[dict[str, Any]]]
 
 
 class SaydVecEnv(VecEnv):
@@ -58,7 +58,7 @@ class SaydVecEnv(VecEnv):
         """What a policy may know of the environment."""
         return self.vector.interface
 
-    def reset(self) -> Single:
+    def reset(self) -> Array32:
         """Begin an episode of every vehicle, with the seeds and options that were set for it."""
         first, others = self._options[0], self._options[1:]
         if all(options == first for options in others):
@@ -72,7 +72,7 @@ class SaydVecEnv(VecEnv):
         self._reset_options()
         return observations
 
-    def _reset_apart(self) -> tuple[Single, list[dict[str, Any]]]:
+    def _reset_apart(self) -> tuple[Array32, list[dict[str, Any]]]:
         """Reset vehicle after vehicle, because their options differ."""
         seeds = list(self._seeds)
         if not self._begun:  # all vehicles must be there before one of them can be reset alone
@@ -86,7 +86,7 @@ class SaydVecEnv(VecEnv):
             reported.append(rows(infos, self.num_envs)[i])
         return observations, reported
 
-    def step_async(self, actions: Single) -> None:
+    def step_async(self, actions: Array32) -> None:
         """Keep the valve commands for `step_wait`."""
         self._actions = actions
 

@@ -42,6 +42,8 @@ class RangeConfig(Model):
         """Whether a value can be drawn."""
         if self.choices:
             return value in self.choices
+        if not isinstance(value, int | float):
+            return False
         assert self.low is not None  # the validator has made sure
         assert self.high is not None
         return bool(self.low <= value <= self.high) and (not self.whole or float(value).is_integer())

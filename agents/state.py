@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sayd_env.config import ConfigError
-from sayd_env.config.units import Array, Flags, Single
+from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.interface import Interface, RunIn
 
 INPUT, OUTPUT = "observation", "command"
@@ -49,7 +49,7 @@ def started(state: Any | None, episode_start: Any | None, count: int, width: int
     return before
 
 
-def run_in(heard: RunIn, interface: Interface) -> Iterator[tuple[Flags, Single]]:
+def run_in(heard: RunIn, interface: Interface) -> Iterator[tuple[Flags, Array32]]:
     """Vehicles on their way to step 0, and what they observed, period by period.
 
     Of a history these are the two newest rows, which is all that memories read. The last observation is left

@@ -185,6 +185,9 @@ class _Run:
         self.model.action_space.seed(config.seed + self.origin.restarts)
         self.evaluations = Table(folder / "evaluations.csv", numbers=("steps", "J"), until=self.steps)
         self.log = Table(folder / "progress.csv", numbers=("steps",), until=self.steps)
+        for table in (self.evaluations, self.log):
+            if table.rows:
+                table.save()  # without the rows behind the checkpoint: they are made again
         self.references = Table(folder / "references.csv", numbers=("J",), texts=("policy",))
         self.best = _cost_of(folder / BEST)
         self.about = about | {"libraries": {name: metadata.version(name) for name in LIBRARIES}}
@@ -244,8 +247,6 @@ class _Run:
         if not path.exists():
             save_model(path, self.model, self.progress())
             save_policy(self.folder / LAST, self._policy(None))
-        self.log.save()
-        self.evaluations.save()
         for old in _checkpoints(self.folder)[: -self.config.checkpoint.keep]:
             shutil.rmtree(old, ignore_errors=True)
 

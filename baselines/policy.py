@@ -9,10 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, Model
-from sayd_env.config.units import Array, Flags, Single
+from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
 
-Action = Single
 Parameters = TypeVar("Parameters", bound=Model)
 State = TypeVar("State")
 
@@ -59,7 +58,7 @@ class Policy(ABC, Generic[Parameters, State]):
         state: State | None = None,
         episode_start: npt.ArrayLike | None = None,
         deterministic: bool = True,
-    ) -> tuple[Action, State]:
+    ) -> tuple[Array32, State]:
         """Valve commands for the next control period.
 
         Parameters

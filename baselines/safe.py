@@ -12,11 +12,10 @@ import numpy.typing as npt
 from sayd_env.baselines.constant import Passive
 from sayd_env.baselines.hunting_indicator import Hunting, hunting_indicator
 from sayd_env.baselines.observation_layout import interface_of
-from sayd_env.baselines.policy import Action
 from sayd_env.baselines.sensor_twins import Agreement, SensorTwins
 from sayd_env.config import ConfigError
 from sayd_env.config.safe import load_safe
-from sayd_env.config.units import Array, Flags, Integers
+from sayd_env.config.units import Array, Array32, Flags, Integers
 from sayd_env.envs.interface import BOGIES, RunIn
 
 SAFE = "safe:"
@@ -166,7 +165,7 @@ class SafeFallback:
         state: Watch | None = None,
         episode_start: npt.ArrayLike | None = None,
         deterministic: bool = True,
-    ) -> tuple[Action, Watch]:
+    ) -> tuple[Array32, Watch]:
         """Valve commands for the next control period, see `Policy.predict`.
 
         Raises
@@ -267,7 +266,7 @@ class SafeFallback:
         state.intervened += self.intervening(state)
         state.content = not state.trips.any() and bool(np.all(state.share == 1.0))
 
-    def _guarded(self, action: Action, share: Array) -> Action:
+    def _guarded(self, action: Array32, share: Array) -> Array32:
         """The policy's commands, shape (..., A), with shares (..., 2) of the bogies."""
         if np.all(share == 1.0):
             return action

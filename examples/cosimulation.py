@@ -27,14 +27,14 @@ FORCE, ACCELERATION = "force.front.left.upper", "lateral_acceleration.front.lead
 
 
 class Dampers:
-    """Eight instances of a damper's unit (FMI 2.0), with the ends set at the end of each step."""
+    """Eight instances of a damper's unit (FMI 2.0); their ends are set after each step of the vehicle."""
 
     def __init__(self, path: str, command: float) -> None:
         folder = fmpy.extract(path)
         about = fmpy.read_model_description(folder)
         place = {variable.name: variable.valueReference for variable in about.modelVariables}
         self.inputs = [place[name] for name in ("x_1", "v_1", "x_2", "v_2", "current")]
-        self.tells = [place["F_1"], place["F_2"]]
+        self.outputs = [place["F_1"], place["F_2"]]
         self.command = command
         self.units = [fmpy.instantiate_fmu(folder, about) for _ in DAMPERS]
         for unit in self.units:
@@ -50,7 +50,7 @@ class Dampers:
         for unit, end in zip(self.units, ends.T, strict=True):
             unit.setReal(self.inputs, [*end, self.command])
             unit.doStep(currentCommunicationPoint=time, communicationStepSize=h)
-            forces.append(unit.getReal(self.tells))
+            forces.append(unit.getReal(self.outputs))
         return np.array(forces).T
 
     def close(self) -> None:

@@ -191,7 +191,7 @@ def once_only(name: str, value: str) -> bool:
     array = re.fullmatch(
         r"NDArray\[(float64|float32|complex128|int64|bool_)\]", re.sub(r"\bn(pt|p)\.", "", value)
     )
-    named = name.strip("_") in ("KMH", "Array", "Single", "Complex", "Integers", "Flags")
+    named = name.strip("_") in ("KMH", "Array", "Array32", "ComplexArray", "Integers", "Flags")
     return named or value in ("3.6", "1 / 3.6", "1.0 / 3.6") or array is not None
 
 

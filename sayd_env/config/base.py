@@ -10,7 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field
 Number = Annotated[float, Field(strict=True)]
 """A number in a list: neither text nor true or false will do."""
 Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+"""A number from 0 to 1 in a list."""
 Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
+"""Of random draws."""
 
 
 class Model(BaseModel):

@@ -59,7 +59,10 @@ class Stage(Model):
     )
     starts: int = quantity("-", "Starts at most; the last search goes on from the best", default=1, ge=1)
     good_cost: float = quantity(
-        "-", "Cost before the last search from which down no further start is made", default=0.0, ge=0.0
+        "-",
+        "No further start is made once one has come to this cost or a lower one before the last search",
+        default=0.0,
+        ge=0.0,
     )
 
     @field_validator("parameters")

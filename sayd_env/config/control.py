@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, Number, Part, Provenance, quantity
+from sayd_env.config.base import Model, Number, Part, Provenance, Share, quantity
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import Origin, nearest, shown
 from sayd_env.config.layers import Kind, layered, read_layered
@@ -139,9 +139,7 @@ class _OverSpeed(Model):
         min_length=1,
         description="Rising speeds of the table (km/h); beyond its ends the outer values stay",
     )
-    commands: tuple[Annotated[Number, Field(ge=0.0, le=1.0)], ...] = Field(
-        description="Valve command V at each of them (-)"
-    )
+    commands: tuple[Share, ...] = Field(description="Valve command V at each of them (-)")
 
     def _columns(self) -> dict[str, tuple[float, ...]]:
         return {"commands": self.commands}

@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field, model_validator
 
-from sayd_env.config.base import Model, Number, Share, quantity
+from sayd_env.config.base import Model, Number, Seed, Share, quantity
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
 from sayd_env.config.limits import LIMITS
@@ -83,9 +83,7 @@ class MapConfig(Model):
         min_length=1,
         description="Factors on the study's irregularities (-); null: its own one",
     )
-    seeds: tuple[Annotated[int, Field(strict=True, ge=0, lt=2**32)], ...] = Field(
-        min_length=1, description="Of tracks"
-    )
+    seeds: tuple[Seed, ...] = Field(min_length=1, description="Of tracks")
     episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
     openings: tuple[Share, ...] = Field(
         min_length=1, description="Commands beside 0, as shares of the valve's travel beyond its overlap (-)"

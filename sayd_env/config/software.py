@@ -65,7 +65,7 @@ def source_fingerprint() -> str:
 
 @cache
 def floor_fingerprint(module: str) -> str:
-    """Fingerprint of a module's floor; empty where `source_fingerprint` covers it, or if it is not ours."""
+    """Fingerprint of a module's floor; empty for those of `source_fingerprint`, and for code of others."""
     package, _, rest = module.partition(".")
     floor = rest.partition(".")[0]
     if package != "sayd_env" or not floor or floor in FLOORS:

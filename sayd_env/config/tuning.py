@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any
+from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
-from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.base import Model, Number, Seed, quantity
 from sayd_env.config.control import CONTROLLERS, gains_of, load_controller
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.explain import nearest
@@ -39,9 +39,7 @@ class TunedLines(Model):
     """Lines, on which everything is drawn from the seeds."""
 
     environment: str = Field(min_length=1, description="Environment with `lines`: a packaged name or a path")
-    seeds: tuple[Annotated[int, Field(strict=True, ge=0)], ...] = Field(
-        min_length=1, description="Of their episodes 0"
-    )
+    seeds: tuple[Seed, ...] = Field(min_length=1, description="Of their episodes 0")
     episode_s: float = quantity("s", "Time over which J is taken", gt=0.0)
 
 

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
-Complex: TypeAlias = NDArray[np.complex128]
+Array32: TypeAlias = NDArray[np.float32]
+"""Observations and commands, as learners and networks take them."""
+ComplexArray: TypeAlias = NDArray[np.complex128]
 Integers: TypeAlias = NDArray[np.int64]
+"""Counts, and places in other arrays."""
 Flags: TypeAlias = NDArray[np.bool_]
 
 KMH = 3.6

@@ -15,7 +15,7 @@ from gymnasium.envs.registration import EnvSpec
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.explain import shown
-from sayd_env.config.units import Array, Flags, Single
+from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, checked_actions
 from sayd_env.envs.info import episode_info, period_info, vehicle_info
@@ -156,7 +156,7 @@ class Environment:
             return self._view.observation_box, self._view.action_box
         return observation_box(self.batch.interface), action_box(self.batch.interface)
 
-    def _observed(self) -> Single:
+    def _observed(self) -> Array32:
         """What the vehicles observe now, shape (N, *obs)."""
         seen = self.batch.observations()
         return seen if self._view is None else self._view.observe(seen)
@@ -235,7 +235,7 @@ class Environment:
             sliding.run_in(rows, batch.vehicles.choice()[i], episode.speed)
         return sliding
 
-    def _advance(self, actions: Array, active: Flags | None = None) -> tuple[Single, Array, Flags, Flags]:
+    def _advance(self, actions: Array, active: Flags | None = None) -> tuple[Array32, Array, Flags, Flags]:
         """Run one control period, as `EpisodeBatch.step` does."""
         # f_0 moves at the end of a period: its samples were filtered in the bands before.
         choice = None if self._log is None else self.batch.vehicles.choice()

@@ -25,7 +25,7 @@ from sayd_env.config.fault import SensorNoisy
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import SIGNALS as SENSED
 from sayd_env.config.sensors import UNITS
-from sayd_env.config.units import Array, Flags, Single
+from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.cost import termination_charge
 from sayd_env.envs.draw import Episode, episode_scenario
 from sayd_env.envs.faults import FaultSchedule
@@ -73,7 +73,7 @@ class EpisodeState:
     limits: Limits
     faults: FaultSchedule | None
     """What is still to happen."""
-    history: Single
+    history: Array32
 
 
 class EpisodeBatch:
@@ -330,7 +330,7 @@ class EpisodeBatch:
 
     def step(
         self, actions: npt.ArrayLike, *, log: Array | None = None, active: Flags | None = None
-    ) -> tuple[Single, Array, Flags, Flags]:
+    ) -> tuple[Array32, Array, Flags, Flags]:
         """Run all vehicles over one control period.
 
         Parameters
@@ -353,7 +353,7 @@ class EpisodeBatch:
         vehicles = self.vehicles
         running = self._running(active)
         np.asarray(actions, dtype=np.float64).take(self._valve, axis=1, out=self._commanded)
-        if active is not None:  # the others keep theirs, and so does their telemetry
+        if active is not None:  # the others keep their commands, which telemetry shows
             self._commanded[~active] = vehicles.command[~active]
         vehicles.step(self._commanded, log=log, active=active)
         self.elapsed += running
@@ -390,7 +390,7 @@ class EpisodeBatch:
         charge = termination_charge(self.config, self.scenario.cost, elapsed)
         return (last if math.isfinite(last) else 0.0) - charge
 
-    def observations(self) -> Single:
+    def observations(self) -> Array32:
         """What the vehicles observe, a new array of shape (count, *interface.shape)."""
         return self._history.copy()
 

@@ -14,7 +14,7 @@ from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.control import OnlineConfig
 from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
 from sayd_env.config.explain import shown
-from sayd_env.config.units import Array, Integers, Single
+from sayd_env.config.units import Array, Array32, Integers
 from sayd_env.envs.options import number_array
 
 BOGIES = ("front", "rear")
@@ -176,7 +176,7 @@ class Interface:
 class RunIn:
     """What vehicles observed on their way to step 0, T control periods; all arrive there together."""
 
-    observations: Single
+    observations: Array32
     """(T, count, numbers of a vector), the last ones those of the reset."""
     begins: Integers
     """(count,) period with which each vehicle's run-in begins; what is before it is not its own."""

@@ -1,7 +1,7 @@
 """The true conditions of episodes, which no sensor measures: for critics, targets of estimators and analyses.
 
 They are the simulator's, kept apart from observations and `info`: a policy must not see them. What changes
-along a line is that of the place where the vehicle is.
+along a line is taken where the vehicle is.
 """
 
 from __future__ import annotations

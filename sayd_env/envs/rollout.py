@@ -12,7 +12,7 @@ import numpy as np
 from sayd_env.config import StudyError
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.units import KMH, Array, Flags, Single
+from sayd_env.config.units import KMH, Array, Array32, Flags
 from sayd_env.envs.cost import EpisodeCost, episode_cost, mean_squares
 from sayd_env.envs.draw import Episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
@@ -65,7 +65,7 @@ class Rollout:
     """(t, LOG) true signals from the start of the run-in, by the columns of `sayd_env.envs.loop`."""
     traced: Array
     """(t, kept) further true signals, those columns of `sayd_env.envs.trace` that were asked for."""
-    actions: Single
+    actions: Array32
     """(n, A) valve commands."""
     rewards: Array
     """(n,) minus the mean of the bogies' J, by the on-line filter, without a charge for a termination."""
@@ -195,7 +195,7 @@ def _rollout(
     before: int,
     true: Array,
     traced: Array,
-    actions: Single,
+    actions: Array32,
     rewards: Array,
     terms: Array,
     intervened: Flags | None,

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Box
 
 from sayd_env.config.learner import InputConfig, load_learner
-from sayd_env.config.units import Array, Flags, Single
+from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.options import number_array
@@ -46,7 +46,7 @@ class Scaling:
         middle, half = (np.array([getattr(item, name) for item in each]) for name in ("middle", "half"))
         return cls(middle, half, clip, logarithmic)
 
-    def __call__(self, values: npt.ArrayLike) -> Single:
+    def __call__(self, values: npt.ArrayLike) -> Array32:
         """Map numbers, shape (..., n)."""
         seen = np.asarray(values, dtype=np.float64)
         seen = np.where(np.isnan(seen), self.middle, seen)
@@ -55,7 +55,7 @@ class Scaling:
             # The floor keeps the logarithm of a dead sensor finite; it lies far beyond the clip.
             ratio = np.maximum(seen / np.where(self.logarithmic, self.middle, 1.0), FLOOR)
             apart = np.where(self.logarithmic, np.log(ratio), apart)
-        bounded: Single = np.clip(apart * self.per_half, -self.clip, self.clip).astype(np.float32)
+        bounded: Array32 = np.clip(apart * self.per_half, -self.clip, self.clip).astype(np.float32)
         return bounded
 
 

@@ -8,14 +8,14 @@ import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
-from sayd_env.config.units import Single
+from sayd_env.config.units import Array32
 from sayd_env.envs.environment import Environment
 from sayd_env.envs.keywords import RENDER_MODES, Keywords
 from sayd_env.envs.options import whole_number
 from sayd_env.envs.registration import id_of
 
 
-class SaydEnv(Environment, gym.Env[Single, Single]):
+class SaydEnv(Environment, gym.Env[Array32, Array32]):
     """A high-speed rail vehicle whose eight yaw dampers have valves that a policy commands.
 
     Made by ``gymnasium.make`` with one of these ids:
@@ -171,7 +171,7 @@ class SaydEnv(Environment, gym.Env[Single, Single]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Single, dict[str, Any]]:
+    ) -> tuple[Array32, dict[str, Any]]:
         """Begin an episode.
 
         Parameters
@@ -195,7 +195,7 @@ class SaydEnv(Environment, gym.Env[Single, Single]):
             self.render()
         return self._observed()[0], self._info(0)
 
-    def step(self, action: Single) -> tuple[Single, SupportsFloat, bool, bool, dict[str, Any]]:
+    def step(self, action: Array32) -> tuple[Array32, SupportsFloat, bool, bool, dict[str, Any]]:
         """Hold valve commands for one control period.
 
         Parameters

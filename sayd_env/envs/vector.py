@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from sayd_env.config import ConfigError
 from sayd_env.config.explain import shown
-from sayd_env.config.units import Array, Flags, Single
+from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.environment import KEYWORDS as OF_ONE
 from sayd_env.envs.environment import Environment, EnvironmentState
 from sayd_env.envs.info import period_infos
@@ -28,7 +28,7 @@ KEYWORDS = (*OF_ONE, *OWN_KEYWORDS)
 MOST_ENVS = 65536
 
 
-class SaydVectorEnv(Environment, VectorEnv[Single, Single, npt.NDArray[Any]]):
+class SaydVectorEnv(Environment, VectorEnv[Array32, Array32, npt.NDArray[Any]]):
     """Many `SaydEnv` side by side; see there for actions, observations, reward and ends.
 
     Made by ``gymnasium.make_vec``. Environment i gives the same bits as a `SaydEnv` that is reset with the
@@ -106,7 +106,7 @@ class SaydVectorEnv(Environment, VectorEnv[Single, Single, npt.NDArray[Any]]):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Single, dict[str, Any]]:
+    ) -> tuple[Array32, dict[str, Any]]:
         """Begin an episode in every vehicle.
 
         Parameters
@@ -166,7 +166,7 @@ class SaydVectorEnv(Environment, VectorEnv[Single, Single, npt.NDArray[Any]]):
             raise ConfigError("options: reset_mask: the first reset must be one of all vehicles")
         return [int(i) for i in np.flatnonzero(flags)]
 
-    def step(self, actions: Single) -> tuple[Single, Array, Flags, Flags, dict[str, Any]]:
+    def step(self, actions: Array32) -> tuple[Array32, Array, Flags, Flags, dict[str, Any]]:
         """Hold valve commands for one control period.
 
         Parameters
@@ -199,7 +199,7 @@ class SaydVectorEnv(Environment, VectorEnv[Single, Single, npt.NDArray[Any]]):
 
     def _run(
         self, values: Array, active: Flags | None = None
-    ) -> tuple[Single, Array, Flags, Flags, dict[str, Any]]:
+    ) -> tuple[Array32, Array, Flags, Flags, dict[str, Any]]:
         """Step the active vehicles; the others have just begun."""
         observations, rewards, terminated, truncated = self._advance(values, active)
         if active is not None:

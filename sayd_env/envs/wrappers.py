@@ -17,7 +17,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.wrappers import FrameStackObservation as HistoryStack
 
 from sayd_env.config import ConfigError
-from sayd_env.config.units import Single
+from sayd_env.config.units import Array32
 from sayd_env.envs.scaled import Scaling
 
 __all__ = ["HistoryStack", "NormalizeSignals", "NormalizeVectorSignals"]
@@ -33,7 +33,7 @@ def _ranges(space: Any) -> tuple[Scaling, Any]:
     return scaling, Box(-1.0, 1.0, space.shape, dtype=np.float32)
 
 
-class NormalizeSignals(gym.ObservationWrapper[Single, Single, Single], RecordConstructorArgs):
+class NormalizeSignals(gym.ObservationWrapper[Array32, Array32, Array32], RecordConstructorArgs):
     """Map the range of every signal to -1 to 1.
 
     The ranges are those of the sensors, so the map is fixed: no statistics, the same for all policies.
@@ -49,12 +49,12 @@ class NormalizeSignals(gym.ObservationWrapper[Single, Single, Single], RecordCon
         Another observation space.
     """
 
-    def __init__(self, env: gym.Env[Single, Single]) -> None:
+    def __init__(self, env: gym.Env[Array32, Array32]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
         self._scaling, self.observation_space = _ranges(env.observation_space)
 
-    def observation(self, observation: Single) -> Single:
+    def observation(self, observation: Array32) -> Array32:
         """Map one observation."""
         return self._scaling(observation)
 
@@ -62,7 +62,7 @@ class NormalizeSignals(gym.ObservationWrapper[Single, Single, Single], RecordCon
 class NormalizeVectorSignals(VectorWrapper, RecordConstructorArgs):
     """`NormalizeSignals` for vector environments in any autoreset mode; ``final_obs`` is mapped too."""
 
-    def __init__(self, env: VectorEnv[Single, Single, npt.NDArray[Any]]) -> None:
+    def __init__(self, env: VectorEnv[Array32, Array32, npt.NDArray[Any]]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
         self._scaling, self.observation_space = _ranges(env.observation_space)

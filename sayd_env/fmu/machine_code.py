@@ -45,9 +45,8 @@ def object_file(kernel: Callable[..., Any], arguments: tuple[Any, ...], symbol: 
     name = overload.fndesc.llvm_func_name
     text = overload.library.get_llvm_str().replace(name, symbol)
     text = re.sub(r'^target (triple|datalayout) = ".*"$', "", text, flags=re.MULTILINE)
-    text = re.sub(
-        r'"target-features"="[^"]*"', "", text
-    )  # of the machine that compiles, see `gathered_reads`
+    # `gathered_reads` states features of the machine that compiles.
+    text = re.sub(r'"target-features"="[^"]*"', "", text)
     binding.initialize_all_targets()
     binding.initialize_all_asmprinters()
     machine = binding.Target.from_triple(target).create_target_machine(

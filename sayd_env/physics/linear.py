@@ -31,7 +31,7 @@ from scipy.optimize import brentq, linear_sum_assignment
 from sayd_env.config import StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
-from sayd_env.config.units import KMH, Array, Complex
+from sayd_env.config.units import KMH, Array, ComplexArray
 from sayd_env.physics import plant as at
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
@@ -127,9 +127,9 @@ class Mode:
     """-Re(lambda) / |lambda|; negative: the mode grows."""
     eigenvalue: complex
     """lambda, with positive imaginary part, 1/s."""
-    shape: Complex
+    shape: ComplexArray
     """(n,) displacements, the largest of them 1."""
-    vector: Complex
+    vector: ComplexArray
     """The whole eigenvector: displacements, velocities, damper forces, semi-active dampers' states."""
     name: str
     """What moves, in the field's terms; of several such modes the least damped has no number."""
@@ -141,7 +141,7 @@ class RootLocus:
 
     speeds: Array
     """(s,) m/s."""
-    eigenvalues: Complex
+    eigenvalues: ComplexArray
     """(s, b) 1/s."""
     names: tuple[str, ...]
     """(b,) name of each branch: that of its mode at the highest speed at which it exists."""
@@ -373,7 +373,7 @@ def root_locus(model: VehicleModel, speeds: Sequence[float], amplitude: float | 
         owner = following
         owners.append(owner)
     eigenvalues = np.full((len(found), branches), complex(np.nan, np.nan))
-    last: list[Complex] = [np.empty(0, dtype=np.complex128)] * branches
+    last: list[ComplexArray] = [np.empty(0, dtype=np.complex128)] * branches
     for s, (owner, (values, vectors)) in enumerate(zip(owners, found, strict=True)):
         eigenvalues[s, owner] = values
         for branch, vector in zip(owner, vectors, strict=True):
@@ -541,7 +541,7 @@ def _saturation(model: VehicleModel, steady: Linearisation, mode: Mode, amplitud
     return float(np.sum(much * little) / np.sum(little * little))
 
 
-def _spectrum(model: VehicleModel, matrix: Array) -> tuple[Complex, Complex]:
+def _spectrum(model: VehicleModel, matrix: Array) -> tuple[ComplexArray, ComplexArray]:
     """Eigenvalues with positive imaginary part, rising in it, and their eigenvectors as rows."""
     n = model.multibody.n
     free = np.delete(np.arange(len(matrix)), model.multibody.wheelset_dofs[:, 4])
@@ -556,11 +556,11 @@ def _spectrum(model: VehicleModel, matrix: Array) -> tuple[Complex, Complex]:
     return values, full
 
 
-def _damping_ratio(values: Complex) -> Array:
+def _damping_ratio(values: ComplexArray) -> Array:
     return np.asarray(-values.real / np.abs(values))
 
 
-def _likeness(p: Complex, a: Complex, q: Complex, b: Complex) -> Array:
+def _likeness(p: ComplexArray, a: ComplexArray, q: ComplexArray, b: ComplexArray) -> Array:
     """Likeness of modes (eigenvalues p, shapes a as rows) to modes (q, b), from 0 to 1."""
     a = a / np.linalg.norm(a, axis=1, keepdims=True)
     b = b / np.linalg.norm(b, axis=1, keepdims=True)

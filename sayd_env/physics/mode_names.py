@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from sayd_env.config.units import Complex
+from sayd_env.config.units import ComplexArray
 from sayd_env.physics.layout import AXES, Instance
 from sayd_env.physics.multibody import Multibody
 
@@ -37,7 +37,7 @@ _MINOR = 0.1  # share below which a body does not take part
 _PHASE = 0.5  # cosine of the phase angle up to which two motions are in phase
 
 
-def describe(multibody: Multibody, shape: Complex) -> str:
+def describe(multibody: Multibody, shape: ComplexArray) -> str:
     """Name the motion of a mode shape.
 
     Parameters
@@ -88,7 +88,7 @@ def numbered(names: list[str], order: Iterable[int] | None = None) -> list[str]:
 class _Parts:
     """A mode shape with the kinetic energy of every unknown, by bodies."""
 
-    def __init__(self, multibody: Multibody, shape: Complex) -> None:
+    def __init__(self, multibody: Multibody, shape: ComplexArray) -> None:
         self.multibody = multibody
         self.shape = shape
         self.energy = multibody.mass * np.abs(shape) ** 2
@@ -124,7 +124,7 @@ class _Parts:
         return " in phase" if cosine > _PHASE else " anti phase" if cosine < -_PHASE else " out of phase"
 
 
-def _cosine(a: Complex, b: Complex) -> float:
+def _cosine(a: ComplexArray, b: ComplexArray) -> float:
     size = np.linalg.norm(a) * np.linalg.norm(b)
     return float(np.vdot(a, b).real / size) if size > 0.0 else 0.0
 

@@ -30,7 +30,7 @@ from scipy.signal import besselap
 
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.track import CHANNELS
-from sayd_env.config.units import Array, Complex
+from sayd_env.config.units import Array, ComplexArray
 from sayd_env.physics.equivalent_damper import STATE_UNITS
 from sayd_env.physics.layout import longitudinal_rows
 from sayd_env.physics.linear import Linearisation, OperatingPoint, equivalent, equivalent_plant, rates_of
@@ -68,7 +68,7 @@ class StateSpace:
     units: dict[str, str]
     """Of states, inputs and outputs."""
 
-    def response(self, frequencies: npt.ArrayLike) -> Complex:
+    def response(self, frequencies: npt.ArrayLike) -> ComplexArray:
         """Frequency response C (i omega - A)^-1 B + D at frequencies (Hz), shape (f, outputs, inputs)."""
         eye = np.eye(len(self.a))
         return np.array(

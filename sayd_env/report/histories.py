@@ -49,7 +49,7 @@ def checked_format(kind: str, option: str = "--format") -> str:
 
 
 def write_history(
-    path: Path, kind: str, time: Array, columns: list[FileSignal], about: Mapping[str, str]
+    path: Path, kind: str, time: Array, signals: list[FileSignal], about: Mapping[str, str]
 ) -> None:
     """Write signals into one file, under another name until it is complete.
 
@@ -60,7 +60,7 @@ def write_history(
         One of `FORMATS`.
     time : ndarray, shape (t,)
         s, rising.
-    columns : list of FileSignal
+    signals : list of FileSignal
     about : mapping
         What Parquet and MDF say of the file.
 
@@ -71,48 +71,48 @@ def write_history(
     StudyError
         The file cannot be written.
     """
-    every = [FileSignal("time", "s", "time_s", time), *columns]
+    every = [FileSignal("time", "s", "time_s", time), *signals]
     with replacing(path) as temporary, temporary.open("wb+") as stream:
         _WRITERS[kind](stream, every, about)
 
 
-def _write_csv(stream: BinaryIO, columns: list[FileSignal], about: Mapping[str, str]) -> None:
+def _write_csv(stream: BinaryIO, signals: list[FileSignal], about: Mapping[str, str]) -> None:
     import pandas  # noqa: PLC0415 - slow to import
 
-    table = pandas.DataFrame({column.full_name: column.values for column in columns})
+    table = pandas.DataFrame({signal.full_name: signal.values for signal in signals})
     table.to_csv(stream, index=False, lineterminator="\n")
 
 
-def _write_parquet(stream: BinaryIO, columns: list[FileSignal], about: Mapping[str, str]) -> None:
+def _write_parquet(stream: BinaryIO, signals: list[FileSignal], about: Mapping[str, str]) -> None:
     arrow = _library("parquet")
     fields = [
-        arrow.field(column.full_name, arrow.float64(), metadata={"unit": column.unit}) for column in columns
+        arrow.field(signal.full_name, arrow.float64(), metadata={"unit": signal.unit}) for signal in signals
     ]
     table = arrow.table(
-        [column.values for column in columns], schema=arrow.schema(fields, metadata=dict(about))
+        [signal.values for signal in signals], schema=arrow.schema(fields, metadata=dict(about))
     )
     import_module("pyarrow.parquet").write_table(table, stream)
 
 
-def _write_mat(stream: BinaryIO, columns: list[FileSignal], about: Mapping[str, str]) -> None:
+def _write_mat(stream: BinaryIO, signals: list[FileSignal], about: Mapping[str, str]) -> None:
     from scipy.io import savemat  # noqa: PLC0415 - slow to import
 
     # A variable of MATLAB is letters, digits and underscores.
-    named = {re.sub(r"\W", "_", column.full_name): column.values for column in columns}
+    named = {re.sub(r"\W", "_", signal.full_name): signal.values for signal in signals}
     savemat(stream, named, oned_as="column", do_compression=True)
 
 
-def _write_mf4(stream: BinaryIO, columns: list[FileSignal], about: Mapping[str, str]) -> None:
+def _write_mf4(stream: BinaryIO, signals: list[FileSignal], about: Mapping[str, str]) -> None:
     library = _library("mf4")
-    time, *signals = columns
+    time, *others = signals
     with warnings.catch_warnings(), library.MDF(version="4.10") as file:
         warnings.simplefilter("ignore")
         file.append(
             [
                 library.Signal(
-                    column.values, time.values, name=column.name, unit=column.unit.replace("-", "")
+                    signal.values, time.values, name=signal.name, unit=signal.unit.replace("-", "")
                 )
-                for column in signals
+                for signal in others
             ],
             common_timebase=True,
         )

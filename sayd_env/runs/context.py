@@ -1,4 +1,4 @@
-"""How a study has its runs made: who computes, where finished runs are kept, who reports progress."""
+"""How a study has its runs made: who computes, where finished runs are kept, where progress is reported."""
 
 from __future__ import annotations
 

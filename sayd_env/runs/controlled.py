@@ -13,7 +13,7 @@ from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.units import KMH, Array, Single
+from sayd_env.config.units import KMH, Array, Array32
 from sayd_env.envs.loop import LOG_ACCELERATION, LOG_FORCE, LOG_HYDRAULIC, LOG_TRACK_SHIFT
 from sayd_env.envs.rollout import Rollout
 from sayd_env.runs.context import RunContext
@@ -47,11 +47,11 @@ class ControlledRun(Assessed):
     """Largest absolute force of any damper, N."""
     force_power_high: float
     """Power of the damper force above 10 Hz, mean over the dampers, N^2."""
-    command: Single
+    command: Array32
     """(steps, b) commanded valve opening of each bogie, 0 to 1, from the end of the run-in on."""
     control_period: float
     """How long a command holds, s."""
-    force_trace: Single
+    force_trace: Array32
     """(n,) force of one damper of the rear bogie, N: the first 40 s behind the run-in."""
     trace_period: float
     """Time between two values of the trace, s."""
@@ -219,7 +219,7 @@ def high_frequency_power(force: Array, sample_rate: float) -> float:
     return float(np.mean(power))
 
 
-def _trace(force: Array, sample_rate: float) -> tuple[Single, float]:
+def _trace(force: Array, sample_rate: float) -> tuple[Array32, float]:
     """Thinned start of a force, and the time between its values."""
     start = force[: round(_TRACE_TIME * sample_rate)]
     step = max(round(sample_rate / _TRACE_RATE), 1)

@@ -12,7 +12,7 @@ import numpy as np
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.scenario import CostConfig, Scenario
-from sayd_env.config.units import KMH, Array, Flags, Single
+from sayd_env.config.units import KMH, Array, Array32, Flags
 from sayd_env.envs.cost import charged
 from sayd_env.envs.loop import (
     BOGIES,
@@ -179,7 +179,7 @@ def row_of(
     run: Run,
     rollout: Rollout,
     measure: Callable[[Run, Rollout], dict[str, float]],
-    command: Single,
+    command: Array32,
     distance: float,
 ) -> Row:
     """A run as a row.
@@ -293,7 +293,7 @@ def comfort_index(rollout: Rollout, settings: AssessmentConfig) -> float:
     return max(mean_comfort(place, rate, part.start, part.stop) for place in places)
 
 
-def switchings(command: Single, lower: float = LOWER, upper: float = UPPER) -> float:
+def switchings(command: Array32, lower: float = LOWER, upper: float = UPPER) -> float:
     """Passages of commands, shape (steps, valves), from one end of their range to the other, their mean.
 
     The ends lie up to `lower` and from `upper` on. What lies between them does not count, nor does a return
@@ -342,7 +342,7 @@ OVER_THE_LENGTH = (
 """Columns that belong to the whole assessed length."""
 
 
-def _use(rollout: Rollout, command: Single, distance: float) -> dict[str, Any]:
+def _use(rollout: Rollout, command: Array32, distance: float) -> dict[str, Any]:
     """What commands of a rollout did over a distance (m); nothing where the run ended before step 0."""
     if not len(command):
         return {}

@@ -30,7 +30,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.errors import SaydError
 from sayd_env.config.explain import shown
 from sayd_env.config.files import MIB, read_bytes
-from sayd_env.config.units import Single
+from sayd_env.config.units import Array32
 from sayd_env.envs.episode_batch import checked_actions
 from sayd_env.envs.interface import Interface
 
@@ -131,7 +131,7 @@ class CheckedPolicy:
         state: Any | None = None,
         episode_start: Any | None = None,
         deterministic: bool = True,
-    ) -> tuple[Single, Any]:
+    ) -> tuple[Array32, Any]:
         """Valve commands for the next control period, as those of all policies.
 
         Raises

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sayd_env.config.units import Single
+from sayd_env.config.units import Array32
 from sayd_env.envs.interface import Interface
 from sayd_env.runs.policies import PolicySpec
 
@@ -49,7 +49,7 @@ class ScheduledCommands:
         state: Any | None = None,
         episode_start: Any | None = None,
         deterministic: bool = True,
-    ) -> tuple[Single, int]:
+    ) -> tuple[Array32, int]:
         """Commands for N vehicles, which have all begun together."""
         period = 0 if state is None else int(state)
         time = (period + 0.5) * self.interface.control_period

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from sayd_env.config import DataError, nearest
-from sayd_env.config.units import Array, Complex
+from sayd_env.config.units import Array, ComplexArray
 
 BLOCK = 5.0
 """Time of one weighted RMS value, s."""
@@ -42,7 +42,7 @@ WEIGHTINGS = {
 """Horizontal (Wd) and vertical (Wb) vibration of passengers, EN 12299, annex on frequency weighting."""
 
 
-def weighting(name: str, frequency: npt.ArrayLike) -> Complex:
+def weighting(name: str, frequency: npt.ArrayLike) -> ComplexArray:
     """Frequency response of a weighting.
 
     Parameters
@@ -84,7 +84,7 @@ def weighting(name: str, frequency: npt.ArrayLike) -> Complex:
     return np.asarray(response, dtype=np.complex128)
 
 
-def _second_order(ratio: Array, quality: float) -> Complex:
+def _second_order(ratio: Array, quality: float) -> ComplexArray:
     """``1 + s / (Q w_0) + (s / w_0)^2`` at s = i w, from w / w_0."""
     return np.asarray(1.0 - ratio**2 + 1j * ratio / quality)
 

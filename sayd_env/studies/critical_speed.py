@@ -19,7 +19,7 @@ from sayd_env.envs.loop import LOG_ACCELERATION, LOG_TRACK_SHIFT
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.contact.creep import LAWS
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import LIMITED, Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, panels, with_band
 from sayd_env.runs.context import RunContext, silent
 from sayd_env.runs.controlled import controlled_runs
@@ -204,9 +204,9 @@ TRENDS = (
     Column("frequency_from_hz", "f_0 from", "Hz", digits=2),
     Column("frequency_to_hz", "to", "Hz", digits=2),
     Column("acceleration_rms", "acceleration", "m/s²", digits=2),
-    Column("acceleration_ratio", "/ limit", digits=2, limit=1.0),
+    Column("acceleration_ratio", "/ limit", **LIMITED),
     Column("track_shift_rms_n", "track shift", "kN", 1e-3, 1),
-    Column("track_shift_ratio", "/ limit", digits=2, limit=1.0),
+    Column("track_shift_ratio", "/ limit", **LIMITED),
 )
 """Of the printed table."""
 

@@ -15,7 +15,7 @@ from sayd_env.config.palette import policy_style
 from sayd_env.config.reward import REPORTED, reported_costs
 from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.units import Array
-from sayd_env.report.columns import DERAILED, LIMITED, Column, Listing, Table, csv_table
+from sayd_env.report.columns import DERAILED, LIMITED, PERCENT, Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
 from sayd_env.report.html import Grid, Page, Picture, Section
 from sayd_env.runs.context import RunContext
@@ -72,7 +72,7 @@ _DAMPER_COLUMNS = (
     Column("valve_mean", "mean V", digits=2),
     Column("valve_travel_per_km", "travel", "1/km", digits=1),
     Column("switching_per_s", "switching", "1/s", digits=1),
-    Column("fallback_share", "fallback", "%", 100.0, 0, wide=True),
+    Column("fallback_share", "fallback", wide=True, **PERCENT),
 )
 _POLICY_COLUMNS = (
     Column("policy", "policy"),

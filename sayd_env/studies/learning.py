@@ -152,7 +152,7 @@ def train(
     executor : ExecutorChoice, optional
         Makes the runs of the evaluations; by default threads on all cores.
     progress : Progress
-        Told the steps.
+        Gets the steps.
     stop_rule, wandb
         As `agents.training.train`.
 

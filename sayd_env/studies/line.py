@@ -25,6 +25,7 @@ from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_a
 from sayd_env.report.html import Grid, Page, Picture, Section
 from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, own_speed
 from sayd_env.runs.context import RunContext
+from sayd_env.runs.metrics import RATIOS
 from sayd_env.runs.policies import PolicySpec, refuse_duplicates
 from sayd_env.runs.rollouts import Run, conditions, own_policy
 from sayd_env.studies.standing import Standing, verdict
@@ -86,8 +87,8 @@ class SectionRow:
     """1 where the run ended early in this section or before, else 0."""
 
 
-_LIMITED = ("acceleration_ratio", "track_shift_ratio", "quotient_ratio", "mean_shift_ratio")
-VALUES = ("J", "J_acceleration", "J_force", "J_curve", *_LIMITED, "unloading")
+_RATIOS = (*RATIOS, "quotient_ratio", "mean_shift_ratio")
+VALUES = ("J", "J_acceleration", "J_force", "J_curve", *_RATIOS, "unloading")
 _PICTURE_WORDS = (
     "Above: speed, curve and cant, gauge and friction along the line, the value of a dashed line on the "
     "right. Below: command, J and running values over their limits, one line for each policy, on the first "
@@ -201,7 +202,7 @@ class LineResult:
             Standing(
                 policy,
                 float(np.mean([row["J"] for row in own])),
-                max(_most(np.array([row[name] for name in _LIMITED])) for row in own),
+                max(_most(np.array([row[name] for name in _RATIOS])) for row in own),
                 sum(row["derailed"] for row in own),
             )
             for policy in self.policies

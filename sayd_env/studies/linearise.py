@@ -13,7 +13,8 @@ from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.palette import cycled
 from sayd_env.config.track import CHANNELS
-from sayd_env.config.units import KMH, Complex
+from sayd_env.config.units import KMH, ComplexArray
+from sayd_env.physics.contact.conicity import AMPLITUDE
 from sayd_env.physics.linear import Linearisation, Mode, OperatingPoint, equivalent, modes_of
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.state_space import StateSpace, state_space_of, wheelset_delays
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from sayd_env.config.scenario import Scenario
 
-SHIFT = 3e-3 / math.sqrt(2.0)
+SHIFT = AMPLITUDE / math.sqrt(2.0)
 """RMS of the wheelsets' shift at the amplitude at which EN 15302 quotes conicities (m)."""
 STROKE_SPEED = 10e-3
 """RMS of the dampers' stroke rate (m/s): beyond the knee of published curves at 4 to 10 mm/s."""
@@ -44,7 +45,7 @@ class LineariseResult:
     steady: Linearisation
     modes: list[Mode]
     system: StateSpace
-    responses: Mapping[str, Complex]
+    responses: Mapping[str, ComplexArray]
     """(f,) frequency responses at `FREQUENCIES` by their names: what, then of what."""
 
     def as_dict(self) -> dict[str, Any]:
@@ -221,7 +222,7 @@ def linearise(
     return result
 
 
-def _responses(model: VehicleModel, system: StateSpace, speed: float) -> dict[str, Complex]:
+def _responses(model: VehicleModel, system: StateSpace, speed: float) -> dict[str, ComplexArray]:
     """Lateral acceleration of one track's irregularities, and of forces and commands that turn a bogie."""
     out = next(name for name in system.outputs if name.startswith("lateral_acceleration"))
     names, delays = wheelset_delays(model, speed)

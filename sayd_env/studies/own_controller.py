@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.config.units import Array, Single
-
 BOGIES = ("front", "rear")
 DAMPERS = ("left.upper", "left.lower", "right.upper", "right.lower")
 
@@ -41,7 +39,7 @@ class OwnController:
         self.pressure_a, self.pressure_b = places("pressure_a"), places("pressure_b")  # Pa
         self.start, self.per_bar = start, per_bar
 
-    def command(self, observation: Single) -> Array:
+    def command(self, observation: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
         """Valve commands of both bogies, from one observation or many of them, one a row."""
         across = np.abs(observation[..., self.pressure_a] - observation[..., self.pressure_b])
         bar = across.mean(axis=-1) / 1e5
@@ -49,11 +47,11 @@ class OwnController:
 
     def predict(
         self,
-        observation: Single,
+        observation: npt.NDArray[np.float32],
         state: Any = None,
         episode_start: Any = None,
         deterministic: bool = True,
-    ) -> tuple[Single, Any]:
+    ) -> tuple[npt.NDArray[np.float32], Any]:
         """Act as policies of Stable-Baselines3 do; `state`, None at first, is what it remembers."""
         return self.command(observation).astype(np.float32), state
 

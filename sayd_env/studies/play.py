@@ -15,7 +15,7 @@ from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.limits import LIMITS
 from sayd_env.config.loader import packaged_names
 from sayd_env.config.scenario import Scenario
-from sayd_env.config.units import KMH, Single
+from sayd_env.config.units import KMH, Array32
 from sayd_env.envs.recorder import Frame
 from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
 from sayd_env.report.figures import Plot
@@ -101,7 +101,7 @@ class Hand:
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Single, Any]:
+    ) -> tuple[Array32, Any]:
         """The command of now."""
         del episode_start, deterministic
         return np.full((len(observation), 1), self.command, dtype=np.float32), state

@@ -170,7 +170,7 @@ def render(
     fixed : mapping, optional
         Further options of the episode, as for `draw_episode`.
     progress : Progress
-        Told the number of finished pictures.
+        Gets the number of finished pictures.
 
     Raises
     ------

@@ -27,7 +27,7 @@ from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.track import read_irregularity
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import LIMITED, Column, Listing, Table, csv_table, json_rows
+from sayd_env.report.columns import LIMITED, PERCENT, Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, name_rows, panels
 from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
 from sayd_env.runs.context import RunContext
@@ -133,7 +133,7 @@ OUTCOMES = (
     Column("largest_acceleration_ratio", "acc.", **LIMITED),
     Column("derailed"),
     Column("valve_mean", "mean V", digits=2, wide=True),
-    Column("fallback_share", "fallback", "%", 100.0, 0, wide=True),
+    Column("fallback_share", "fallback", wide=True, **PERCENT),
     Column("holds", "met", bad=lambda holds: not holds),
 )
 _VERDICTS = (

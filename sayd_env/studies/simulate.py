@@ -286,11 +286,11 @@ def simulate(
     _check_size(run, wanted, episode=episode)
     found = history(run, wanted, episode=episode)
     found = found if run_in else found.behind_run_in()
-    columns = [
+    written = [
         files.FileSignal(signal.name, signal.unit, signal.full_name, values)
         for signal, values in zip(found.signals, found.values, strict=True)
     ]
-    files.write_history(target.file, target.kind, found.time, columns, about or {})
+    files.write_history(target.file, target.kind, found.time, written, about or {})
     late = slice(max(0, len(found.time) - round(CLOSE * found.sample_rate)), None)
     return SimulateResult(
         target=target,

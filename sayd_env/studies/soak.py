@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from sayd_env.config import ConfigError
 from sayd_env.config.palette import BLUE, VERMILION
-from sayd_env.config.units import KMH, Array, Flags, Integers, Single
+from sayd_env.config.units import KMH, Array, Array32, Flags, Integers
 from sayd_env.envs.loop import NOT_FINITE, RUNNING
 from sayd_env.envs.vector import SaydVectorEnv
 from sayd_env.report.columns import Column, Table, csv_table, print_table
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-Commands = Single
 
 KINDS = {"held": 0.4, "fresh": 0.2, "open": 0.1, "closed": 0.1, "bang-bang": 0.2}
 """Stretches of commands and how often they come: random and held, random anew at each step, all valves open,
@@ -241,7 +240,7 @@ def soak(
     workers : int, optional
         Threads; results do not depend on it.
     progress : Progress
-        Told after each step of the batch.
+        Called after each step of the batch.
 
     Raises
     ------
@@ -284,14 +283,14 @@ class RandomCommands:
         """Each vehicle's present kind."""
         return [_NAMES[kind] for kind in self.kind]
 
-    def next(self) -> Commands:
+    def next(self) -> Array32:
         """Commands of the next step, a new array of shape (environments, valves)."""
         over = np.flatnonzero(self._left == 0)
         if over.size:
             self._begin(over)
         fresh = self.kind == _NAMES.index("fresh")
         second = (self._age // self._side) % 2 == 1
-        command: Commands = np.where(second[:, None], self._ends[1], self._ends[0])
+        command: Array32 = np.where(second[:, None], self._ends[1], self._ends[0])
         if fresh.any():
             command[fresh] = self._random.random(command[fresh].shape, dtype=np.float32)
         self._age += 1
@@ -340,7 +339,7 @@ class _Watch:
         self.episodes += int(np.count_nonzero(which))
         self._sum[which] = 0.0
 
-    def check(self, observations: Single, rewards: Array) -> None:
+    def check(self, observations: Array32, rewards: Array) -> None:
         """Count numbers that are not finite, or beyond their space."""
         states = self.env.batch.vehicles.state
         found = {
@@ -354,7 +353,7 @@ class _Watch:
         for name, flags in found.items():
             self.defects[name] += int(np.count_nonzero(flags))
 
-    def take(self, observations: Single, rewards: Array, terminated: Flags, truncated: Flags) -> None:
+    def take(self, observations: Array32, rewards: Array, terminated: Flags, truncated: Flags) -> None:
         """Count one step of the batch."""
         if self._ended.any():
             self.begun(self._ended)

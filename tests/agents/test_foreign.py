@@ -193,13 +193,13 @@ def test_nothing_is_loaded_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     """The same file that does something when it is trusted does nothing before."""
     monkeypatch.chdir(tmp_path)
     pickled = base64.b64encode(pickle.dumps(Evil())).decode()
-    reported = {
+    data = {
         "policy_class": {":serialized:": pickled, "__module__": "stable_baselines3.common.policies"},
         "clip_range": 0.2,
         "n_epochs": 1,
     }
     with zipfile.ZipFile("evil.zip", "w") as archive:
-        archive.writestr("data", json.dumps(reported))
+        archive.writestr("data", json.dumps(data))
     with pytest.raises(ConfigError, match=r"can run any code while it is loaded.*--trust-pickles"):
         policy_spec("evil.zip")
     assert main(["export", "evil.zip"]) == 2

@@ -34,9 +34,9 @@ SHORT = (
 def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> Any:
     """Result of a command."""
     status = main([*arguments, "--json"])
-    reported = capsys.readouterr()
-    assert status == 0, reported.err
-    return json.loads(reported.out)
+    printed = capsys.readouterr()
+    assert status == 0, printed.err
+    return json.loads(printed.out)
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])

@@ -419,7 +419,7 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
     given = settings("sac", tmp_path)
     command = [sys.executable, "-m", "sayd_env", "train", "sac", "--out", "run"]
-    long = [*given, "total_steps=1000000", "checkpoint.every=40", "evaluation.every=100000"]
+    long = [*given, "total_steps=20000", "checkpoint.every=40", "evaluation.every=100000"]
     command += [part for item in long for part in ("--set", item)]
     process = subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=dict(os.environ)

@@ -12,10 +12,10 @@ import pytest
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.control import load_online
 from sayd_env.config.damper import load_sayd
-from sayd_env.config.units import Single
+from sayd_env.config.units import Array32
 from sayd_env.envs.interface import BOGIES, DAMPERS, POINTS, Interface, Signal
 
-Observe = Callable[..., Single]
+Observe = Callable[..., Array32]
 
 PLACES = {
     "lateral_acceleration": POINTS,
@@ -84,7 +84,7 @@ def interface() -> Callable[..., Interface]:
 def observe() -> Observe:
     """A function that makes an observation: a value for every signal whose name begins with a key."""
 
-    def make(interface: Interface, readings: dict[str, float]) -> Single:
+    def make(interface: Interface, readings: dict[str, float]) -> Array32:
         row = np.zeros(len(interface.signals), dtype=np.float32)
         for column, signal in enumerate(interface.signals):
             for start, value in readings.items():

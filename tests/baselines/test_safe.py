@@ -13,7 +13,7 @@ from sayd_env import baselines
 from sayd_env.baselines.safe import SafeFallback
 from sayd_env.config import ConfigError
 from sayd_env.config.safe import load_safe
-from sayd_env.config.units import Single
+from sayd_env.config.units import Array32
 from sayd_env.envs.interface import RunIn
 
 PERIOD = 0.01
@@ -68,7 +68,7 @@ def waves(interface, amplitude, seconds, *, frequency=FREQUENCY, speed=80.0, **s
     return values.astype(np.float32)
 
 
-def shares(policy: SafeFallback, observations: Single) -> Single:
+def shares(policy: SafeFallback, observations: Array32) -> Array32:
     """Commands of a policy that opens all valves: the share that the fallback leaves of them."""
     state, found = None, []
     for observation in observations:
@@ -77,7 +77,7 @@ def shares(policy: SafeFallback, observations: Single) -> Single:
     return np.array(found)
 
 
-def first_closed(commands: Single, bogie: int = 0) -> float:
+def first_closed(commands: Array32, bogie: int = 0) -> float:
     """Time (s) of the first command 0; infinite if there is none."""
     closed = np.flatnonzero(commands[:, bogie] == 0.0)
     return math.inf if not len(closed) else PERIOD * closed[0]

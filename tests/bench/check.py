@@ -61,7 +61,7 @@ class Wanted:
     """Of the tree alone, which compares two things of its own: an earlier commit may have neither."""
 
     @property
-    def reported(self) -> str:
+    def in_words(self) -> str:
         """What is wanted, in words."""
         words = [] if self.ratio is None else [f"x {self.ratio:.3g}"]
         if self.or_small_share:
@@ -222,13 +222,13 @@ def measure_all(base: Path, wanted: Sequence[Wanted], rounds: int) -> list[Row]:
                     continue
                 found = measure(row.wanted, base if side == BASE else ROOT)
                 row.add(side, found)
-                _tell(time.monotonic() - begin, f"round {k + 1} of {rounds}", row.wanted, side, found)
+                _report(time.monotonic() - begin, f"round {k + 1} of {rounds}", row.wanted, side, found)
     return rows
 
 
-def _tell(seconds: float, place: str, wanted: Wanted, side: str, found: dict[str, float]) -> None:
-    reported = f"{wanted.what}, {side}: {found['value']:.4g} {wanted.unit}"
-    print(f"[{seconds:4.0f} s] {place}, {reported}", file=sys.stderr, flush=True)
+def _report(seconds: float, place: str, wanted: Wanted, side: str, found: dict[str, float]) -> None:
+    words = f"{wanted.what}, {side}: {found['value']:.4g} {wanted.unit}"
+    print(f"[{seconds:4.0f} s] {place}, {words}", file=sys.stderr, flush=True)
 
 
 def measure(wanted: Wanted, root: Path) -> dict[str, float]:
@@ -265,7 +265,7 @@ def print_table(base: str, rows: Sequence[Row]) -> None:
             "-" if row.wanted.alone else f"{median(row.values[BASE]):.4g}",
             f"{median(row.values[TREE]):.4g}",
             "-" if row.wanted.alone else f"{row.ratio:.2f}",
-            row.wanted.reported,
+            row.wanted.in_words,
             "yes" if row.ok else "NO",
         )
     Console(width=None if sys.stdout.isatty() else 140).print(table)

@@ -83,8 +83,8 @@ def test_infos_of_a_batch_have_one_form(mode: AutoresetMode, keywords: Any, quic
         assert (last[0] is not None) == (mode is AutoresetMode.SAME_STEP and truncated.any())
         for each in (infos, last[0]):
             if each is not None:
-                reported = {key: values.dtype for key, values in each.items() if "final_obs" not in key}
-                assert reported == types
+                dtypes = {key: values.dtype for key, values in each.items() if "final_obs" not in key}
+                assert dtypes == types
         assert all(infos["_" + key].all() for key in single)
         if truncated.any() and mode is AutoresetMode.DISABLED:
             assert form(envs.reset(options={"reset_mask": truncated})[1]) == form(first)

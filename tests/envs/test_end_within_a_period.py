@@ -24,7 +24,7 @@ SAMPLES = 10
 BAD = {"speed_kmh": SPEED, "track": "german_low", "track_scale": 5.0, "friction": 0.6, "wear": 1.0}
 """Irregularities five times those of a bad track."""
 HALF = np.full(2, 0.5, np.float32)
-TOLD = (
+REPORTED = (
     "damper_force",
     "track_shift_force",
     "wheel_lateral_force",
@@ -62,7 +62,7 @@ def assert_ends_alike(by_sample: list[Info], by_period: list[Info]) -> None:
     assert len(by_period) == len(by_sample) // SAMPLES + 1
     last, end = by_sample[-1], by_period[-1]
     assert end["ending"] == last["ending"]
-    for name in TOLD:
+    for name in REPORTED:
         np.testing.assert_array_equal(end[name], last[name], name)
     # The sample makes a difference.
     for name in ("damper_force", "wheel_vertical_force"):
@@ -111,7 +111,7 @@ def test_vehicles_side_by_side_tell_the_same(tmp_path: Path) -> None:
         for k in (int(k) for k in np.flatnonzero(terminated | truncated) if int(k) not in ended):
             ended.add(k)
             assert n + 1 == len(ends[k])
-            for name in TOLD:
+            for name in REPORTED:
                 np.testing.assert_array_equal(infos[name][k], ends[k][-1][name], name)
     assert ended == set(range(WIDTH))
     assert len({len(each) for each in ends}) > 2

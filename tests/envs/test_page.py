@@ -69,9 +69,9 @@ def test_everything_is_named() -> None:
 @pytest.mark.parametrize("damper", ["sayd", "passive"])
 def test_info_is_named(damper: str, quick: str) -> None:
     env = SaydEnv(quick, info="full", damper=damper)
-    reported: dict[str, Any] = dict(env.reset(seed=0)[1])
-    reported |= env.step(np.zeros(2, np.float32))[4]
-    assert [key for key in (*reported, "ending", "error") if f"`{key}`" not in PAGE] == []
+    info: dict[str, Any] = dict(env.reset(seed=0)[1])
+    info |= env.step(np.zeros(2, np.float32))[4]
+    assert [key for key in (*info, "ending", "error") if f"`{key}`" not in PAGE] == []
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,13 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
 import pytest
 from gymnasium.error import DependencyNotInstalled
 from gymnasium.utils.env_checker import check_env
 
 from sayd_env.config import ConfigError
 from sayd_env.config.units import Array
+from sayd_env.envs.canvas import Picture
 from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.keywords import configured
@@ -33,7 +33,6 @@ from sayd_env.envs.plan_view import View, displaced, rectangle
 from sayd_env.envs.rendering import FRONT, HEIGHT, REAR, SCALE, WIDTH, Renderer, force_colour
 
 HALF = np.full(2, 0.5, dtype=np.float32)
-Picture = npt.NDArray[np.uint8]
 
 
 @pytest.fixture(autouse=True)

@@ -58,9 +58,9 @@ def test_commands_are_those_of_the_policy(name: str, scenario: Scenario) -> None
     found = commands(ControllerUnit(policy_spec(name), scenario), signals)
     policy, state = load_policy(name), None
     seen = np.vstack([signals[:1], signals.reshape(PERIODS, 10, -1).mean(axis=1)])
-    for row, reported in zip(seen, found, strict=True):
+    for row, command in zip(seen, found, strict=True):
         action, state = policy.predict(row, state)
-        assert reported == pytest.approx(np.repeat(action, 4), abs=1e-7)
+        assert command == pytest.approx(np.repeat(action, 4), abs=1e-7)
     if name == "skyhook-onoff":
         assert len(np.unique(found)) == 2
 

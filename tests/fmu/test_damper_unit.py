@@ -58,7 +58,7 @@ def integrated(config: SaydDamperConfig, t: Array) -> Array:
     state, inputs = sayd.rest(config), np.zeros(sayd.INPUTS * LANES)
     rows, given = state.reshape(-1, LANES), inputs.reshape(-1, LANES)
     line = np.full(sayd.line_length(config, step) * LANES, config.current)
-    reported = [rows[:, 0].copy()]
+    states = [rows[:, 0].copy()]
     for n in range(len(t) - 1):
         for x, v, old, end in (
             (sayd.END_1, sayd.RATE_1, sayd.OLD_RATE_1, "1"),
@@ -71,8 +71,8 @@ def integrated(config: SaydDamperConfig, t: Array) -> Array:
         rows[sayd.COMMAND] = ends["current"][n]
         sayd.move_valves((0,), arrays.constant, line, inputs, state)
         sayd.integrate((0,), step, arrays.substeps, arrays.constant, arrays.table, inputs, state)
-        reported.append(rows[:, 0].copy())
-    return np.array(reported)[:, [sayd.FORCE_1, sayd.FORCE_2, sayd.PRESSURE_A, sayd.PRESSURE_B, sayd.STROKE]]
+        states.append(rows[:, 0].copy())
+    return np.array(states)[:, [sayd.FORCE_1, sayd.FORCE_2, sayd.PRESSURE_A, sayd.PRESSURE_B, sayd.STROKE]]
 
 
 def columns(found: Any) -> Array:

@@ -93,7 +93,7 @@ def test_decimal_commas_between_commas_are_refused(tmp_path: Path, wheel: Array,
 
 
 @pytest.mark.parametrize(
-    ("header", "codec", "reported"),
+    ("header", "codec", "note"),
     [
         ("y_mm,z_mm\n", "utf-8-sig", ""),
         ("# Profil für Rad, Maß in mm\n", "cp1252", "encoding: Windows-1252"),
@@ -101,10 +101,10 @@ def test_decimal_commas_between_commas_are_refused(tmp_path: Path, wheel: Array,
         ("% measured\ny,z\nmm,mm\n", "utf-8", ""),
     ],
 )
-def test_headers_and_encodings(tmp_path: Path, wheel: Array, header: str, codec: str, reported: str) -> None:
+def test_headers_and_encodings(tmp_path: Path, wheel: Array, header: str, codec: str, note: str) -> None:
     path = write(tmp_path / "w.csv", table(wheel, header=header).encode(codec))
     notes = check(path, wheel)
-    assert reported in " ".join(notes)
+    assert note in " ".join(notes)
     assert not any("unit" in note for note in notes)
 
 

@@ -26,7 +26,7 @@ def refused(what: str) -> NoReturn:
 
 @pytest.fixture(scope="session")
 def refuse() -> Callable[[str], NoReturn]:
-    """Fails in continuous integration, skips elsewhere, for want of a browser."""
+    """Fails in continuous integration, skips elsewhere, for want of what its argument names."""
     return refused
 
 

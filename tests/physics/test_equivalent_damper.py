@@ -9,7 +9,7 @@ import pytest
 
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import SaydDamperConfig, load_sayd
-from sayd_env.config.units import Complex
+from sayd_env.config.units import ComplexArray
 from sayd_env.physics import sayd
 from sayd_env.physics.equivalent_damper import (
     EquivalentSayd,
@@ -28,7 +28,7 @@ def config() -> SaydDamperConfig:
     return load_sayd("sayd-estimate")
 
 
-def two_port(found: EquivalentSayd, frequency: float) -> Complex:
+def two_port(found: EquivalentSayd, frequency: float) -> ComplexArray:
     """Complex (F_1, F_2) over the displacements (x_1, x_2) of the ends, N/m."""
     omega = 2j * math.pi * frequency
     whole = found.c @ np.linalg.solve(omega * np.eye(len(found.a)) - found.a, found.b) + found.d

@@ -7,7 +7,7 @@ import pytest
 
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.scenario import load_scenario
-from sayd_env.config.units import Array, Complex
+from sayd_env.config.units import Array, ComplexArray
 from sayd_env.physics.linear import (
     HUNTING_BAND,
     critical_speed,
@@ -143,7 +143,7 @@ class TestNames:
     """Names of motions made by hand."""
 
     @staticmethod
-    def shape(body: Multibody, **values: complex) -> Complex:
+    def shape(body: Multibody, **values: complex) -> ComplexArray:
         """Shape from values by body and freedom: carbody_z=1, or wheelset_y=1 for all wheelsets."""
         result = np.zeros(body.n, dtype=complex)
         for key, value in values.items():

@@ -15,7 +15,7 @@ from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.track import CHANNELS
-from sayd_env.config.units import Array, Complex
+from sayd_env.config.units import Array, ComplexArray
 from sayd_env.physics import sayd
 from sayd_env.physics.equivalent_damper import STATES, equivalent_slope
 from sayd_env.physics.linear import (
@@ -173,7 +173,7 @@ def sine_track(amplitude: float) -> TrackRealisation:
     return TrackRealisation(x[0], 0.25, 700.0, interpolation_coefficients(samples))
 
 
-def forced(simulator: Simulator) -> tuple[Telemetry, Complex]:
+def forced(simulator: Simulator) -> tuple[Telemetry, ComplexArray]:
     """The last two seconds of eight, and what to multiply signals with for their complex amplitudes."""
     semi_active = simulator.state.sayd.size > 0
     if semi_active:
@@ -185,7 +185,7 @@ def forced(simulator: Simulator) -> tuple[Telemetry, Complex]:
     return telemetry, 1e-3 * np.exp(-2j * np.pi * FREQUENCY * telemetry.time)
 
 
-def response(model: VehicleModel, system: StateSpace) -> Complex:
+def response(model: VehicleModel, system: StateSpace) -> ComplexArray:
     """Of all outputs to the alignment of one track under the first wheelset at FREQUENCY."""
     places, delays = wheelset_delays(model, SPEED)
     each = system.select([f"alignment.{place}" for place in places]).response([FREQUENCY])[0]

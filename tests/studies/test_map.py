@@ -81,10 +81,10 @@ def test_the_interval_of_the_crossing_is_halved(
 
 def test_few_seeds_are_a_look(runs: list[Any], result: MapResult, short_scenario: Scenario):
     enough = stability_map(short_scenario, [PolicySpec("mppt1")], range(5), grid=GRID)
-    for found, reported in ((result, True), (enough, False)):
+    for found, is_look in ((result, True), (enough, False)):
         console = Console(file=io.StringIO(), width=120)
         found.summary(console)
-        assert ("a look, not a verdict" in console.file.getvalue()) == reported  # type: ignore[attr-defined]
+        assert ("a look, not a verdict" in console.file.getvalue()) == is_look  # type: ignore[attr-defined]
 
 
 def test_beyond_the_grid_is_told(runs: list[Any], short_scenario: Scenario):

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PIL import Image
 
@@ -19,13 +18,13 @@ from sayd_env.cli import main
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
+from sayd_env.envs.canvas import Picture
 from sayd_env.report.video import checked_video, write_video
 from sayd_env.runs.policies import policy_specs
 from sayd_env.studies.render import RenderResult, Video, render
 
 pytest.importorskip("pygame")
 
-Picture = npt.NDArray[np.uint8]
 COLOURS = np.array([[255, 0, 0], [0, 0, 255]], dtype=np.uint8)
 
 

@@ -232,7 +232,7 @@ def bench(
     executors : sequence of str
         Executors beside threads and processes, as `ExecutorChoice.parse` reads them.
     progress : Progress
-        Told after each measurement.
+        Called after each measurement.
 
     Raises
     ------

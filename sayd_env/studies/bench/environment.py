@@ -48,7 +48,7 @@ def measure_environments(
     threads : int
         Threads of the batch.
     did : callable
-        Told after each repetition.
+        Called after each repetition.
 
     Returns
     -------

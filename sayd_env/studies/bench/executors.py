@@ -33,7 +33,7 @@ def measure_executors(
     choices : sequence of ExecutorChoice
     effort : Effort
     did : callable
-        Told after each repetition.
+        Called after each repetition.
 
     Returns
     -------

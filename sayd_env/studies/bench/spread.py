@@ -92,7 +92,7 @@ def in_turn(
     repetitions : int
         Rounds that count.
     did : callable
-        Told after each of them.
+        Called after each of them.
     """
     measured: dict[str, list[float]] = {}
     every = list(probes)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sayd_env.config.units import Array, Flags, Integers
-from sayd_env.report.columns import Column, json_rows
+from sayd_env.report.columns import PERCENT, Column, json_rows
 
 Seeds = Integers
 """A selection of seeds by their places, with repetitions in a bootstrap."""
@@ -61,7 +61,7 @@ CLAIMS = (
     Column("by", "judged by", wide=True),
     Column("expected", "expected"),
     Column("measured", "measured"),
-    Column("fraction", "share", "%", 100.0, 0),
+    Column("fraction", "share", **PERCENT),
     Column("holds", "holds", bad=lambda holds: not holds),
 )
 

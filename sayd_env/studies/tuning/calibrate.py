@@ -271,6 +271,8 @@ class _Evaluations:
     done: int = 0
     under_way: int = 0
     words: str = ""
+    shown: int = 0
+    """Evaluations that were reported: runs that are made once more do not count again."""
 
     def begin(self, what: str, count: int) -> None:
         """Report the evaluations that follow."""
@@ -281,7 +283,8 @@ class _Evaluations:
         """Report how many of their runs are made."""
         del what  # of single runs
         reached = self.done + math.floor(self.under_way * done / total)
-        self.progress(min(reached, self.total), self.total, self.words)
+        self.shown = max(self.shown, min(reached, self.total))
+        self.progress(self.shown, self.total, self.words)
 
     def end(self, outcome: str = "") -> None:
         """Report that they are made, and what came of them."""

@@ -342,10 +342,10 @@ class _Search:
             trial.report(cost, step)
             return bool(trial.should_prune())
 
-        def tell(done: float, total: float, what: str = "") -> None:
+        def report(done: float, total: float, what: str = "") -> None:
             self._report(number * steps + done, f"trial {number + 1}, {what}")
 
-        trained = train(config, folder, executor=self.executor, progress=tell, stop_rule=stop_rule).trained
+        trained = train(config, folder, executor=self.executor, progress=report, stop_rule=stop_rule).trained
         given_up = trained.steps < config.total_steps
         driven = config.vehicle_seconds(trained.steps)
         for name, value in {"cost": trained.best, "steps": trained.steps, "driven": driven}.items():

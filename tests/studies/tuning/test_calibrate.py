@@ -300,6 +300,23 @@ def test_no_finite_run_at_all_is_a_failed_study(config: CalibrationConfig, monke
         calibrate(config)
 
 
+def test_runs_that_are_made_again_are_not_counted_twice():
+    """A batch of three of eight evaluations fails behind two of them, and is made again one by one."""
+    counts: list[float] = []
+    progress = module._Evaluations(lambda done, total, what="": counts.append(done), 8)
+
+    def measured(values: list[int]) -> list[module.Outcome]:
+        progress.within(2.0, 3.0)
+        if len(values) > 1:
+            raise StudyError("diverged")
+        return [({}, {})]
+
+    progress.begin("passive", 3)
+    module._each([1, 2, 3], measured, ({}, {}))
+    progress.end()
+    assert counts == [0, 2, 2, 2, 2, 3]
+
+
 def test_one_lost_set_of_numbers_does_not_take_the_others_with_it():
     def measured(values: list[float]) -> list[module.Outcome]:
         if any(value > 1.0 for value in values):

@@ -27,8 +27,13 @@ def settings(**changes: Any) -> SearchConfig:
         "learning.n_epochs": RangeConfig(low=3.0, high=5.0, whole=True),
         "network.hidden": RangeConfig(choices=([64, 64], [32])),
     }
-    asked = {"trials": 12, "random_trials": 4, "total_steps": 131_072, "ranges": ranges} | changes
+    asked = {"trials": 12, "random_trials": 4, "total_steps": 131_072, "finalist_seeds": (), "ranges": ranges}
+    asked |= changes
     return load_search("ppo").model_copy(update=asked)
+
+
+def formula(config: TrainConfig) -> float:
+    return 1.0 + math.log(config.discount_s / BEST) ** 2 + 0.1 * (config.learning.n_epochs != 4)
 
 
 class Trainings:
@@ -42,8 +47,7 @@ class Trainings:
         self.configs.append(config)
         if len(self.configs) == self._dies_at:
             raise Interrupted("saved")
-        cost = 1.0 + math.log(config.discount_s / BEST) ** 2 + 0.1 * (config.learning.n_epochs != 4)
-        steps = 0
+        cost, steps = formula(config), 0
         while steps < config.total_steps:
             steps += config.total_steps // 4
             progress(steps, config.total_steps, "")
@@ -125,6 +129,48 @@ def test_the_trainings_own_settings_are_tried_first(
     own = trainings.configs[0].discount_s, trainings.configs[0].output, trainings.configs[0].learning
     assert (own == (packaged.discount_s, packaged.output, packaged.learning)) is first
     assert trainings.configs[1] != trainings.configs[0]
+
+
+@pytest.mark.parametrize(("worse", "own_wins"), [(1.0, True), (0.0, False)])
+def test_luck_of_single_trainings_does_not_decide(
+    worse: float, own_wins: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All but the training's own settings (2 s) come out worse when they are repeated; or as they did."""
+    trainings, repeated = Trainings(), dict[Path, list[int]]()
+    own = load_train("ppo").discount_s
+
+    def train_seeds(config: TrainConfig, seeds: list[int], folder: Path, *, progress: Any, **_: Any) -> Any:
+        repeated[folder] = [*seeds]
+        progress(0.0, 1.0)
+        cost = formula(config) + (worse if config.discount_s != own else 0.0)
+        return SimpleNamespace(best=dict.fromkeys(seeds, cost))
+
+    monkeypatch.setattr(study, "train", trainings)
+    monkeypatch.setattr(study, "train_seeds", train_seeds)
+    asked = settings(finalists=2, finalist_seeds=(901, 902))
+    own_in_ranges = asked.ranges | {"learning.n_epochs": RangeConfig(low=3.0, high=9.0, whole=True)}
+    counts: list[tuple[float, float]] = []
+    result = study.search(
+        "ppo",
+        asked.model_copy(update={"ranges": own_in_ranges}),
+        tmp_path / "s",
+        progress=lambda done, total, what="": counts.append((done, total)),
+    )
+    first, *others = sorted(t.cost or 9.0 for t in result.trials if t.state == "complete")
+    assert [*repeated.values()] == [[901, 902]] * 3  # the best two, and the packaged settings
+    assert (result.best.settings["discount_s"] == own) is own_wins
+    assert result.best.mean == pytest.approx(result.best.cost)
+    assert (result.best.cost == first) is not own_wins
+    assert others
+    assert result.as_dict()["mean_J"] == result.best.mean
+    assert counts == sorted(counts)
+    assert counts[-1] == ((12 + 2 * 2) * 131_072, (12 + 3 * 2) * 131_072)
+    assert result.simulated_s > sum(trial.simulated_s for trial in result.trials)
+
+
+def test_a_range_holds_numbers_alone() -> None:
+    whole = RangeConfig(low=1.0, high=4.0, whole=True)
+    assert [whole.holds(value) for value in (1, 4, 2.5, 5, None, "2")] == [True, True] + [False] * 4
 
 
 @pytest.mark.parametrize("name", ["ppo", "sac"])
