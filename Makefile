@@ -5,8 +5,8 @@ SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
 
-# The main command of `make run`: the passive vehicle, the paper's four controllers, the best that was tuned and the
-# best that was learned side by side, on worn wheels.
+# The main command of `make run`: the passive vehicle, the paper's four controllers, the best tuned controller and the
+# first learned policy side by side, on worn wheels.
 RUN_COMMAND = $(BIN)/sayd evaluate --policies passive,mppt1,mppt2,skyhook-onoff,skyhook-continuous,hunting-schedule-tuned,ppo \
           --profile worn --speeds 300,350,400 --seeds 10
 
