@@ -36,9 +36,9 @@ _LIMITS = """
 ## Limits
 
 - They were trained on one vehicle with tolerances, at 200 to 400 km/h, straight and on lines with curves, on
-  wheels S1002CN, new to worn, the same shifted by 1 mm, and LMA, gauge 1,432 to 1,440 mm, friction 0.2 to 0.5,
-  one class of track at 0.35 to 0.9 of its level, and for MPPT2's weights of J (k_F = 0.5). Outside of that they
-  are a guess; `sayd robustness` measures some of it.
+  wheels S1002CN, new to worn, the same shifted by 1 mm, and LMA, gauge 1,432 to 1,440 mm, friction 0.2 to
+  0.5, one class of track at 0.35 to 0.9 of its level, and for MPPT2's weights of J (k_F = 0.5). Outside of
+  that they are a guess; `sayd robustness` measures some of it.
 - On new wheels below the speed of hunting the passive vehicle can be better (`worst / passive`).
 - They have met no fault of a sensor, valve or damper in training. `safe:ppo` is the policy inside a monitor.
 - They are solutions of a simulation whose semi-active damper is calibrated, and whose numbers nobody has

@@ -1,4 +1,4 @@
-"""The recipe of the README and of docs/learning.md on the command line, some thousand steps: train, resume, evaluate, export."""
+"""The recipe of docs/learning.md on the command line, some thousand steps: train, resume, evaluate, export."""
 
 from __future__ import annotations
 
