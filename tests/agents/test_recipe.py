@@ -1,4 +1,4 @@
-"""The recipe of docs/learning.md on the command line, some thousand steps: train, resume, evaluate, export."""
+"""The recipe of docs/learning.md some thousand steps: train, go on, evaluate, export."""
 
 from __future__ import annotations
 
