@@ -1,4 +1,4 @@
-"""The recipe of docs/learning.md some thousand steps: train, go on, evaluate, export."""
+"""The recipe of docs/learning.md with some thousand steps: train, go on, evaluate, export."""
 
 from __future__ import annotations
 
