@@ -92,7 +92,7 @@ def test_rates_are_differences_of_rows(interface: Interface) -> None:
     np.testing.assert_array_equal(rear, 0.0)
 
 
-def test_the_stroke_is_told_without_its_mean(interface: Interface) -> None:
+def test_the_stroke_is_seen_without_its_mean(interface: Interface) -> None:
     encoding = BogieEncoding(interface, {"yaw_stroke": UNIT}, 1e9, COMMAND)
     strokes = [{"stroke.rear.right.upper": value} for value in (0.004, 0.012, 0.008)]
     front, rear = encoding.encode(signals(interface, strokes))

@@ -85,7 +85,7 @@ def test_the_policy_leaves_the_estimator_alone_and_it_the_policy(learner: Any) -
         np.testing.assert_array_equal(one[0], other[0])
 
 
-def test_an_estimator_learns_what_the_inputs_tell(learner: Any) -> None:
+def test_an_estimator_learns_what_the_inputs_show(learner: Any) -> None:
     config, _, encoding, model, observed = learner
     random = np.random.default_rng(0)
     rows = random.normal(size=(4096, observed.shape[1])).astype(np.float32)

@@ -113,7 +113,7 @@ def test_the_end_by_time_is_told_from_a_derailment(quick: str) -> None:
     assert cut[False] > 0
 
 
-def test_attributes_are_told_for_each_vehicle(quick: str) -> None:
+def test_attributes_are_given_for_each_vehicle(quick: str) -> None:
     batch = SaydVecEnv(quick, 3)
     assert batch.get_attr("interface", [0, 2]) == [batch.interface] * 2
     assert not batch.has_attr("no_such_thing")

@@ -58,7 +58,7 @@ def test_numbers_go_to_a_run_that_a_resumed_training_finds_again(
     assert (first["name"], first["config"], first["resume"]) == ("run", {"seed": 3}, "allow")
 
 
-def test_a_service_that_is_missing_or_refuses_is_told(
+def test_a_service_that_is_missing_or_refuses_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)

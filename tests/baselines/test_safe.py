@@ -302,7 +302,7 @@ def test_every_layout_of_valves(interface, observe, valves, closed):
     assert SafeFallback(Open(made)).predict(observe(made, readings))[0].tolist() == closed
 
 
-def test_it_tells_how_much_it_intervenes(interface, observe):
+def test_it_reports_how_much_it_intervenes(interface, observe):
     made = interface(observation="features")
     policy, state = SafeFallback(Open(made)), None
     for step in range(10):

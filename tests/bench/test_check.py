@@ -82,7 +82,7 @@ def test_the_exit_status_says_whether_something_is_missed(
     assert "NO" in capsys.readouterr().out
 
 
-def test_what_cannot_be_measured_is_told(
+def test_what_cannot_be_measured_is_reported(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(check, "checkout", lambda _: tmp_path)

@@ -90,7 +90,7 @@ def test_infos_of_a_batch_have_one_form(mode: AutoresetMode, keywords: Any, quic
             assert form(envs.reset(options={"reset_mask": truncated})[1]) == form(first)
 
 
-def test_an_ending_is_told_in_the_same_form(quick: str) -> None:
+def test_an_ending_is_reported_in_the_same_form(quick: str) -> None:
     env = SaydEnv(quick, episode_s=5.0)
     for seed in range(20):
         info = before = env.reset(seed=seed, options=FIERCE)[1]
@@ -257,7 +257,7 @@ def test_rounding_is_cut_off_and_more_is_refused(quick: str) -> None:
     ],
     ids=str,
 )
-def test_the_length_of_an_episode_is_told(keywords: dict[str, Any], steps: int, quick: str) -> None:
+def test_the_length_of_an_episode_is_stated(keywords: dict[str, Any], steps: int, quick: str) -> None:
     made = gym.make(ID, environment=quick, **keywords)
     again = gym.make(made.spec) if made.spec is not None else made
     for env in (made, again):
@@ -275,7 +275,7 @@ def test_the_length_of_an_episode_is_told(keywords: dict[str, Any], steps: int, 
     assert batch.spec.max_episode_steps == steps
 
 
-def test_an_environment_made_by_its_class_tells_its_length_too(quick: str) -> None:
+def test_an_environment_made_by_its_class_states_its_length_too(quick: str) -> None:
     env = SaydEnv(quick, valves="damper", episode_s=0.1)
     assert env.spec is not None
     assert wrappers.TimeAwareObservation(env).max_timesteps == 10
@@ -378,7 +378,7 @@ finally:
 @needs_threads
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="fork is the way of Linux")
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_fork_after_threads_is_told_what_to_do(threads: int, quick: str) -> None:
+def test_a_fork_after_threads_says_what_to_do(threads: int, quick: str) -> None:
     command = [sys.executable, "-c", FORK, quick, str(threads)]
     done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=240)
     if threads == 1:

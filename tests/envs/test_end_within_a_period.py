@@ -98,7 +98,7 @@ def test_a_quotient_beyond_its_limit(tmp_path: Path, damper: str) -> None:
     assert fine.batch.vehicles.status[0] == coarse.batch.vehicles.status[0] == OVERLOADED
 
 
-def test_vehicles_side_by_side_tell_the_same(tmp_path: Path) -> None:
+def test_vehicles_side_by_side_report_the_same(tmp_path: Path) -> None:
     """The others of a group run on: telemetry of one that has ended stays that of its last sample."""
     single = environment(tmp_path, 1.5, 0.01, "sayd")
     ends = [run(single, seed) for seed in range(WIDTH)]

@@ -291,7 +291,7 @@ def test_a_limit_is_exceeded_by_the_newest_value_of_a_bogie(quick: str) -> None:
     assert not replace(frame, acceleration=values[:0]).above_limit
 
 
-def test_the_badge_is_red_above_the_limit_whatever_else_is_told(quick: str) -> None:
+def test_the_badge_is_red_above_the_limit_whatever_else_is_shown(quick: str) -> None:
     recorder = watched(quick, 3)
     renderer, frame = Renderer(recorder), recorder.frame()
     for faults in ((), ("valve stuck: front.left.upper",)):

@@ -144,7 +144,7 @@ def test_every_call_returns_new_arrays(quick: str) -> None:
         assert not np.shares_memory(value, kept[1][4][key])
 
 
-def test_attributes_are_told_for_each_vehicle(quick: str) -> None:
+def test_attributes_are_given_for_each_vehicle(quick: str) -> None:
     vector = SaydVectorEnv(quick, num_envs=3)
     assert vector.get_attr("interface") == (vector.interface,) * 3
     assert vector.unwrapped.signals == SaydEnv(quick).signals

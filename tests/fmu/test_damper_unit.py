@@ -209,7 +209,7 @@ def test_forces_are_those_of_lsoda(
     assert np.all(error < 5e-3), error
 
 
-def test_steps_of_any_length_tell_the_same(damper_units: list[Path]) -> None:
+def test_steps_of_any_length_give_the_same(damper_units: list[Path]) -> None:
     """Random steps of 0.05 to 2 ms beside even ones of 0.1 ms: 1 % of the RMS, delay line included."""
     rng = np.random.default_rng(0)
     times = np.r_[0.0, np.cumsum(rng.choice([5e-5, 1e-4, 5e-4, 1e-3, 2e-3], 700))]

@@ -112,7 +112,7 @@ def test_headers_and_encodings(tmp_path: Path, wheel: Array, header: str, codec:
     ("factor", "unit"), [(1.0, "mm"), (0.1, "cm"), (1e-3, "m"), (1 / 25.4, "in"), (1e3, "um")]
 )
 @pytest.mark.parametrize("kind", ["wheel", "rail"])
-def test_units_by_extent_are_told(
+def test_units_by_extent_are_noted(
     tmp_path: Path, wheel: Array, rail: Array, factor: float, unit: str, kind: str
 ) -> None:
     points = wheel if kind == "wheel" else rail
@@ -162,7 +162,7 @@ def test_directions_are_recognised(
         assert kept.y[np.argmax(kept.z)] > 0.0
 
 
-def test_points_that_coincide_are_merged_and_told(tmp_path: Path, wheel: Array) -> None:
+def test_points_that_coincide_are_merged_and_noted(tmp_path: Path, wheel: Array) -> None:
     twice = np.repeat(wheel, np.where(np.arange(len(wheel)) % 50 == 0, 2, 1), axis=0)
     notes = check(write(tmp_path / "w.csv", table(twice)), wheel, within=1e-4)
     assert any(note.startswith(f"{len(twice) - len(wheel)} points merged") for note in notes)
@@ -171,7 +171,7 @@ def test_points_that_coincide_are_merged_and_told(tmp_path: Path, wheel: Array) 
     assert any(note.startswith("1 point merged") for note in notes)
 
 
-def test_overhangs_are_cut_behind_the_flange_and_told_elsewhere_refused(
+def test_overhangs_are_cut_and_noted_behind_the_flange_and_refused_elsewhere(
     tmp_path: Path, wheel: Array, rail: Array
 ) -> None:
     back = wheel.copy()
@@ -440,7 +440,7 @@ def test_a_wheel_s_own_numbers_reach_the_reader_of_its_file(tmp_path: Path, whee
     wheel_profile(load_wheel(str(path)).model_copy(update={"tape_to_back": 0.065}))
 
 
-def test_side_of_the_gauge_face_is_told_unless_it_was_set(tmp_path: Path, rail: Array) -> None:
+def test_side_of_the_gauge_face_is_noted_unless_it_was_set(tmp_path: Path, rail: Array) -> None:
     path = write(tmp_path / "r.csv", table(rail, header="y_mm,z_mm\n"))
     assert read_profile_file(path, "rail").notes == (GAUGE_FACE,)
     assert read_profile_file(path, "rail", mirror=True).notes == ()

@@ -276,7 +276,7 @@ def test_channels_of_one_rate_are_read_as_long_as_all_have_values(ride: Path) ->
     assert not [note for note in found.notes if "splines" in note]
 
 
-def test_a_dead_sensor_is_refused_and_one_that_died_is_told(tmp_path: Path) -> None:
+def test_a_dead_sensor_is_refused_and_one_that_died_is_noted(tmp_path: Path) -> None:
     header = "time_s,speed_kmh,bogie1_m_s2,bogie2_m_s2"
     speed = np.full_like(TIME, SPEED * 3.6)
     path = write(tmp_path / "a.csv", header, [TIME, speed, STABLE, 0.0 * TIME])
@@ -574,7 +574,7 @@ def test_dates_under_a_unit_of_time_ask_for_the_rate(tmp_path: Path, stamp: str)
         read_recording(tmp_path / "a.csv", SETTINGS)
 
 
-def test_a_header_with_too_few_names_is_told(tmp_path: Path) -> None:
+def test_a_header_with_too_few_names_is_noted(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time_s;speed_kmh;ws_n\n" + "0.0;270;1;1\n" * 4)
     with pytest.raises(DataError, match=r"line 2: found no header \(what stands above has not 4 names\)"):
         read_recording(tmp_path / "a.csv", SETTINGS)

@@ -81,7 +81,7 @@ def test_losses_are_geometric_means_over_the_conditions(found: ConstantMap):
     assert adaptation.worst == pytest.approx(math.exp((middle - 0.25) ** 2), abs=1e-2)
 
 
-def test_json_keeps_its_keys_and_tells_all_weights(found: ConstantMap):
+def test_json_keeps_its_keys_and_has_all_weights(found: ConstantMap):
     reported = found.as_dict()
     entry = reported["best_constant"][0]
     assert entry["condition"] == {

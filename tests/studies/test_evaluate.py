@@ -156,7 +156,7 @@ def test_j_is_minus_the_mean_reward_of_the_environment_with_this_seed(reward: st
         assert result.by_weights(row) == expected
 
 
-def test_a_derailment_is_charged_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_derailment_is_charged_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A limit of Y/Q exceeded in the run-in and on the way: J is the environment's, with its charge."""
     monkeypatch.chdir(tmp_path)
     policy, settings = "constant:0.3", (*SETTINGS, "damper=sayd-estimate")

@@ -87,7 +87,7 @@ def test_few_seeds_are_a_look(runs: list[Any], result: MapResult, short_scenario
         assert ("a look, not a verdict" in console.file.getvalue()) == is_look  # type: ignore[attr-defined]
 
 
-def test_beyond_the_grid_is_told(runs: list[Any], short_scenario: Scenario):
+def test_beyond_the_grid_is_reported(runs: list[Any], short_scenario: Scenario):
     high = MapGrid(wear=(0.0,), friction=(0.3,), speeds=(380 / 3.6, 400 / 3.6))
     low = MapGrid(wear=(0.0,), friction=(0.3,), speeds=(280 / 3.6, 300 / 3.6))
     for grid, status in ((high, "below_grid"), (low, "not_reached")):

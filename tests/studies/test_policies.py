@@ -90,7 +90,7 @@ def test_a_policy_of_another_plant_is_refused(
     assert load_policy(path, SaydEnv(**policy.needs).interface).name == "ppo-s0"  # on purpose
 
 
-def test_origins_are_told_by_the_files(ready: Path) -> None:
+def test_origins_are_read_from_the_files(ready: Path) -> None:
     first, second = cards.origins()
     assert (first.name, first.algorithm, first.seed, second.seed) == ("ppo-s0", "ppo", 0, 1)
     assert (first.steps, first.seconds, first.J) == (1_000_000, 1500.0, 0.0321)

@@ -78,7 +78,7 @@ def test_a_run_that_began_otherwise_is_not_taken_up(tmp_path: Path) -> None:
     assert "total_steps=2000000" in (folder / "s1" / "said").read_text()
 
 
-def test_one_that_fails_is_told_when_the_others_are_done(tmp_path: Path) -> None:
+def test_one_that_fails_is_reported_when_the_others_are_done(tmp_path: Path) -> None:
     Path("fail").write_text("")
     with pytest.raises(StudyError, match=r"seed 3: sayd: error: no such thing \(.*s3-output.txt\)"):
         train_seeds(load_train("ppo"), [3, 1, 2], tmp_path / "runs", parallel=2)

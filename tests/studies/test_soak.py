@@ -262,7 +262,7 @@ def test_no_vehicle_is_refused() -> None:
         soak(steps=10, environments=0)
 
 
-def test_no_whole_second_is_told_as_nothing(tmp_path: Path) -> None:
+def test_no_whole_second_is_reported_as_nothing(tmp_path: Path) -> None:
     result = soak(environment(tmp_path), 20, environments=2)
     assert len(result.costs) == 0
     assert np.isnan(result.recommended)
