@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,7 @@ from sayd_env.runs.context import RunContext
 from sayd_env.runs.passive import Sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.tuning import calibrate as module
-from sayd_env.studies.tuning.calibrate import calibrate, damped
+from sayd_env.studies.tuning.calibrate import CalibrationResult, calibrate, damped
 from sayd_env.studies.tuning.parts import part_files
 from sayd_env.studies.tuning.targets import above, below, passive_residuals
 
@@ -77,19 +79,52 @@ CONTROLLED = 4 * 5 + 2
 """Runs of four controllers at five speeds, and two from an open valve."""
 
 
-@pytest.fixture
-def study(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibration of a few numbers over a short distance."""
-    base = tmp_path / "short.yaml"
+    folder = tmp_path_factory.mktemp("study")
+    base = folder / "short.yaml"
     base.write_text("base: estimates\nassessment: {run_in: 200.0}\nset: {track.irregularity.scale: 0.5}\n")
-    path = tmp_path / "small.yaml"
+    path = folder / "small.yaml"
     path.write_text(STUDY.format(base="./short.yaml"))
     return path
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def config(study: Path) -> CalibrationConfig:
     return load_calibration(str(study))
+
+
+class Stop(Exception):
+    pass
+
+
+@dataclass
+class Calibrated:
+    """A calibration that was interrupted behind the first trials, those of the passive vehicle."""
+
+    runs: Path
+    """Folder of the cache."""
+    kept: int
+    """Runs that were there when it went on."""
+    cache: RunCache
+    counts: list[tuple[float, float]]
+    """Its progress."""
+    result: CalibrationResult
+
+
+@pytest.fixture(scope="module")
+def calibrated(config: CalibrationConfig, tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
+    def stop(done: float, total: float, what: str = "") -> None:
+        if done >= 4:
+            raise Stop
+
+    runs = tmp_path_factory.mktemp("runs")
+    with pytest.raises(Stop):
+        calibrate(config, context=RunContext(cache=RunCache(runs), progress=stop))
+    kept, cache, counts = len(list(runs.glob("*/*.npz"))), RunCache(runs), list[tuple[float, float]]()
+    context = RunContext(cache=cache, progress=lambda done, total, what="": counts.append((done, total)))
+    return Calibrated(runs, kept, cache, counts, calibrate(config, context=context))
 
 
 def test_a_place_sets_values_times_factors(config: CalibrationConfig):
@@ -234,34 +269,25 @@ def test_a_row_of_seeds_counts_those_that_fail():
     assert below(np.array([0.3, 0.6]), 0.5, 0.1) == pytest.approx((2 + 0) / 2)
 
 
-class Stop(Exception):
-    pass
-
-
-def test_an_interrupted_calibration_goes_on_where_it_stopped(config: CalibrationConfig, tmp_path: Path):
-    """Interrupted behind the first batch of trials, which is that of the passive vehicle."""
-
-    def stop(done: float, total: float, what: str = "") -> None:
-        if done >= 4:
-            raise Stop
-
-    with pytest.raises(Stop):
-        calibrate(config, context=RunContext(cache=RunCache(tmp_path), progress=stop))
-    assert len(list(tmp_path.glob("*/*.npz"))) == 4 * (SWEEPS + HELD)
-    counts: list[tuple[float, float]] = []
-    cache = RunCache(tmp_path)
-    context = RunContext(cache=cache, progress=lambda done, total, what="": counts.append((done, total)))
-    result = calibrate(config, context=context)
+def test_an_interrupted_calibration_goes_on_where_it_stopped(calibrated: Calibrated):
+    assert calibrated.kept == calibrated.cache.reused == 4 * (SWEEPS + HELD)
     # Trials of both stages; then two parameters of the passive one and all five, up and down.
-    whole = 4 + 5 + (1 + 2 * 2) + (1 + 2 * 5)
+    whole, counts = 4 + 5 + (1 + 2 * 2) + (1 + 2 * 5), calibrated.counts
     assert counts == sorted(counts)
     assert {(4, whole), (4 + 5, whole), (whole, whole)} <= set(counts)
-    assert cache.reused == 4 * (SWEEPS + HELD)
+    result = calibrated.result
     best = min(trial.cost for trial in result.trials["passive"])
     assert result.best("passive").cost == best
     assert result.trials["passive"][0].place == (0.5, 0.5)
     assert [len(trials) for trials in result.trials.values()] == [4, 5]
     assert len(result.sensitivity) == 1 + 2 * (2 + 3)
+
+
+def test_all_starts_but_the_first_of_seed_0_are_at_random_places():
+    assert module._start(0, 0, 3).tolist() == [0.5] * 3
+    places = [tuple(module._start(seed, start, 3)) for seed, start in ((0, 1), (1, 0), (1, 1), (2, 0))]
+    assert len(set(places)) == 4
+    assert all(0.0 <= u < 1.0 for place in places for u in place)
 
 
 @pytest.mark.parametrize(("good_cost", "starts"), [(1e6, 1), (0.0, 3)])
@@ -328,9 +354,15 @@ def test_one_lost_set_of_numbers_does_not_take_the_others_with_it():
     assert [residuals["P1"] for residuals, _ in found] == [0.1, module.LOST, 0.3]
 
 
-def test_the_command_says_what_it_found(study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_command_says_what_it_found(
+    study: Path, calibrated: Calibrated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """It takes the runs that are there, and makes no other ones."""
     out = tmp_path / "out"
-    assert main(["calibrate", "--config", str(study), "--json", "--seed", "3", "--out", str(out)]) == 0
+    shutil.copytree(calibrated.runs, out / "runs")
+    made = sorted(path.name for path in (out / "runs").glob("*/*.npz"))
+    assert main(["calibrate", "--config", str(study), "--json", "--out", str(out)]) == 0
+    assert sorted(path.name for path in (out / "runs").glob("*/*.npz")) == made
     content = json.loads(capsys.readouterr().out)
     assert [content[name]["evaluations"] for name in ("passive", "semi_active")] == [4, 5]
     names = {"result.json", "evaluations_passive.csv", "evaluations_semi_active.csv", "sensitivity.csv"}
