@@ -620,11 +620,11 @@ def _run_units(
             )
 
 
-run_units = kernel(announce="the control loop (first use, one to two minutes)")(
+run_units = kernel(announce="the control loop (first use, one to three minutes)")(
     named(_run_units, "run_units")
 )
 """`_run_units`, one unit after another."""
 run_units_in_parallel = kernel(
-    parallel=True, announce="the control loop of many vehicles (first use, one to two minutes)"
+    parallel=True, announce="the control loop of many vehicles (first use, one to three minutes)"
 )(named(_run_units, "run_units_in_parallel"))
 """`_run_units` on all threads: the results are the same bits."""

@@ -112,12 +112,12 @@ def _advance_units(
             _advance(SINGLE, plant, states, together, work, alone, substeps[i], signals, done)
 
 
-advance_units = kernel(announce="the simulator of several vehicles (first use, one to two minutes)")(
+advance_units = kernel(announce="the simulator of several vehicles (first use, one to three minutes)")(
     named(_advance_units, "advance_units")
 )
 """`_advance_units`, one unit after another."""
 advance_units_in_parallel = kernel(
-    parallel=True, announce="the simulator of many vehicles (first use, one to two minutes)"
+    parallel=True, announce="the simulator of many vehicles (first use, one to three minutes)"
 )(named(_advance_units, "advance_units_in_parallel"))
 """`_advance_units` on all threads: the results are the same bits."""
 

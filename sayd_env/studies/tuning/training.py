@@ -131,7 +131,9 @@ class SearchResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the best trials and the budget."""
-        done = sorted((t for t in self.trials if t.cost is not None), key=lambda t: (t.mean or 1e9, t.cost))
+        done = sorted(
+            (t for t in self.trials if t.cost is not None), key=lambda t: (t.mean or math.inf, t.cost)
+        )
         rows = [
             {"trial": t.number, "state": t.state, "J": t.cost, "mean": t.mean, "steps": t.steps}
             | {"settings": ", ".join(f"{k.rpartition('.')[2]}={_text(v)}" for k, v in t.settings.items())}
@@ -365,30 +367,32 @@ class _Search:
 
     def repeated(self, trials: list[Trial]) -> list[Trial]:
         """The trials, the best and the training's own settings repeated with further training seeds."""
-        seeds, steps = self.settings.finalist_seeds, self.settings.total_steps
-        if not seeds:
-            return trials
         found = {trial.number: trial for trial in trials}
+        for k, trial in enumerate(self._finalists(trials)):
+            found[trial.number] = replace(trial, repeated=self._again(trial, k))
+        return list(found.values())
+
+    def _finalists(self, trials: list[Trial]) -> list[Trial]:
+        if not self.settings.finalist_seeds:
+            return []
         complete = _by_cost(trials)
         own = [trial for trial in complete if with_settings(self.base, trial.settings) == self.base]
-        finalists = {trial.number: trial for trial in [*complete[: self.settings.finalists], *own]}
-        for k, trial in enumerate(finalists.values()):
-            before = (self.settings.trials + k * len(seeds)) * steps
+        return list({trial.number: trial for trial in [*complete[: self.settings.finalists], *own]}.values())
 
-            def tell(
-                done: float, total: float, what: str = "", before: int = before, number: int = trial.number
-            ) -> None:
-                self._report(before + done, f"trial {number + 1} again, {what}")
-
-            again = train_seeds(
-                with_settings(self.base, trial.settings),
-                seeds,
-                self.folder / FINALISTS / f"{trial.number:04d}",
-                parallel=self.executor.count,
-                progress=tell,
-            )
-            found[trial.number] = replace(trial, repeated=tuple(again.best.values()))
-        return list(found.values())
+    def _again(self, trial: Trial, number: int) -> tuple[float, ...]:
+        """J of a finalist with each of the further seeds, with so many finalists before it."""
+        seeds = self.settings.finalist_seeds
+        before = (self.settings.trials + number * len(seeds)) * self.settings.total_steps
+        result = train_seeds(
+            with_settings(self.base, trial.settings),
+            seeds,
+            self.folder / FINALISTS / f"{trial.number:04d}",
+            parallel=self.executor.count,
+            progress=lambda done, total, what="": self._report(
+                before + done, f"trial {trial.number + 1} again, {what}"
+            ),
+        )
+        return tuple(result.best.values())
 
     def _suggest(self, trial: Any, name: str, each: RangeConfig) -> Any:
         if each.choices:  # Optuna keeps texts and numbers alone
