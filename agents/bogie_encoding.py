@@ -227,8 +227,10 @@ def _check(
                 f"inputs: the view of a bogie has no quantity '{name}'{nearest(name, QUANTITIES)}; it has "
                 f"{', '.join(QUANTITIES)}"
             )
-        if each.law != "linear":
-            raise ConfigError(f"inputs.{name}.law: the view of a bogie takes 'linear', found '{each.law}'")
+        if each.scale != "linear":
+            raise ConfigError(
+                f"inputs.{name}.scale: the view of a bogie takes 'linear', found '{each.scale}'"
+            )
         if name in MIRRORED and each.middle != 0.0:
             raise ConfigError(f"inputs.{name}.middle: must be 0, because its sign is turned")
     if interface.observation == "features":

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sayd_env.agents.config import OutputConfig
 from sayd_env.agents.memory import Memory
-from sayd_env.agents.state import run_in
+from sayd_env.agents.state import run_in_periods
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.learner import InputConfig
 from sayd_env.config.units import KMH, Array, Array32
@@ -84,13 +84,13 @@ class Encoding(ABC):
             return memory
         return self.memory.remember(memory, flat(observations))
 
-    def listen(self, heard: RunIn) -> Array:
+    def memory_after(self, run_in: RunIn) -> Array:
         """What vehicles remember of their run-in, shape (N, memory_width), but for its last observation.
 
         That one comes with the first call of a policy.
         """
-        memory = np.zeros((heard.observations.shape[1], self.memory_width))
-        for own, seen in run_in(heard, self.interface) if self.memory is not None else ():
+        memory = np.zeros((run_in.observations.shape[1], self.memory_width))
+        for own, seen in run_in_periods(run_in, self.interface) if self.memory is not None else ():
             memory[own] = self.remember(memory[own], seen)
         return memory
 

@@ -114,7 +114,7 @@ class EncodedVecEnv(VecEnvWrapper):
         Gives the share of the last period in the J of each bogie, shape (N, 2).
     privileged : Privileged, optional
         Gives the true conditions.
-    heard : callable, optional
+    remembered : callable, optional
         Gives what vehicles that have just begun remember of their run-in, shape (N, memory_width).
     least : float
         Smallest scaled reward of a control period. A derailment is charged with the whole rest of its
@@ -133,7 +133,7 @@ class EncodedVecEnv(VecEnvWrapper):
         factors: Numbers,
         costs: Numbers | None = None,
         privileged: Privileged | None = None,
-        heard: Callable[[Flags], Array] | None = None,
+        remembered: Callable[[Flags], Array] | None = None,
         least: float = -np.inf,
     ) -> None:
         super().__init__(venv)
@@ -145,7 +145,7 @@ class EncodedVecEnv(VecEnvWrapper):
             Box(-encoding.clip, encoding.clip, (width,), np.float32),
             Box(-1.0, 1.0, (encoding.actions,), np.float32),
         )
-        self._encoding, self._privileged, self._heard = encoding, privileged, heard
+        self._encoding, self._privileged, self._remembered = encoding, privileged, remembered
         self._factors, self._factor = factors, np.ones(venv.num_envs)
         self._costs, self._least = costs, least
         self._seen: Array32 = np.zeros(0, np.float32)
@@ -164,8 +164,8 @@ class EncodedVecEnv(VecEnvWrapper):
         """Take over the episodes of vehicles that have just begun."""
         self._factor = self._factors()
         self._memory[which] = 0.0
-        if self._heard is not None:
-            self._memory[which] = self._heard(which)[which]
+        if self._remembered is not None:
+            self._memory[which] = self._remembered(which)[which]
         if self._privileged is not None:
             self._privileged.begin(np.flatnonzero(which))
 
@@ -301,17 +301,17 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
     interface = vehicles.parts[0].interface
     encoding = make_encoding(interface, config.view, config.inputs, config.clip, config.output, config.memory)
     for part in vehicles.parts:
-        part.vector.listens = encoding.memory is not None
+        part.vector.keeps_run_in = encoding.memory is not None
 
     per_second = config.reward_scale / settings.control_period
 
     def factors() -> Array:
         return per_second / vehicles.together(lambda part: ordinary_costs(part.vector.batch))
 
-    def heard(which: Flags) -> Array:
+    def remembered(which: Flags) -> Array:
         return np.concatenate(
             [
-                _heard(part, encoding, which[own])
+                _remembered(part, encoding, which[own])
                 for part, own in zip(vehicles.parts, vehicles.slices, strict=True)
             ]
         )
@@ -323,18 +323,18 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
         factors,
         lambda: vehicles.together(SaydVecEnv.bogie_costs),
         Privileged(vehicles, config.privileged, config.clip) if config.privileged else None,
-        heard if encoding.memory is not None else None,
+        remembered if encoding.memory is not None else None,
         -config.worst_s * per_second,
     )
     return env, encoding
 
 
-def _heard(part: SaydVecEnv, encoding: Encoding, which: Flags) -> Array:
+def _remembered(part: SaydVecEnv, encoding: Encoding, which: Flags) -> Array:
     """What vehicles of a batch that have just begun remember of their run-in."""
-    heard = part.vector.batch.heard
-    if not which.any() or heard is None:
+    run_in = part.vector.batch.observed_run_in
+    if not which.any() or run_in is None:
         return np.zeros((part.num_envs, encoding.memory_width))
-    return encoding.listen(heard)
+    return encoding.memory_after(run_in)
 
 
 def seed_environments(env: EncodedVecEnv, seed: int, restarts: int) -> None:

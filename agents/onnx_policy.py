@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.agents.policy_archive import read_bytes, shown_path
-from sayd_env.agents.state import NEXT_STATE, OUTPUT, STATE, run_in, started
+from sayd_env.agents.state import NEXT_STATE, OUTPUT, STATE, run_in_periods, started
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.explain import shown
 from sayd_env.config.units import Array, Array32
@@ -172,11 +172,11 @@ class RememberingRunner(OnnxRunner):
                 f"{self._where}: remembers {self._remembered} numbers in a state of {self._width}"
             )
 
-    def listen(self, heard: RunIn) -> Array:
-        """State at step 0 of a run-in that was heard."""
-        count = heard.observations.shape[1]
+    def state_after(self, run_in: RunIn) -> Array:
+        """State at step 0 after a run-in."""
+        count = run_in.observations.shape[1]
         memory = np.zeros((count, self._width))
-        for own, seen in run_in(heard, self.interface):
+        for own, seen in run_in_periods(run_in, self.interface):
             memory[own] = self.predict(seen, memory[own])[1]
             memory[:, self._remembered :] = 0.0  # an output that is held begins at step 0
         return memory

@@ -389,10 +389,10 @@ class RememberingPolicy(LearnedPolicy):
         held = self.encoding.units * self.encoding.actions
         self.width = self.encoding.memory_width + (1 + held if self.hold > 1 else 0)
 
-    def listen(self, heard: RunIn) -> Array:
-        """State at step 0 of a run-in that was heard."""
-        state = np.zeros((heard.observations.shape[1], self.width))
-        state[:, : self.encoding.memory_width] = self.encoding.listen(heard)
+    def state_after(self, run_in: RunIn) -> Array:
+        """State at step 0 after a run-in."""
+        state = np.zeros((run_in.observations.shape[1], self.width))
+        state[:, : self.encoding.memory_width] = self.encoding.memory_after(run_in)
         return state
 
     def predict(

@@ -49,7 +49,7 @@ def started(state: Any | None, episode_start: Any | None, count: int, width: int
     return before
 
 
-def run_in(heard: RunIn, interface: Interface) -> Iterator[tuple[Flags, Array32]]:
+def run_in_periods(run_in: RunIn, interface: Interface) -> Iterator[tuple[Flags, Array32]]:
     """Vehicles on their way to step 0, and what they observed, period by period.
 
     Of a history these are the two newest rows, which is all that memories read. The last observation is left
@@ -61,9 +61,9 @@ def run_in(heard: RunIn, interface: Interface) -> Iterator[tuple[Flags, Array32]
         Vehicles whose run-in has begun.
     seen : ndarray of float32, shape (own, *interface.shape)
     """
-    count = heard.observations.shape[1]
+    count = run_in.observations.shape[1]
     seen = np.zeros((count, *interface.shape), dtype=np.float32)
-    for p in range(1, len(heard.observations) - 1):
-        seen[:, -2:] = heard.observations[p - 1 : p + 1].swapaxes(0, 1)
-        own = heard.begins < p
+    for p in range(1, len(run_in.observations) - 1):
+        seen[:, -2:] = run_in.observations[p - 1 : p + 1].swapaxes(0, 1)
+        own = run_in.begins < p
         yield own, seen[own]

@@ -86,7 +86,7 @@ class RmsMeter(ABC):
         self._restart_filters(readings, rows, vehicle)
 
     @abstractmethod
-    def listen(self, readings: Readings, rows: Array, begins: Integers) -> None:
+    def run_in(self, readings: Readings, rows: Array, begins: Integers) -> None:
         """Take the readings before step 0, without measuring.
 
         Parameters
@@ -143,7 +143,7 @@ class FeatureRmsMeter(RmsMeter):
         acceleration = of_both(f"acceleration_rms.{{}}.{parameters.accelerometer}")
         self.sensors = acceleration + (of_both(f"force_rms.{{}}.{parameters.damper}") if self._force else ())
 
-    def listen(self, readings: Readings, rows: Array, begins: Integers) -> None:
+    def run_in(self, readings: Readings, rows: Array, begins: Integers) -> None:
         """Take nothing: the environment computes the features."""
 
     def measure(self, readings: Readings, rows: Array) -> bool:
@@ -203,7 +203,7 @@ class SignalRmsMeter(RmsMeter):
             readings.filtered,
         )
 
-    def listen(self, readings: Readings, rows: Array, begins: Integers) -> None:
+    def run_in(self, readings: Readings, rows: Array, begins: Integers) -> None:
         """Fill the filters and the spectra behind f_0."""
         filters, vehicles = readings.filters, len(begins)
         assert filters is not None  # signals always have filters

@@ -129,7 +129,7 @@ class SafeFallback:
         self._hold, self._longest = periods(times.hold), periods(times.longest_hold)
         self._confirmation, self._reopening = periods(times.confirmation), periods(times.reopening)
 
-    def listen(self, run_in: RunIn) -> Watch | None:
+    def state_after(self, run_in: RunIn) -> Watch | None:
         """State at step 0 of a monitor that was running during the run-in, as the policy inside perhaps was.
 
         Parameters
@@ -154,8 +154,8 @@ class SafeFallback:
                 ahead[:, self._speed] = rows[-1, :, self._speed]
                 self._restart_monitor(state, ahead, int(vehicle))
             self._take(state, row)
-        if hasattr(self.policy, "listen"):
-            state.policy = self.policy.listen(run_in)
+        if hasattr(self.policy, "state_after"):
+            state.policy = self.policy.state_after(run_in)
             state.began = state.policy is not None
         return state
 

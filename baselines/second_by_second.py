@@ -53,7 +53,7 @@ class SecondBySecond(BogiePolicy[CostParameters, State]):
         squares = (rms / scale) ** 2
         return self.parameters.k_y * squares[..., 0], self.parameters.k_F * squares[..., 1]
 
-    def listen(self, run_in: RunIn) -> State | None:
+    def state_after(self, run_in: RunIn) -> State | None:
         """State at step 0 of controllers that ran during the run-in: filters and f_0 include it.
 
         Parameters
@@ -71,7 +71,7 @@ class SecondBySecond(BogiePolicy[CostParameters, State]):
         rows = run_in.observations[:, :, self._columns].astype(np.float64)
         state = self._begin(rows[-1])
         # The last observation is that of the reset: `predict` gets it.
-        self._meter.listen(state.readings, rows[:-1], run_in.begins)
+        self._meter.run_in(state.readings, rows[:-1], run_in.begins)
         return state
 
     @abstractmethod

@@ -70,7 +70,7 @@ PLAIN = {
     "horizons_s": "Horizons (s)",
     "irregularity": "Irregularities of the track",
     "kind": "Which of the kinds this is",
-    "law": "Which of the laws this is",
+    "distribution": "Which of them this is",
     "learning": "The algorithm and its settings",
     "lines": "Lines, by name",
     "name": "What messages and results call it",

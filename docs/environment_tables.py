@@ -67,9 +67,9 @@ def observation_table(signals: Sequence[Signal]) -> str:
 
 def scaled_table(config: LearnerConfig) -> str:
     """Table of the maps of a scaled environment, one row for each quantity."""
-    laws = {"linear": "(x - middle) / half", "log": "ln(x / middle) / half"}
+    maps = {"linear": "(x - middle) / half", "log": "ln(x / middle) / half"}
     rows = [
-        (quantity, laws[each.law], f"{each.middle:g}", f"{each.half:g}")
+        (quantity, maps[each.scale], f"{each.middle:g}", f"{each.half:g}")
         for quantity, each in config.inputs.items()
     ]
     return _table(("quantity x", "becomes", "middle", "half"), rows)
@@ -118,9 +118,11 @@ def draw_table(environments: Mapping[str, EnvironmentConfig]) -> str:
                 *("the study's" if each is None else in_words(each) for each in columns),
             )
         )
-    laws = [config.randomisation for config in environments.values()]
-    profiles = [{_profile(each): f"weight {each.weight:g}" for each in law.profiles} for law in laws]
-    tracks = [{f"track {each.name}, scale": _track(each) for each in law.tracks} for law in laws]
+    randomised = [config.randomisation for config in environments.values()]
+    profiles = [
+        {_profile(each): f"weight {each.weight:g}" for each in config.profiles} for config in randomised
+    ]
+    tracks = [{f"track {each.name}, scale": _track(each) for each in config.tracks} for config in randomised]
     for columns in (profiles, tracks):
         for name in dict.fromkeys(name for cells in columns for name in cells):
             rows.append((name, "-", *(cells.get(name, "-") for cells in columns)))

@@ -17,7 +17,7 @@ def play(
     environment: options.Environment = "nominal",
     seed: options.Seed = 0,
 ) -> Plan:
-    """Drive by hand: a window in real time, with running acceleration and force against their limits.
+    """Drive by hand: a window in real time, with sliding RMS of acceleration and force against their limits.
 
     Keys: up and down move the command of all valves, at once. Left and right change the speed by 10 km/h,
     W the wear, T the track: for these the train begins anew, its valves as they stand. Space pauses, R begins

@@ -351,11 +351,11 @@ def render(
     ),
     out: options.Out = None,
 ) -> Plan:
-    """Draw policies at work: the vehicle from above, its dampers and valves, running values and limits.
+    """Draw policies at work: the vehicle from above, its dampers and valves, sliding RMS values and limits.
 
     Shows episode 0 of the seed, as the environment with this seed runs it; the environment draws what the
     options leave open. Several policies, four at most, run the same episode and stand side by side, on axes
-    that stay the same all through the film. Needs pygame, an .mp4 also imageio-ffmpeg: pip install
+    that stay the same all through the video. Needs pygame, an .mp4 also imageio-ffmpeg: pip install
     'sayd-env[render]' or 'sayd-env[video]'.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast

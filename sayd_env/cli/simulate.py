@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
-from sayd_env.cli.options import one_of, option, output
+from sayd_env.cli.options import option, output
 from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import SPEED, ListOf, Names, name, positive
 from sayd_env.cli.policies import GROUP, Line
@@ -49,10 +49,8 @@ def simulate(
         ListOf(name),
     ),
     run_in: bool = option("--run-in/--no-run-in", "Write the run-in, at negative times, too.", default=True),
-    kind: str | None = option(
-        "--format KIND",
-        "Of the file: csv, parquet, mat or mf4 (MDF 4). Default: by its ending, else csv.",
-        autocompletion=one_of("csv", "parquet", "mat", "mf4"),
+    kind: Literal["csv", "parquet", "mat", "mf4"] | None = option(
+        "--format KIND", "Of the file: csv, parquet, mat or mf4 (MDF 4). Default: by its ending, else csv."
     ),
     seed: options.Seed = 0,
     file: Path | None = output(

@@ -21,7 +21,7 @@ from sayd_env.config.units import Array
 class FixedDistribution(Model):
     """A constant."""
 
-    law: Literal["fixed"]
+    distribution: Literal["fixed"]
     value: Number = Field(description="The number")
 
     @property
@@ -37,7 +37,7 @@ class FixedDistribution(Model):
 class UniformDistribution(Model):
     """All numbers between two limits, or those of a grid between them, equally likely."""
 
-    law: Literal["uniform"]
+    distribution: Literal["uniform"]
     low: Number = Field(description="Smallest number")
     high: Number = Field(description="Largest number")
     step: Annotated[Number, Field(gt=0.0)] | None = Field(
@@ -72,7 +72,7 @@ class UniformDistribution(Model):
 class NormalDistribution(Model):
     """The normal distribution, truncated at two limits."""
 
-    law: Literal["normal"]
+    distribution: Literal["normal"]
     mean: Number = Field(description="Mean before truncation")
     deviation: Annotated[Number, Field(gt=0.0)] = Field(description="Standard deviation before truncation")
     low: Number = Field(description="Smallest number")
@@ -102,7 +102,7 @@ class NormalDistribution(Model):
 class ChoiceDistribution(Model):
     """One of several given numbers."""
 
-    law: Literal["choice"]
+    distribution: Literal["choice"]
     values: tuple[Number, ...] = Field(min_length=1, description="The numbers")
     weights: tuple[Annotated[Number, Field(ge=0.0, le=1e9)], ...] | None = Field(
         None, description="Relative frequency of each (-); equal when absent"
@@ -129,7 +129,7 @@ class ChoiceDistribution(Model):
 
 Distribution = Annotated[
     FixedDistribution | UniformDistribution | NormalDistribution | ChoiceDistribution,
-    Field(discriminator="law"),
+    Field(discriminator="distribution"),
 ]
 
 

@@ -16,7 +16,7 @@ Path = tuple[int | str, ...]
 LONGEST_FOUND = 60
 SMALLEST, LARGEST = 1e-40, 1e40
 """Magnitudes of numbers but 0: beyond all quantities, and far from where products leave the floats."""
-TAGS = ("type", "law", "kind", "algorithm")
+TAGS = ("type", "distribution", "kind", "algorithm")
 """Fields by which the members of a union are distinguished."""
 
 

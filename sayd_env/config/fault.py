@@ -193,7 +193,7 @@ FaultClass = Annotated[
 class FaultsConfig(Model):
     """How many faults an episode has, when, and which."""
 
-    count: Annotated[FixedDistribution | ChoiceDistribution, Field(discriminator="law")] = Field(
+    count: Annotated[FixedDistribution | ChoiceDistribution, Field(discriminator="distribution")] = Field(
         description="Number of faults (-)"
     )
     onset: Distribution = Field(description="Time after step 0 at which a fault happens (s)")

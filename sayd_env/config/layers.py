@@ -34,6 +34,8 @@ from sayd_env.config.loader import (
 )
 
 M = TypeVar("M", bound=BaseModel)
+_WHOLE = frozenset({"name", "type", "algorithm", "distribution"})
+"""Keys of sections that say what they are."""
 
 _KEYS_OF: Mapping[str, tuple[str, ...]] = {
     "vehicle": ("bodies", "elements", "wheel_radius"),
@@ -321,11 +323,11 @@ def _placed_at(kind: Kind, keys: list[str], value: Any, folder: Path) -> Any:
 
 
 def _alone(key: str, own: Mapping[str, Any], below: Mapping[str, Any]) -> bool:
-    """Whether a section replaces the base's as a whole: one with a name or a law, or of another kind."""
+    """Whether a section replaces the base's as a whole: a name, a distribution, another kind."""
     return (
         key == "provenance"
         or "name" in own
-        or "law" in own
+        or "distribution" in own
         or any(own.get(kind) not in (None, below.get(kind)) for kind in ("type", "algorithm"))
     )
 
@@ -346,7 +348,7 @@ def _paths(own: Mapping[str, Any], above: tuple[str, ...] = ()) -> list[tuple[st
     for key, value in own.items():
         path = (*above, key)
         # What a section that replaces the base's lacks is not taken from there: it is blamed for that.
-        if not isinstance(value, dict) or not value or {"name", "type", "algorithm", "law"} & set(value):
+        if not isinstance(value, dict) or not value or not _WHOLE.isdisjoint(value):
             found.append(path)
         if isinstance(value, dict):
             found += _paths(value, path)

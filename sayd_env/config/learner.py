@@ -22,7 +22,7 @@ WIDEST = 3.4028234663852886e38
 class InputConfig(Model):
     """How a quantity enters the network: a fixed map."""
 
-    law: Literal["linear", "log"] = Field(
+    scale: Literal["linear", "log"] = Field(
         "linear", description="linear: (value - middle) / half. log: ln(value / middle) / half"
     )
     middle: Number = Field(ge=-LARGEST, le=LARGEST, description="Value that becomes 0, in the signal's unit")
@@ -34,8 +34,8 @@ class InputConfig(Model):
 
     @model_validator(mode="after")
     def _has_logarithm(self) -> InputConfig:
-        if self.law == "log" and self.middle <= 0.0:
-            raise ValueError(f"middle ({self.middle:g}) must be positive with law 'log'")
+        if self.scale == "log" and self.middle <= 0.0:
+            raise ValueError(f"middle ({self.middle:g}) must be positive with scale 'log'")
         return self
 
 

@@ -61,7 +61,7 @@ COST = Chart("Cost J of the last second", lambda frame: frame.cost[:, None], {""
 
 @dataclass(frozen=True)
 class Extent:
-    """Axes that stay as they are all through a film."""
+    """Axes that stay as they are all through a video."""
 
     seconds: float
     """From the first picture to the last, s."""
@@ -97,8 +97,8 @@ class Charts:
             for number, chart in enumerate(charts):
                 left, inner = number * (width + gap) + LEFT, width - LEFT - RIGHT
                 box = (left / whole, BOTTOM / height, inner / whole, (height - TOP - BOTTOM) / height)
-                film = None if extent is None else (extent.seconds, extent.largest[number])
-                self._panels.append(_Panel(figure.add_axes(box), chart, film))
+                video = None if extent is None else (extent.seconds, extent.largest[number])
+                self._panels.append(_Panel(figure.add_axes(box), chart, video))
             canvas.draw()
         self._canvas = canvas
         self._ground: Any = None
@@ -124,16 +124,16 @@ def _newest(value: float, digits: int) -> str:
 class _Panel:
     """Axes of a chart, and what moves in them."""
 
-    def __init__(self, axes: Any, chart: Chart, film: tuple[float, float] | None) -> None:
-        self.axes, self.chart, self.film = axes, chart, film
+    def __init__(self, axes: Any, chart: Chart, video: tuple[float, float] | None) -> None:
+        self.axes, self.chart, self.video = axes, chart, video
         axes.set_facecolor("none")
         axes.spines[:].set_visible(False)
         axes.grid(axis="y", color=FAINT)
         axes.tick_params(length=0.0, labelsize=7, labelcolor=SOFT)
-        first, last = (-WINDOW, 0.0) if film is None else (0.0, film[0])
+        first, last = (-WINDOW, 0.0) if video is None else (0.0, video[0])
         axes.set_xlim(first, last)
         ticks = (first, 0.5 * (first + last), last)
-        words = [f"{s:g} s".replace("-", "\N{MINUS SIGN}") if film or s else "now" for s in ticks]
+        words = [f"{s:g} s".replace("-", "\N{MINUS SIGN}") if video or s else "now" for s in ticks]
         axes.set_xticks(ticks, words)
         axes.get_xticklabels()[-1].set_ha("right")
         axes.set_title(chart.title, loc="left", x=-0.09, fontsize=9, fontweight="bold", color=INK, pad=8.0)
@@ -157,12 +157,12 @@ class _Panel:
         values = chart.values(frame)
         assert values is not None  # the chart is one of this vehicle's
         values = chart.scale * values
-        now = frame.time if self.film is None else 0.0
+        now = frame.time if self.video is None else 0.0
         for line, number, column in zip(self.lines, self.numbers, values.T, strict=True):
             line.set_data(frame.times - now, column)
             number.set_text(_newest(column[-1], chart.digits) if len(column) else "")
         limit = chart.scale * chart.limit(frame)
-        largest = float(values.max(initial=0.0)) if self.film is None else chart.scale * self.film[1]
+        largest = float(values.max(initial=0.0)) if self.video is None else chart.scale * self.video[1]
         needed = max(largest, 1.25 * limit, chart.least)
         return self._fit(needed, limit)
 

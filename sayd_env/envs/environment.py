@@ -78,12 +78,12 @@ class Environment:
     ----------
     batch : EpisodeBatch
         The simulated vehicles behind the environment: what no train could measure.
-    listens : bool
-        Keep what is observed in run-ins, see `EpisodeBatch.heard`: for policies that remember.
+    keeps_run_in : bool
+        Keep what is observed in run-ins, see `EpisodeBatch.observed_run_in`: for policies that remember.
     """
 
     batch: EpisodeBatch
-    listens = False
+    keeps_run_in = False
     render_mode: str | None
     np_random: Any
     _np_random: np.random.Generator | None
@@ -197,7 +197,9 @@ class Environment:
             else:
                 chosen.append((int(self.np_random.integers(SEEDS)), 0))
         episodes = [draw_episode(self.config, seed, number, options) for seed, number in chosen]
-        rows = self.batch.reset(which, episodes, log=self._full, listen=self.listens, whole_track=False)
+        rows = self.batch.reset(
+            which, episodes, log=self._full, keep_run_in=self.keeps_run_in, whole_track=False
+        )
         if self._view is not None:
             self._ordinary = ordinary_costs(self.batch)
         for i, (seed, number), before in zip(which, chosen, rows, strict=True):

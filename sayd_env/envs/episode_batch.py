@@ -111,8 +111,8 @@ class EpisodeBatch:
         What changes along each vehicle's way; None where nothing does.
     limits : list of Limits
         Each vehicle's limits of EN 14363.
-    heard : RunIn or None
-        What all vehicles observed in their run-in, if the last reset was asked to listen.
+    observed_run_in : RunIn or None
+        What all vehicles observed in their run-in, if the last reset was asked to keep it.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class EpisodeBatch:
         self._valve = np.repeat(np.arange(ACTIONS[config.valves]), DAMPERS // ACTIONS[config.valves])
         self._commanded = np.zeros((count, DAMPERS))
         self._faulty = False
-        self.heard: RunIn | None = None
+        self.observed_run_in: RunIn | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """A copy assembles its vehicles anew when it is asked for them."""
@@ -179,7 +179,7 @@ class EpisodeBatch:
         episodes: Sequence[Episode],
         *,
         log: bool = False,
-        listen: bool = False,
+        keep_run_in: bool = False,
         watch: Callable[[int], None] | None = None,
         whole_track: bool = True,
         steps: Sequence[int] | None = None,
@@ -194,8 +194,8 @@ class EpisodeBatch:
             One for each of these.
         log : bool
             Return the true signals of the run-in, as `VehicleBatch.run_in` does.
-        listen : bool
-            Keep the observations of the run-in in `heard`.
+        keep_run_in : bool
+            Keep the observations of the run-in in `observed_run_in`.
         watch : callable, optional
             Called after each control period of the run-in with its number, see `VehicleBatch.run_in`.
         whole_track : bool
@@ -228,9 +228,9 @@ class EpisodeBatch:
         else:
             for i, vehicle in zip(which, built, strict=True):
                 self._vehicles.put(i, vehicle)
-        self.heard = self._prepared(self._vehicles, which) if listen else None
-        listeners = [call for call in (self._hear if listen else None, watch) if call is not None]
-        logs = self._vehicles.run_in(which, log=log, hear=_in_turn(listeners) if listeners else None)
+        self.observed_run_in = self._prepared(self._vehicles, which) if keep_run_in else None
+        calls = [call for call in (self._keep_observed if keep_run_in else None, watch) if call is not None]
+        logs = self._vehicles.run_in(which, log=log, each_period=_in_turn(calls) if calls else None)
         for i, model, episode, line in zip(which, models, episodes, lines, strict=True):
             self.episodes[i], self.lines[i], self._models[i] = episode, line, model
             self.limits[i] = model_limits(model)
@@ -257,10 +257,10 @@ class EpisodeBatch:
         shape = (longest, self.count, len(self.interface.signals))
         return RunIn(np.zeros(shape, dtype=np.float32), longest - periods)
 
-    def _hear(self, period: int) -> None:
+    def _keep_observed(self, period: int) -> None:
         """Keep what is observed at the end of a control period of the run-in."""
-        assert self.heard is not None  # the reset has made it
-        self.heard.observations[period] = np.nan_to_num(self._newest())
+        assert self.observed_run_in is not None  # the reset has made it
+        self.observed_run_in.observations[period] = np.nan_to_num(self._newest())
 
     def _vehicle(
         self, model: VehicleModel, episode: Episode, line: Line | None, whole_track: bool, steps: int

@@ -103,11 +103,11 @@ def _line_name(line: object) -> str:
     return "drawn" if isinstance(line, Line) else "given"
 
 
-def vehicle_info(batch: EpisodeBatch, i: int, running: SlidingRms) -> dict[str, Any]:
-    """Forces, valves, flow, power and running values of a vehicle at the end of the last period."""
+def vehicle_info(batch: EpisodeBatch, i: int, sliding: SlidingRms) -> dict[str, Any]:
+    """Forces, valves, flow, power and sliding RMS values of a vehicle at the end of the last period."""
     vehicles, limits = batch.vehicles, batch.limits[i]
     state, row, mean = vehicles.state.view(i), vehicles.trace[i, -1], vehicles.memory.view(i).rail_mean
-    acceleration, shift = running.rms()
+    acceleration, shift = sliding.rms()
     values_of = {
         "damper_force": row[trace.FORCE : trace.FORCE + DAMPERS],
         "track_shift_force": row[trace.TRACK_SHIFT : trace.TRACK_SHIFT + POINTS],
@@ -115,8 +115,8 @@ def vehicle_info(batch: EpisodeBatch, i: int, running: SlidingRms) -> dict[str, 
         "wheel_vertical_force": row[trace.WHEEL_VERTICAL : trace.WHEEL_VERTICAL + LANES],
         "valve_command": vehicles.command[i],
         **_hydraulics(batch, i, state),
-        "running_acceleration": acceleration,
-        "running_track_shift": shift,
+        "sliding_rms_acceleration": acceleration,
+        "sliding_rms_track_shift": shift,
         "mean_quotient": mean[RAIL_QUOTIENT:RAIL_TRACK_SHIFT],
         "mean_track_shift": mean[RAIL_TRACK_SHIFT:],
     }

@@ -173,7 +173,7 @@ def _randomisation(
     left = drawn.without(fixed_by(_keys(assignments)))
     if speed_kmh is None:
         return left
-    speed = {"law": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
+    speed = {"distribution": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
     return validate(RandomisationConfig, dict(left) | {"speed_kmh": speed}, "keywords")
 
 

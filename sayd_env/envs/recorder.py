@@ -31,7 +31,7 @@ from sayd_env.physics.simulator import VehicleModel
 WINDOW = 10.0
 """Time that a frame looks back unless more is asked for, s."""
 SECOND = 1.0
-"""Time over which running values are taken, s: a step of the paper's MPPT."""
+"""Time over which sliding RMS values are taken, s: a step of the paper's MPPT."""
 STRAIGHT = 1e5
 """Radius from which on a curve is drawn and called straight, m."""
 BEHIND, AHEAD, SPACING = 40.0, 80.0, 0.25
@@ -140,7 +140,7 @@ class Frame:
 
     @property
     def above_limit(self) -> bool:
-        """Whether a bogie's running acceleration is above its limit."""
+        """Whether the sliding RMS of a bogie's acceleration is above its limit."""
         return bool(np.any(self.acceleration[-1:] > self.acceleration_limit))
 
 

@@ -242,7 +242,7 @@ class Renderer:
             self._line(frame.place)
         inner = (left + 118, top + 4, width - 134, height - 8)
         canvas.text("Track alignment", (left + 12, top + 15), 13, INK, bold=True)
-        # Of the whole ride, so that the scale of a film does not change.
+        # Of the whole ride, so that the scale of a video does not change.
         span = next((value for value in SPANS if frame.largest_alignment <= value), frame.largest_alignment)
         canvas.text(f"± {span * 1e3:g} mm", (left + 12, top + 33), 11, SOFT)
         canvas.text(f"km {frame.position * 1e-3:.3f}", (left + 12, top + 49), 11, SOFT)

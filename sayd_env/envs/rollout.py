@@ -33,20 +33,20 @@ class Policy(Protocol):
         """Actions for observations of N vehicles, and the state for the next call."""
 
 
-def listens(policy: Policy) -> bool:
-    """Whether a policy takes the observations of the run-in: whether it has a method `listen`."""
-    return hasattr(policy, "listen")
+def uses_run_in(policy: Policy) -> bool:
+    """Whether a policy takes the observations of the run-in: whether it has a method `state_after`."""
+    return hasattr(policy, "state_after")
 
 
 def first_state(policy: Policy, batch: EpisodeBatch) -> tuple[Any, Flags]:
     """State of a policy at step 0, and whether it begins there: what `predict` gets first.
 
     A policy on a train is already running at step 0: where the batch's last reset has kept the run-in, a
-    policy with a method `listen` gets it.
+    policy with a method `state_after` gets it.
     """
     state = None
-    if batch.heard is not None and listens(policy):
-        state = policy.listen(batch.heard)  # type: ignore[attr-defined]
+    if batch.observed_run_in is not None and uses_run_in(policy):
+        state = policy.state_after(batch.observed_run_in)  # type: ignore[attr-defined]
     return state, np.full(batch.count, state is None)
 
 
@@ -144,7 +144,7 @@ def roll_out(
         range(count),
         episodes,
         log=True,
-        listen=listens(policy),
+        keep_run_in=uses_run_in(policy),
         watch=watch if columns else None,
         steps=steps,
     )

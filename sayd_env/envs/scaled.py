@@ -42,7 +42,7 @@ class Scaling:
     def of(cls, inputs: Iterable[InputConfig], clip: float) -> Scaling:
         """The map of n numbers, each as its configuration says."""
         each = [*inputs]
-        logarithmic = np.array([item.law == "log" for item in each], dtype=np.bool_)
+        logarithmic = np.array([item.scale == "log" for item in each], dtype=np.bool_)
         middle, half = (np.array([getattr(item, name) for item in each]) for name in ("middle", "half"))
         return cls(middle, half, clip, logarithmic)
 

@@ -1,4 +1,4 @@
-"""Pictures of vehicles side by side: one bogie of each from above, running values on common axes."""
+"""Pictures of vehicles side by side: one bogie of each from above, sliding values on common axes."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class SideBySide:
         Parameters
         ----------
         frames : sequence of Frame
-            One of each; their histories begin with the film.
+            One of each; their histories begin with the video.
         """
         self.canvas.begin()
         self._head(frames)

@@ -101,7 +101,7 @@ class SaydEnv(Environment, gym.Env[Array32, Array32]):
     ``wheel_vertical_force`` (8, N, on the rails; left and right in turn), ``valve_current`` and
     ``valve_command`` (8), ``hydraulic_flow`` (8, m3/s: what the pistons displace) and ``hydraulic_power``
     (8, W: what they put into the oil), and EN 14363's values of the last 100 m behind the on-line filter,
-    ``running_acceleration`` (4, m/s2) and ``running_track_shift`` (4, N), with their limits
+    ``sliding_rms_acceleration`` (4, m/s2) and ``sliding_rms_track_shift`` (4, N), with their limits
     ``limit_acceleration`` and ``limit_track_shift``; for safety the means over 2 m ``mean_quotient`` (8, Y/Q
     towards the flange) and ``mean_track_shift`` (4, N), with ``limit_quotient`` and
     ``limit_mean_track_shift`` (Prud'homme); ``line_section``, ``line_curvature`` (1/m), ``line_cant`` (m),

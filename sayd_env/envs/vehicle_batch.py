@@ -219,7 +219,7 @@ class VehicleBatch:
             getattr(self, name)[i] = value
 
     def run_in(
-        self, which: Sequence[int], *, log: bool = False, hear: Callable[[int], None] | None = None
+        self, which: Sequence[int], *, log: bool = False, each_period: Callable[[int], None] | None = None
     ) -> list[Array]:
         """Run fresh vehicles to their step 0, with their initial commands.
 
@@ -229,7 +229,7 @@ class VehicleBatch:
             The vehicles; the others stand still.
         log : bool
             Return the true signals.
-        hear : callable, optional
+        each_period : callable, optional
             Called after each control period with its number; all vehicles arrive at step 0 with the last one,
             so some begin later than others. The results are the same bits with and without it.
 
@@ -246,14 +246,14 @@ class VehicleBatch:
             rows = np.zeros((len(self), int(periods.max()) * self.settings.samples, LOG))
         # Run-ins differ in length: a group takes as long as its longest one.
         formation = self.formation.only(sorted(which, key=lambda i: -int(periods[i])))
-        if hear is None:
+        if each_period is None:
             self._run(periods, self._silent, rows, formation)
         else:
-            self._run_in_aloud(periods, rows, hear, formation)
+            self._run_in_by_periods(periods, rows, each_period, formation)
         return [rows[i, : periods[i] * self.settings.samples if log else 0] for i in which]
 
-    def _run_in_aloud(
-        self, periods: Integers, rows: Array, hear: Callable[[int], None], formation: Formation
+    def _run_in_by_periods(
+        self, periods: Integers, rows: Array, each_period: Callable[[int], None], formation: Formation
     ) -> None:
         """Run vehicles in, one control period in a call."""
         samples, longest = self.settings.samples, int(periods.max())
@@ -265,7 +265,7 @@ class VehicleBatch:
             self._run(active.astype(np.int64), self._silent, log, formation)
             for i in np.flatnonzero(active) if rows.size else ():
                 rows[i, own[i] * samples : (own[i] + 1) * samples] = log[i]
-            hear(p)
+            each_period(p)
 
     def step(
         self,

@@ -117,8 +117,8 @@ class LineRecord:
     peak_track_shift: Array
     """(n,) largest mean track shift force, N."""
     position: Array
-    """(w,) centres of the windows of the running acceleration, m."""
-    running_acceleration: Array
+    """(w,) centres of the windows of the sliding RMS of the acceleration, m."""
+    sliding_rms_acceleration: Array
     """(w,) largest sliding RMS of a frame's acceleration behind the on-line filter, m/s2."""
     ending: str | None = None
     """Why the run ended early; None if it did not."""
@@ -254,7 +254,7 @@ def line_record(run: Run, rollout: Rollout) -> LineRecord:
     acceleration, force = (each / period for each in squares(rollout.terms))
     curve = _second_means(rollout) / run.scenario.cost.force_reference**2
     unloading = _unloading(run, rollout, trip)
-    rms = _running_rms(run, rollout, trip)
+    rms = _sliding_rms(run, rollout, trip)
     second = round(SECOND / period)
     return LineRecord(
         time=np.asarray(periods * period, dtype=np.float64),
@@ -272,7 +272,7 @@ def line_record(run: Run, rollout: Rollout) -> LineRecord:
         cost_force=_of_seconds(force, second).mean(axis=1),
         peak_quotient=_of_seconds(rollout.terms[:, PEAK_QUOTIENT], second).max(axis=1),
         peak_track_shift=_of_seconds(rollout.terms[:, PEAK_TRACK_SHIFT], second).max(axis=1),
-        **_running(run, rollout, trip),
+        **_for_pictures(run, rollout, trip),
         ending=rollout.ending,
     )
 
@@ -310,7 +310,7 @@ def _over_the_line(run: Run, rollout: Rollout) -> dict[str, float]:
         offline_along(rollout, trip, scenario.assessment) / bounds.acceleration**2,
         float(np.mean((force / scenario.cost.force_reference) ** 2)),
     )
-    acceleration, shift = (float(np.nan_to_num(rms).max()) for rms in _running_rms(run, rollout, trip))
+    acceleration, shift = (float(np.nan_to_num(rms).max()) for rms in _sliding_rms(run, rollout, trip))
     judged = scenario.vehicle.floor_height is not None and len(force) >= BLOCK * rate
     places = (rollout.true[:, k : k + 3] for k in range(LOG_BODY, LOG_BODY + 9, 3))
     return {
@@ -399,7 +399,7 @@ def _unloading(run: Run, rollout: Rollout, trip: Trip) -> Array:
     return np.asarray(np.fmax.reduce(lost.reshape(len(rollout.terms), -1), axis=1))
 
 
-def _running_rms(run: Run, rollout: Rollout, trip: Trip) -> tuple[Array, Array]:
+def _sliding_rms(run: Run, rollout: Rollout, trip: Trip) -> tuple[Array, Array]:
     """Maxima by EN 14363 on the straight parts of the sections: acceleration (m/s2), track shift force (N).
 
     NaN where there is no straight part as long as a segment of the spectrum; infinite where the run ended.
@@ -442,12 +442,12 @@ def _assessed(
     return assess(signals[part], rate, trip.speed_at(s), own).maximum
 
 
-def _running(run: Run, rollout: Rollout, trip: Trip) -> Mapping[str, Array]:
+def _for_pictures(run: Run, rollout: Rollout, trip: Trip) -> Mapping[str, Array]:
     """Sliding RMS of the acceleration behind the on-line filter, for pictures."""
     settings = run.scenario.assessment
     s = trip.distance(rollout.times[rollout.run_in :])
     filtered = rollout.true[rollout.run_in :, LOG_FILTERED:LOG_BODY]
     if len(s) < 2 or s[-1] - s[0] < settings.window_length:
-        return {"position": np.zeros(0), "running_acceleration": np.zeros(0)}
+        return {"position": np.zeros(0), "sliding_rms_acceleration": np.zeros(0)}
     position, rms = sliding_rms(filtered, rollout.sample_rate, s, settings)
-    return {"position": position, "running_acceleration": rms.max(axis=1)}
+    return {"position": position, "sliding_rms_acceleration": rms.max(axis=1)}

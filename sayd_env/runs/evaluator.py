@@ -161,7 +161,7 @@ def _vehicles(piece: _Piece) -> tuple[EpisodeBatch, list[EpisodeState]]:
         for case in piece.cases:
             options = {name: value for name, value in case.items() if name != "seed"}
             episodes.append(draw_episode(piece.config, case["seed"], 0, options | current))
-        batch.reset(range(batch.count), episodes, listen=True)
+        batch.reset(range(batch.count), episodes, keep_run_in=True)
         _prepared[key] = batch, [batch.get_state(i) for i in range(batch.count)]
     return _prepared[key]
 

@@ -122,8 +122,8 @@ class CheckedPolicy:
 
     def __init__(self, where: str, policy: Any, interface: Interface) -> None:
         self.name, self.interface, self._policy = where, interface, policy
-        if hasattr(policy, "listen"):  # whoever asks whether a policy listens to the run-in finds it here
-            self.listen = policy.listen
+        if hasattr(policy, "state_after"):  # found here, as on the policy itself
+            self.state_after = policy.state_after
 
     def predict(
         self,

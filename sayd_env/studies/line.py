@@ -91,8 +91,8 @@ _RATIOS = (*RATIOS, "quotient_ratio", "mean_shift_ratio")
 VALUES = ("J", "J_acceleration", "J_force", "J_curve", *_RATIOS, "unloading")
 _PICTURE_WORDS = (
     "Above: speed, curve and cant, gauge and friction along the line, the value of a dashed line on the "
-    "right. Below: command, J and running values over their limits, one line for each policy, on the first "
-    "track. Every second section is shaded."
+    "right. Below: command, J and sliding RMS values over their limits, one line for each policy, on the "
+    "first track. Every second section is shaded."
 )
 _LIMIT: dict[str, Any] = {"best": True, **LIMITED}
 COLUMNS = (
@@ -290,7 +290,7 @@ class LineResult:
             if _place(run) == place and run.seed == seed:
                 _draw_run(axes[3:], run, record)
         for axis, name in zip(
-            axes[3:], ("command (-)", "J", "running\nacceleration", "Y/Q, 2 m", "ΣY, 2 m"), strict=True
+            axes[3:], ("command (-)", "J", "sliding RMS of\nacceleration", "Y/Q, 2 m", "ΣY, 2 m"), strict=True
         ):
             axis.set_ylabel(name if name in ("command (-)", "J") else f"{name}\nover limit")
         axes[3].set_ylim(-0.05, 1.05)
@@ -516,7 +516,7 @@ def _draw_line(axes: Sequence[Axes], trip: Trip, gauge: float, friction: float) 
 
 
 def _draw_run(axes: Sequence[Axes], run: Run, record: LineRecord) -> None:
-    """Command, J and running values over their limits of one run."""
+    """Command, J and sliding RMS values over their limits of one run."""
     assert run.line is not None
     bounds, cost = model_limits(VehicleModel(run.scenario)), run.scenario.cost
     km = 1e-3 * Trip(run.line, run.speed).distance(np.arange(len(record.command)) + 0.5)
@@ -527,6 +527,6 @@ def _draw_run(axes: Sequence[Axes], run: Run, record: LineRecord) -> None:
     if run.scenario.damper.type != "passive":
         axes[0].plot(km, record.command.mean(axis=1), **style)
     axes[1].plot(km, J, label=name, **style)
-    axes[2].plot(1e-3 * record.position, record.running_acceleration / bounds.acceleration, **style)
+    axes[2].plot(1e-3 * record.position, record.sliding_rms_acceleration / bounds.acceleration, **style)
     axes[3].plot(km, record.peak_quotient / safe, **style)
     axes[4].plot(km, record.peak_track_shift / bounds.mean_track_shift, **style)

@@ -1,4 +1,4 @@
-"""A vehicle driven by hand: a window, a keyboard, and running values against their limits."""
+"""A vehicle driven by hand: a window, a keyboard, and sliding RMS values against their limits."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Driven:
 
 @dataclass(eq=False)
 class PlayResult:
-    """All runs of a session."""
+    """All runs until the window was closed."""
 
     runs: list[Driven] = field(default_factory=list)
 
@@ -107,7 +107,7 @@ class Hand:
         return np.full((len(observation), 1), self.command, dtype=np.float32), state
 
 
-class Session:
+class Cab:
     """A vehicle, its window and its keyboard.
 
     The command acts at once. Speed, wear and track cannot change under a running train: the train begins
@@ -239,7 +239,7 @@ class Session:
     def _begin_anew(self, former: Mapping[str, Any]) -> None:
         """Begin under the conditions of now; where they cannot be, say why and keep the former ones."""
         driven = self._driven() if self.ride.steps else None
-        self._note = "running in ..."
+        self._note = "run-in ..."
         self._show_keys()
         self.renderer.show()
         try:
@@ -289,5 +289,5 @@ def play(
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
 ) -> PlayResult:
-    """Open a window and let a hand drive until it is closed; see `Session`."""
-    return Session(scenario, environment, seed, options).drive()
+    """Open a window and let a hand drive until it is closed; see `Cab`."""
+    return Cab(scenario, environment, seed, options).drive()

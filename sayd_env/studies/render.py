@@ -1,4 +1,4 @@
-"""Policies at work, in pictures: a film, or its last picture; several policies side by side."""
+"""Policies at work, in pictures: a video, or its last picture; several policies side by side."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def render(
 ) -> RenderResult:
     """Run policies and write their video.
 
-    Several policies run the same episode and are drawn side by side. They run twice: the axes of the film,
+    Several policies run the same episode and are drawn side by side. They run twice: the axes of the video,
     the same for all, end where the largest values of the first time do.
 
     Parameters
@@ -186,7 +186,7 @@ def render(
         for policy, config in zip(video.policies, environments, strict=True)
     ]
     try:
-        return _filmed(video, rides, seed, options, progress)
+        return _recorded(video, rides, seed, options, progress)
     except DependencyNotInstalled as error:
         raise ConfigError(str(error)) from None
 
@@ -205,7 +205,7 @@ def _check(video: Video, control_period: float) -> None:
     ):
         raise ConfigError(f"--exaggeration {video.exaggeration:g}: expected a number above 0")
     if len(video.policies) > MOST:
-        raise ConfigError(f"--policies: found {len(video.policies)}; a film has room for {MOST}")
+        raise ConfigError(f"--policies: found {len(video.policies)}; a video has room for {MOST}")
     checked_video(video.file, video.fps, video.pictures)
 
 
@@ -216,7 +216,7 @@ def _long_enough(environment: EnvironmentConfig, seconds: float) -> EnvironmentC
     return environment.model_copy(update={"episode_s": max(environment.episode_s, needed)})
 
 
-def _filmed(
+def _recorded(
     video: Video, rides: Sequence[Ride], seed: int, options: Mapping[str, Any], progress: Progress
 ) -> RenderResult:
     # These load Matplotlib and need an extra.

@@ -15,7 +15,7 @@ from sayd_env.envs.draw import draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch, checked_actions
 from sayd_env.envs.loop import RUNNING
 from sayd_env.envs.recorder import WINDOW, Recorder
-from sayd_env.envs.rollout import first_state, listens
+from sayd_env.envs.rollout import first_state, uses_run_in
 from sayd_env.physics.simulator import VehicleModel
 
 COLUMNS = (
@@ -75,7 +75,7 @@ class Ride:
         """
         episode = draw_episode(self.batch.config, seed, number, options)
         VehicleModel(self._scenario).check_speed(episode.speed)
-        self.batch.reset([0], [episode], listen=listens(self.policy))
+        self.batch.reset([0], [episode], keep_run_in=uses_run_in(self.policy))
         self.recorder.begin()
         self._seen, self._shape = self.batch.observations(), (1, self.batch.interface.actions)
         self._state, self._start = first_state(self.policy, self.batch)

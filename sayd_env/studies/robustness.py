@@ -96,7 +96,7 @@ class Disturbance:
         """The environment with it."""
         if self.quantity not in ("sensor_noise", "payload"):
             return environment
-        fixed = {self.quantity: FixedDistribution(law="fixed", value=self.value)}
+        fixed = {self.quantity: FixedDistribution(distribution="fixed", value=self.value)}
         drawn = environment.randomisation.model_copy(update=fixed)
         return environment.model_copy(update={"randomisation": drawn})
 

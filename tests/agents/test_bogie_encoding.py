@@ -173,7 +173,12 @@ def test_a_schedule_is_one_of_speed() -> None:
     [
         ({}, {"yaw_forse": UNIT}, COMMAND, "did you mean 'yaw_force'"),
         ({}, {"lateral": InputConfig(middle=1.0, half=1.0)}, COMMAND, "inputs.lateral.middle: must be 0"),
-        ({}, {"speed": InputConfig(law="log", middle=1.0, half=1.0)}, COMMAND, "takes 'linear', found 'log'"),
+        (
+            {},
+            {"speed": InputConfig(scale="log", middle=1.0, half=1.0)},
+            COMMAND,
+            "takes 'linear', found 'log'",
+        ),
         ({"observation": "signals"}, {"yaw_rate": UNIT}, COMMAND, "needs a history of 2 rows"),
         ({"observation": "features"}, {"speed": UNIT}, COMMAND, "found 'features'"),
         ({"valves": "damper"}, {"speed": UNIT}, COMMAND, "needs valves 'bogie', found 'damper'"),

@@ -145,14 +145,14 @@ def test_a_run_in_is_heard_as_it_was_seen(interface: Interface) -> None:
     """The same averages as of a policy that was called all along, from where each vehicle's run-in begins."""
     policy = policy_of(interface).bound(interface)
     rows = np.random.default_rng(5).normal(size=(20, 2, len(interface.signals))).astype(np.float32)
-    heard = policy.listen(RunIn(rows, np.array([0, 8])))
+    remembered = policy.state_after(RunIn(rows, np.array([0, 8])))
     for vehicle, first in enumerate((0, 8)):
         state = None
         for p in range(first + 1, 19):
             history = np.zeros((1, *interface.shape), np.float32)
             history[0, -2:] = rows[p - 1 : p + 1, vehicle]
             _, state = policy.predict(history, state)
-        np.testing.assert_allclose(heard[vehicle], state[0], rtol=1e-12)
+        np.testing.assert_allclose(remembered[vehicle], state[0], rtol=1e-12)
 
 
 def blocks(interface: Interface, count: int, periods: int) -> np.ndarray:
@@ -168,7 +168,7 @@ def blocks(interface: Interface, count: int, periods: int) -> np.ndarray:
 def policy_of(interface: Interface, hold: int = 1, activation: Any = "tanh") -> StoredPolicy:
     """A policy with random weights that remembers, estimates and holds."""
     random = np.random.default_rng(1)
-    wide = {name: InputConfig(law="log", middle=1.0, half=3.0) for name in MEMORIES}
+    wide = {name: InputConfig(scale="log", middle=1.0, half=3.0) for name in MEMORIES}
     memory = MemoryConfig(times_s=(0.1, 0.5), inputs=wide)
     inputs = {"lateral": InputConfig(middle=0.0, half=30.0), "speed": InputConfig(middle=0.0, half=50.0)}
     output = OutputConfig(kind="command", middle=0.5, half=0.5, hold=hold)
@@ -239,8 +239,8 @@ def test_onnx_gives_the_same_commands(
     seen = blocks(interface, 4, 9)
     seen[2, 1, 0, 3] = np.nan
     rows = seen[:, :, -1]
-    heard = RunIn(rows, np.array([0, 0, 3, 5]))
-    states = [policy.listen(heard), model.listen(heard)]
+    run_in = RunIn(rows, np.array([0, 0, 3, 5]))
+    states = [policy.state_after(run_in), model.state_after(run_in)]
     np.testing.assert_allclose(states[0], states[1], rtol=1e-9, atol=1e-12)
     commands = []
     for each in seen:

@@ -30,7 +30,7 @@ from sayd_env.envs.interface import Interface
 from sayd_env.envs.single import SaydEnv
 
 INPUTS = {
-    "acceleration_rms": InputConfig(law="log", middle=0.5, half=2.0),
+    "acceleration_rms": InputConfig(scale="log", middle=0.5, half=2.0),
     "command": InputConfig(middle=0.5, half=0.5),
     "speed": InputConfig(middle=80.0, half=20.0),
 }

@@ -133,7 +133,7 @@ def test_the_stored_policy_acts_as_the_model(trained: Trained) -> None:
     env.seed(7)
     observed = env.reset()
     (part,) = env.unwrapped.parts
-    state = policy.listen(part.vector.batch.heard) if trained.config.memory else None
+    state = policy.state_after(part.vector.batch.observed_run_in) if trained.config.memory else None
     for _ in range(20):
         outputs, _ = model.predict(observed, deterministic=True)
         expected = encoding.decode(outputs, env._seen)

@@ -192,7 +192,7 @@ def test_the_band_is_that_of_hunting_from_step_0_after_a_run_in(interface):
     begins = np.array([125, 0])
     rows[:125, 0] = 7.0  # of another train, before this one's run-in
     run_in = RunIn(rows[:626], begins)  # 500 m and a step
-    state = policy.listen(run_in)
+    state = policy.state_after(run_in)
     for row in rows[625 : 625 + 101]:
         _, state = policy.predict(row, state, np.zeros(2, dtype=bool))
     for vehicle, f0 in enumerate(tones):
@@ -229,7 +229,7 @@ def test_where_the_command_rests_is_not_its_limit(name):
     assert load_controller(name).model_dump()["v_min"] <= 0.02
 
 
-def test_without_a_run_in_there_is_nothing_to_hear(interface):
+def test_without_a_run_in_there_is_no_state(interface):
     signals = interface()
     nothing = RunIn(np.zeros((0, 1, len(signals.signals)), dtype=np.float32), np.zeros(1, dtype=np.int64))
-    assert baselines.make("mppt1", signals).listen(nothing) is None
+    assert baselines.make("mppt1", signals).state_after(nothing) is None

@@ -276,17 +276,17 @@ def test_an_episode_starts_a_vehicle_afresh(interface):
 
 
 def test_the_run_in_is_heard(interface):
-    """A bogie that hunts before step 0 is closed at step 0; a policy that does not listen begins there."""
+    """A bogie that hunts before step 0 is closed at step 0; a policy that takes no run-in begins there."""
     made = interface()
     loud = 2.0 * math.sqrt(2.0) * load_safe().trip * made.acceleration_limit
     rows = waves(made, loud, 4.0)
     policy = SafeFallback(Open(made))
-    state = policy.listen(RunIn(rows[:, None], np.zeros(1, dtype=np.int64)))
+    state = policy.state_after(RunIn(rows[:, None], np.zeros(1, dtype=np.int64)))
     assert state is not None
     action, state = policy.predict(rows[-1:], state, np.zeros(1, dtype=bool))
     assert np.all(action == 0.0)
     assert state.policy == 1
-    assert policy.listen(RunIn(rows[:0, None], np.zeros(1, dtype=np.int64))) is None
+    assert policy.state_after(RunIn(rows[:0, None], np.zeros(1, dtype=np.int64))) is None
 
 
 @pytest.mark.parametrize(

@@ -52,22 +52,22 @@ def others() -> dict[str, object]:
 
 
 def test_held_out_conditions_lie_between_the_steps_of_the_training(held_out: ComparisonConfig):
-    laws = load_environment("training").randomisation
+    randomisation = load_environment("training").randomisation
     gauges = load_environment("randomized").randomisation.gauge
     worn = [each.wear for each in held_out.wheels if each.wear > 0.0]
-    for law, values in (
-        (laws.speed_kmh, held_out.speeds_kmh),
-        (laws.wear, worn),
-        (laws.friction, held_out.friction),
+    for drawn, values in (
+        (randomisation.speed_kmh, held_out.speeds_kmh),
+        (randomisation.wear, worn),
+        (randomisation.friction, held_out.friction),
         (gauges, [each.gauge for each in held_out.wheels]),
     ):
-        assert isinstance(law, UniformDistribution)
-        assert law.step
+        assert isinstance(drawn, UniformDistribution)
+        assert drawn.step
         for value in values:
             assert value is not None
-            steps = (value - law.low) / law.step
+            steps = (value - drawn.low) / drawn.step
             assert abs(steps - round(steps)) > 0.1
-            assert law.low < value < law.high
+            assert drawn.low < value < drawn.high
 
 
 def test_held_out_wheels_reach_from_low_conicity_to_worn(held_out: ComparisonConfig):

@@ -36,9 +36,9 @@ def write(tmp_path: Path) -> Write:
 
 
 def fixed(config: EnvironmentConfig, name: str) -> float:
-    law = getattr(config.randomisation, name)
-    assert isinstance(law, FixedDistribution)
-    return law.value
+    drawn = getattr(config.randomisation, name)
+    assert isinstance(drawn, FixedDistribution)
+    return drawn.value
 
 
 def test_nominal_is_the_papers_vehicle_without_chance():
@@ -65,7 +65,7 @@ def test_faults_stand_on_the_randomised_conditions():
     assert randomised.faults is None
     assert faulty.faults is not None
     assert faulty.randomisation == randomised.randomisation
-    assert {law.kind for law in faulty.faults.kinds} == {
+    assert {each.kind for each in faulty.faults.kinds} == {
         "valve_stuck",
         "power_lost",
         "damper_lost",
@@ -79,33 +79,37 @@ def test_faults_stand_on_the_randomised_conditions():
 
 
 def test_randomised_conditions_span_speeds_wear_and_tracks():
-    laws = load_environment("randomized").randomisation
-    assert laws.speed_kmh.bounds == (200.0, 400.0)
-    assert laws.wear is not None
-    assert laws.wear.bounds == (0.0, 1.0)
-    assert {track.name for track in laws.tracks} == {"german_low", "german_high", "china"}
-    assert {(profile.name, profile.shift) for profile in laws.profiles} == {
+    randomisation = load_environment("randomized").randomisation
+    assert randomisation.speed_kmh.bounds == (200.0, 400.0)
+    assert randomisation.wear is not None
+    assert randomisation.wear.bounds == (0.0, 1.0)
+    assert {track.name for track in randomisation.tracks} == {"german_low", "german_high", "china"}
+    assert {(profile.name, profile.shift) for profile in randomisation.profiles} == {
         (None, None),
         (None, 1e-3),
         ("lma", None),
     }
-    assert laws.gauge is not None
-    assert laws.gauge.bounds == (1.432, 1.440)
-    assert load_environment("training").randomisation.profiles == laws.profiles
-    for group in laws.tolerances.values():
+    assert randomisation.gauge is not None
+    assert randomisation.gauge.bounds == (1.432, 1.440)
+    assert load_environment("training").randomisation.profiles == randomisation.profiles
+    for group in randomisation.tolerances.values():
         low, high = group.factor.bounds
         assert low < 1.0 < high
 
 
 def test_what_assignments_to_a_scenario_fix_is_not_drawn():
-    laws = load_environment("randomized").randomisation
+    randomisation = load_environment("randomized").randomisation
     keys = ("wear", "wheel.shift", "track.irregularity.scale", "vehicle.bodies.frame.mass")
     assert fixed_by(keys) == {"wear", "profiles", "tracks"}
     assert fixed_by(["track"]) == {"gauge", "tracks"}
-    left = laws.without(fixed_by(keys))
+    left = randomisation.without(fixed_by(keys))
     assert (left.wear, left.profiles, left.tracks) == (None, (), ())
-    assert (left.friction, left.gauge, left.tolerances) == (laws.friction, laws.gauge, laws.tolerances)
-    every = laws.without()
+    assert (left.friction, left.gauge, left.tolerances) == (
+        randomisation.friction,
+        randomisation.gauge,
+        randomisation.tolerances,
+    )
+    every = randomisation.without()
     assert [getattr(every, name) for name in OF_THE_SCENARIO] == [None, (), None, None, ()]
 
 
@@ -124,8 +128,8 @@ def test_every_tolerance_leads_to_numbers_of_the_study():
 def test_a_file_differs_from_its_base_only_where_it_says_so(write: Write):
     path = write(
         "base: randomized\ncontrol_period: 0.02\nsensors: {pressure: {noise: 0.0}}\n"
-        "randomisation:\n  speed_kmh: {law: fixed, value: 300}\n"
-        "  tolerances: {arm_joints: {factor: {law: fixed, value: 1.1}}}\n"
+        "randomisation:\n  speed_kmh: {distribution: fixed, value: 300}\n"
+        "  tolerances: {arm_joints: {factor: {distribution: fixed, value: 1.1}}}\n"
     )
     config, base = load_environment(str(path)), load_environment("randomized")
     assert config.control_period == 0.02
@@ -135,7 +139,7 @@ def test_a_file_differs_from_its_base_only_where_it_says_so(write: Write):
     assert config.randomisation.wear == base.randomisation.wear
     joints = config.randomisation.tolerances["arm_joints"]
     assert joints.keys == base.randomisation.tolerances["arm_joints"].keys
-    assert joints.factor == FixedDistribution(law="fixed", value=1.1)
+    assert joints.factor == FixedDistribution(distribution="fixed", value=1.1)
 
 
 def test_assignments_come_last_and_in_their_order():
@@ -143,7 +147,9 @@ def test_assignments_come_last_and_in_their_order():
         "randomized", ["sensors=ideal", "sensors.stroke.noise=1e-6", "randomisation.speed_kmh.low=350"]
     )
     assert (config.sensors.stroke.noise, config.sensors.pressure.noise) == (1e-6, 0.0)
-    assert config.randomisation.speed_kmh == UniformDistribution(law="uniform", low=350.0, high=400.0)
+    assert config.randomisation.speed_kmh == UniformDistribution(
+        distribution="uniform", low=350.0, high=400.0
+    )
     assert load_environment("nominal", ["damper=passive"]).damper == "passive"
 
 
@@ -207,12 +213,15 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
         ("randomisation.friction.low=0", "the distribution reaches from 0 to 0.5; allowed are 0.05 to 1"),
         ("randomisation.speed_kmh=null", "randomisation.speed_kmh: found None"),
         ("randomisation.tracks.0.name=chna", "unknown track 'chna', did you mean 'china'?"),
-        ("randomisation.tracks=[{name: smooth, scale: {law: fixed, value: 1}}]", "has nothing to scale"),
+        (
+            "randomisation.tracks=[{name: smooth, scale: {distribution: fixed, value: 1}}]",
+            "has nothing to scale",
+        ),
         ("randomisation.tracks=[{name: china, weight: 0}]", "at least one weight must be positive"),
         ("randomisation.profiles=[{name: lma, weight: 0}]", "at least one weight must be positive"),
         ("randomisation.profiles.0.name=lmaa", "unknown profile 'lmaa', did you mean 'lma'?"),
         ("randomisation.profiles.0.shift=0.1", "shift: found 0.1"),
-        ("randomisation.gauge={law: fixed, value: 1435}", "the distribution reaches from 1435"),
+        ("randomisation.gauge={distribution: fixed, value: 1435}", "the distribution reaches from 1435"),
         ("randomisation.tolerances.frames.keys=[vehcle.x]", "begins with 'vehcle', did you mean 'vehicle'?"),
         (
             "randomisation.tolerances.frames.factor.low=0",
@@ -223,15 +232,15 @@ def test_paths_in_a_file_start_at_that_file(write: Write, monkeypatch: pytest.Mo
             "key 'sayd.valve.delay' is in two groups, 'frames' and 'valve_delay'",
         ),
         (
-            "faults.count={law: uniform, low: 0, high: 1}",
-            "faults.count.law: found 'uniform'; expected fixed, ch",
+            "faults.count={distribution: uniform, low: 0, high: 1}",
+            "faults.count.distribution: found 'uniform'; expected fixed, ch",
         ),
         (
-            "faults.count={law: choice, values: [0.5]}",
+            "faults.count={distribution: choice, values: [0.5]}",
             "faults.count: the distribution has 0.5; allowed are whole numbers",
         ),
         (
-            "faults.count={law: fixed, value: 9}",
+            "faults.count={distribution: fixed, value: 9}",
             "the distribution has 9; allowed are whole numbers from 0 to 8",
         ),
         (

@@ -50,12 +50,12 @@ def test_the_same_numbers_make_the_same_line() -> None:
 
 
 OTHERS = {
-    "gauge": ("gauge={law: fixed, value: 1.435}", "gauge"),
+    "gauge": ("gauge={distribution: fixed, value: 1.435}", "gauge"),
     "friction": ("friction=null", "friction"),
-    "rail": ("rail={law: fixed, value: 0.25}", "rail_blend"),
+    "rail": ("rail={distribution: fixed, value: 0.25}", "rail_blend"),
     "tracks": ("tracks=[{name: china}]", "tracks"),
     "defects": ("defects=null", "defects"),
-    "cant_deficiency": ("curves.cant_deficiency={law: fixed, value: 0.05}", "cant"),
+    "cant_deficiency": ("curves.cant_deficiency={distribution: fixed, value: 0.05}", "cant"),
 }
 
 
@@ -82,7 +82,7 @@ def test_radii_are_spread_above_what_the_speed_needs() -> None:
     least = (400 / 3.6) ** 2 * 1.5 / (9.81 * 0.29)
     radii: list[float] = []
     for seed in range(60):
-        line = drawn(seed, "curves.share=1.0", "speed_kmh={law: fixed, value: 400.0}")
+        line = drawn(seed, "curves.share=1.0", "speed_kmh={distribution: fixed, value: 400.0}")
         radii += [1 / abs(kappa) for kappa in set(line.curvature.value) if kappa]
     assert min(radii) >= least * (1 - 1e-9)
     spread = np.sort((np.array(radii) - least) / (12000.0 - least))
@@ -94,8 +94,8 @@ def test_a_distribution_that_never_reaches_the_radius_gives_the_least_one() -> N
     line = drawn(
         0,
         "curves.share=1.0",
-        "speed_kmh={law: fixed, value: 400.0}",
-        "curves.radius={law: choice, values: [600.0, 900.0]}",
+        "speed_kmh={distribution: fixed, value: 400.0}",
+        "curves.radius={distribution: choice, values: [600.0, 900.0]}",
     )
     least = (400 / 3.6) ** 2 * 1.5 / (9.81 * 0.29)
     np.testing.assert_allclose([abs(kappa) for kappa in line.curvature.value if kappa], 1 / least)
@@ -104,20 +104,32 @@ def test_a_distribution_that_never_reaches_the_radius_gives_the_least_one() -> N
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("speed_kmh={law: uniform, low: 20.0, high: 400.0}", "speed_kmh: .*allowed are 30 to 500 km/h"),
+        (
+            "speed_kmh={distribution: uniform, low: 20.0, high: 400.0}",
+            "speed_kmh: .*allowed are 30 to 500 km/h",
+        ),
         ("speed_kmh=null", "curves need a speed_kmh"),
-        ("curves.transition={law: fixed, value: 1100.0}", "curves.transition reaches beyond the shortest"),
-        ("curves.radius={law: fixed, value: 100.0}", "radius reaches down to 100; at least 150 is needed"),
-        ("curves.radius={law: choice, values: [9000.0, 6000.0]}", "values of a choice must ascend"),
-        ("curves.cant_deficiency={law: fixed, value: 0.2}", "cant_deficiency reaches beyond 0 to 0.11 m"),
+        (
+            "curves.transition={distribution: fixed, value: 1100.0}",
+            "curves.transition reaches beyond the shortest",
+        ),
+        (
+            "curves.radius={distribution: fixed, value: 100.0}",
+            "radius reaches down to 100; at least 150 is needed",
+        ),
+        ("curves.radius={distribution: choice, values: [9000.0, 6000.0]}", "values of a choice must ascend"),
+        (
+            "curves.cant_deficiency={distribution: fixed, value: 0.2}",
+            "cant_deficiency reaches beyond 0 to 0.11 m",
+        ),
         ("curves.most_cant=0.2", "less than or equal to 0.18"),
-        ("rail={law: fixed, value: 1.5}", "rail reaches beyond 0 to 1"),
+        ("rail={distribution: fixed, value: 1.5}", "rail reaches beyond 0 to 1"),
         ("rails=null", "rail needs the two rails"),
         ("tracks=[{name: chine}]", "did you mean 'china'"),
         ("tracks=[{name: china, weight: 0.0}]", "at least one weight must be positive"),
-        ("length={law: fixed, value: 20.0}", "length reaches down to 20; at least 25 is needed"),
-        ("defects.length={law: fixed, value: 2000.0}", "defects.length reaches beyond the shortest"),
-        ("sections={law: fixed, value: 0.0}", "sections reaches down to 0"),
+        ("length={distribution: fixed, value: 20.0}", "length reaches down to 20; at least 25 is needed"),
+        ("defects.length={distribution: fixed, value: 2000.0}", "defects.length reaches beyond the shortest"),
+        ("sections={distribution: fixed, value: 0.0}", "sections reaches down to 0"),
     ],
 )
 def test_refusals(override: str, message: str) -> None:

@@ -17,7 +17,7 @@ MAP = load_map()
 
 def test_no_condition_is_held_out():
     """None has a speed, wear, friction, track or seed of the comparison's."""
-    held_out, laws = load_comparison(), load_environment("training").randomisation
+    held_out, randomisation = load_comparison(), load_environment("training").randomisation
     assert not set(MAP.speeds_kmh) & set(held_out.speeds_kmh)
     assert not {(wheel.profile, wheel.wear) for wheel in MAP.wheels if wheel.wear > 0.0} & {
         (wheel.profile, wheel.wear) for wheel in held_out.wheels
@@ -28,7 +28,7 @@ def test_no_condition_is_held_out():
     study = load_scenario().track.irregularity
     for track in held_out.tracks:  # another spectrum than the study's, whatever its level
         assert track.irregularity.model_copy(update={"scale": 1.0}) != study.model_copy(update={"scale": 1.0})
-    assert {track.name for track in laws.tracks} == {"german_low"}
+    assert {track.name for track in randomisation.tracks} == {"german_low"}
     assert not set(MAP.seeds) & {case.seed for case in load_tuning().scenarios}
 
 

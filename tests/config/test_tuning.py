@@ -43,17 +43,17 @@ def test_all_corners_of_the_ranges_are_parameters_of_the_controller():
 
 
 def test_the_scenarios_are_of_the_training_and_of_no_comparison():
-    """Values are on the steps of the training's laws; none is one of the comparison's file."""
+    """Values are on the steps of the training's distributions; none is one of the comparison's file."""
     tuning = load_tuning()
-    laws = load_environment(tuning.environment).randomisation
+    randomisation = load_environment(tuning.environment).randomisation
     for name in ("speed_kmh", "wear", "friction"):
-        law = getattr(laws, name)
-        assert isinstance(law, UniformDistribution)
-        assert law.step
+        drawn = getattr(randomisation, name)
+        assert isinstance(drawn, UniformDistribution)
+        assert drawn.step
         for scenario in tuning.scenarios:
-            steps = (getattr(scenario, name) - law.low) / law.step
+            steps = (getattr(scenario, name) - drawn.low) / drawn.step
             assert steps == pytest.approx(round(steps), abs=1e-6)
-            assert law.low <= getattr(scenario, name) <= law.high
+            assert drawn.low <= getattr(scenario, name) <= drawn.high
     assert [scenario.seed for scenario in tuning.scenarios] == [*range(8000, 8032)]
 
 

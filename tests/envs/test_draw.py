@@ -1,4 +1,4 @@
-"""Episodes: laws, seeds, options, faults, and the scenarios that come of them."""
+"""Episodes: distributions, seeds, options, faults, and the scenarios that come of them."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_tracks_come_by_their_weights_with_scales_of_their_own():
         assert stats.kstest(scales, stats.uniform(low, high - low).cdf).pvalue > 0.001
 
 
-def test_tolerances_follow_their_laws_and_are_shared_by_a_group():
+def test_tolerances_follow_their_distributions_and_are_shared_by_a_group():
     drawn = [episode.tolerances["vehicle.elements.arm_joint.stiffness"] for episode in MANY]
     exact = stats.truncnorm(-3.0, 3.0, loc=1.0, scale=0.075)
     assert stats.kstest(drawn, exact.cdf).pvalue > 0.001
@@ -173,13 +173,13 @@ def test_sensor_errors_are_within_their_spread():
         MANY[0].sensor_bias[0] = 1.0
 
 
-def test_a_law_that_is_exchanged_shifts_no_other_draw():
+def test_a_distribution_that_is_exchanged_shifts_no_other_draw():
     other = load_environment(
         "faults",
         [
-            "randomisation.wear={law: fixed, value: 0.5}",
+            "randomisation.wear={distribution: fixed, value: 0.5}",
             "randomisation.friction=null",
-            "randomisation.tolerances.arm_joints.factor={law: fixed, value: 1.0}",
+            "randomisation.tolerances.arm_joints.factor={distribution: fixed, value: 1.0}",
             "sensors.pressure.bias_spread=0",
         ],
     )
@@ -348,7 +348,7 @@ def test_faults_come_by_their_weights():
     assert stats.chisquare([kinds[k] for k in weights], expected).pvalue > 0.001
 
 
-def test_faults_are_within_their_laws():
+def test_faults_are_within_their_ranges():
     faults = [fault for episode in MANY for fault in episode.faults]
     assert stats.kstest([fault.start_s for fault in faults], stats.uniform(0.0, 15.0).cdf).pvalue > 0.001
     stuck = [fault.current for fault in faults if isinstance(fault, ValveStuck)]
@@ -369,7 +369,7 @@ def _half_range(signal: str) -> float:
 
 
 def test_no_part_fails_twice_and_faults_are_in_order():
-    crowded = load_environment("faults", ["faults.count={law: fixed, value: 8}"])
+    crowded = load_environment("faults", ["faults.count={distribution: fixed, value: 8}"])
     for k in range(50):
         faults = draw_episode(crowded, 0, k).faults
         places = [getattr(fault, "damper", None) or getattr(fault, "signal", None) for fault in faults]
@@ -379,7 +379,9 @@ def test_no_part_fails_twice_and_faults_are_in_order():
 
 def test_sensors_that_run_out_leave_fewer_faults():
     kinds = "[{kind: sensor_dead, sensors: [speed]}]"
-    config = load_environment("faults", ["faults.count={law: fixed, value: 3}", f"faults.kinds={kinds}"])
+    config = load_environment(
+        "faults", ["faults.count={distribution: fixed, value: 3}", f"faults.kinds={kinds}"]
+    )
     (fault,) = draw_episode(config, 0, 0).faults
     assert fault.kind == "sensor_dead"
 
@@ -453,7 +455,7 @@ def test_a_scale_alone_keeps_the_studys_track():
 
 
 def test_a_tolerance_that_the_scenario_does_not_have_is_refused():
-    group = "{keys: [vehicle.elements.arm_jont.stiffness], factor: {law: fixed, value: 1.1}}"
+    group = "{keys: [vehicle.elements.arm_jont.stiffness], factor: {distribution: fixed, value: 1.1}}"
     config = load_environment("nominal", [f"randomisation.tolerances={{joints: {group}}}"])
     with pytest.raises(ConfigError, match="did you mean 'arm_joint'"):
         episode_scenario(BASE, draw_episode(config, 0, 0))

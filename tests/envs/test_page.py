@@ -75,18 +75,24 @@ def test_info_is_named(damper: str, quick: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("law", "words"),
+    ("drawn", "words"),
     [
-        (FixedDistribution(law="fixed", value=0.5), "0.5"),
-        (UniformDistribution(law="uniform", low=0.0, high=1.5), "0 to 1.5"),
-        (UniformDistribution(law="uniform", low=0.0, high=1.0, step=0.05), "0 to 1 in steps of 0.05"),
-        (NormalDistribution(law="normal", mean=1.0, deviation=0.1, low=0.7, high=1.3), "1 ± 0.1, 0.7 to 1.3"),
-        (ChoiceDistribution(law="choice", values=(0, 2), weights=(1.0, 3.0)), "0 (25 %), 2 (75 %)"),
-        (ChoiceDistribution(law="choice", values=(1, 2)), "1 (50 %), 2 (50 %)"),
+        (FixedDistribution(distribution="fixed", value=0.5), "0.5"),
+        (UniformDistribution(distribution="uniform", low=0.0, high=1.5), "0 to 1.5"),
+        (
+            UniformDistribution(distribution="uniform", low=0.0, high=1.0, step=0.05),
+            "0 to 1 in steps of 0.05",
+        ),
+        (
+            NormalDistribution(distribution="normal", mean=1.0, deviation=0.1, low=0.7, high=1.3),
+            "1 ± 0.1, 0.7 to 1.3",
+        ),
+        (ChoiceDistribution(distribution="choice", values=(0, 2), weights=(1.0, 3.0)), "0 (25 %), 2 (75 %)"),
+        (ChoiceDistribution(distribution="choice", values=(1, 2)), "1 (50 %), 2 (50 %)"),
     ],
 )
-def test_distributions_in_words(law: Any, words: str) -> None:
-    assert environment_tables.in_words(law) == words
+def test_distributions_in_words(drawn: Any, words: str) -> None:
+    assert environment_tables.in_words(drawn) == words
 
 
 def test_a_table_of_no_faults_is_empty() -> None:

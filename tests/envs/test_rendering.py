@@ -303,7 +303,7 @@ def test_the_badge_is_red_above_the_limit_whatever_else_is_shown(quick: str) -> 
 
 
 def test_the_scale_of_the_track_is_that_of_the_whole_ride(quick: str) -> None:
-    """It holds all that a film shows of the track, and no frame changes it."""
+    """It holds all that a video shows of the track, and no frame changes it."""
     recorder = watched(quick, 0, episode_s=20.0)
     frames = [recorder.frame()]
     for _ in range(40):

@@ -135,7 +135,7 @@ def test_step_0_is_that_of_a_train_which_has_been_running() -> None:
         np.testing.assert_allclose(observed[first : first + 2], expected, rtol=1e-6)  # float32
         # The running values begin in the same band, those of the track shift force, too.
         shift = sosfilt(sections(f0), rows[before - 2 * RATE :, 4 + 2 * k : 6 + 2 * k], axis=0)
-        for name, values in (("running_acceleration", passed), ("running_track_shift", shift)):
+        for name, values in (("sliding_rms_acceleration", passed), ("sliding_rms_track_shift", shift)):
             expected = np.sqrt(np.mean(values[-window:] ** 2, axis=0))
             np.testing.assert_allclose(info[name][2 * k : 2 * k + 2], expected, rtol=1e-9)
 
@@ -151,7 +151,7 @@ def test_running_values_are_those_of_the_last_100_m() -> None:
     for bogie in range(2):
         acceleration = rows[:, LOG_ACCELERATION + 2 * bogie : LOG_ACCELERATION + 2 * bogie + 2]
         passed = np.concatenate(filtered_seconds(acceleration, before, 3, speed))
-        found = info["running_acceleration"][2 * bogie : 2 * bogie + 2]
+        found = info["sliding_rms_acceleration"][2 * bogie : 2 * bogie + 2]
         np.testing.assert_allclose(found, np.sqrt(np.mean(passed[-window:] ** 2, axis=0)), rtol=1e-9)
         # The track shift forces go through the same bands.
         shift, filtered = rows[:, 4 + 2 * bogie : 6 + 2 * bogie], []
@@ -167,5 +167,5 @@ def test_running_values_are_those_of_the_last_100_m() -> None:
             filtered.append(passed)
         expected = np.sqrt(np.mean(np.concatenate(filtered)[-window:] ** 2, axis=0))
         np.testing.assert_allclose(
-            info["running_track_shift"][2 * bogie : 2 * bogie + 2], expected, rtol=1e-9
+            info["sliding_rms_track_shift"][2 * bogie : 2 * bogie + 2], expected, rtol=1e-9
         )

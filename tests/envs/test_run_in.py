@@ -1,4 +1,4 @@
-"""What is heard in the run-in: the observations of each period, and no change of what is run."""
+"""What is observed in the run-in: the observations of each period, and no change of what is run."""
 
 from __future__ import annotations
 
@@ -16,28 +16,30 @@ SEEDS = (3, 4)
 BY_COST_ALONE = {"threshold_min": 0.0, "threshold_max": 1e3, "k_J": 0.1}
 
 
-def begun(seeds: tuple[int, ...], *, listen: bool) -> tuple[EpisodeBatch, list[np.ndarray]]:
+def begun(seeds: tuple[int, ...], *, keep_run_in: bool) -> tuple[EpisodeBatch, list[np.ndarray]]:
     batch = EpisodeBatch(CONFIG, len(seeds))
     episodes = [draw_episode(CONFIG, seed, 0, None) for seed in seeds]
-    return batch, batch.reset(range(len(seeds)), episodes, log=True, listen=listen)
+    return batch, batch.reset(range(len(seeds)), episodes, log=True, keep_run_in=keep_run_in)
 
 
 def test_listening_changes_no_bit_and_is_the_same_alone_and_beside_others() -> None:
-    (silent, quiet_log), (batch, log) = begun(SEEDS, listen=False), begun(SEEDS, listen=True)
-    assert silent.heard is None
-    assert batch.heard is not None
+    (silent, quiet_log), (batch, log) = begun(SEEDS, keep_run_in=False), begun(SEEDS, keep_run_in=True)
+    assert silent.observed_run_in is None
+    assert batch.observed_run_in is not None
     for quiet, loud in zip(quiet_log, log, strict=True):
         np.testing.assert_array_equal(quiet, loud)
     np.testing.assert_array_equal(silent.observations(), batch.observations())
-    np.testing.assert_array_equal(batch.heard.observations[-1], batch.observations())
+    np.testing.assert_array_equal(batch.observed_run_in.observations[-1], batch.observations())
     lengths = [len(rows) // batch.settings.samples for rows in log]
     assert len(set(lengths)) == len(SEEDS)  # vehicles of different speeds
-    np.testing.assert_array_equal(len(batch.heard.observations) - batch.heard.begins, lengths)
+    np.testing.assert_array_equal(
+        len(batch.observed_run_in.observations) - batch.observed_run_in.begins, lengths
+    )
     for i, seed in enumerate(SEEDS):
-        alone, _ = begun((seed,), listen=True)
-        assert alone.heard is not None
-        own = batch.heard.observations[batch.heard.begins[i] :, i]
-        np.testing.assert_array_equal(own, alone.heard.observations[:, 0])
+        alone, _ = begun((seed,), keep_run_in=True)
+        assert alone.observed_run_in is not None
+        own = batch.observed_run_in.observations[batch.observed_run_in.begins[i] :, i]
+        np.testing.assert_array_equal(own, alone.observed_run_in.observations[:, 0])
 
 
 def test_a_controller_alone_and_beside_others_does_the_same() -> None:

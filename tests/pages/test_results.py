@@ -218,7 +218,7 @@ def lined(scenario: Scenario) -> LineResult:
             peak_quotient=0.3 * course,
             peak_track_shift=1e4 * course,
             position=position,
-            running_acceleration=level * np.ones(position.shape),
+            sliding_rms_acceleration=level * np.ones(position.shape),
         )
         runs.append(run)
         records.append(record)

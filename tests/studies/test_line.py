@@ -123,7 +123,7 @@ def test_a_straight_line_is_judged_as_no_line(short_scenario: Scenario) -> None:
         assert getattr(along, name) == pytest.approx(getattr(plain, name), rel=1e-3)
 
 
-def test_curves_have_no_running_rms_and_all_sections_the_rest(result: LineResult) -> None:
+def test_curves_have_no_sliding_rms_and_all_sections_the_rest(result: LineResult) -> None:
     straight, curve, out, _ = result.rows[:4]
     assert math.isfinite(straight.acceleration_ratio)
     # Behind its transition the last section is straight, but for less than a segment of the spectrum.

@@ -112,7 +112,7 @@ def test_a_learned_policy_stands_beside_others(
     assert [run.rows[-1][:3] for run in result.runs] == [result.runs[0].rows[-1][:3]] * 2
 
 
-def test_axes_stay_the_same_all_through_a_film(
+def test_axes_stay_the_same_all_through_a_video(
     tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
 ) -> None:
     """Where a chart has its ticks no pixel changes from the first picture to the last."""
@@ -168,7 +168,7 @@ def test_the_passive_vehicle_has_its_dampers(
     assert result.as_dict()["speed_kmh"] == pytest.approx(300.0)
 
 
-def test_a_run_that_ends_early_stops_the_film(
+def test_a_run_that_ends_early_stops_the_video(
     tmp_path: Path, scenario: Scenario, environment: EnvironmentConfig
 ) -> None:
     # Any wheel is beyond a Y/Q limit that small: the run ends at once, and its last picture stays for 1 s.
@@ -203,7 +203,7 @@ def test_a_video_that_breaks_off_is_an_error(tmp_path: Path, monkeypatch: pytest
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_film_keeps_its_colours(tmp_path: Path) -> None:
+def test_a_video_keeps_its_colours(tmp_path: Path) -> None:
     file = tmp_path / "run.gif"
     write_video(file, blinking(4), 10.0, COLOURS)
     with Image.open(file) as found:
@@ -225,7 +225,7 @@ def test_a_film_keeps_its_colours(tmp_path: Path) -> None:
         ("folder.gif", 25.0, 10, "a folder is in the way"),
     ],
 )
-def test_films_that_cannot_be(tmp_path: Path, name: str, fps: float, count: int, problem: str) -> None:
+def test_videos_that_cannot_be(tmp_path: Path, name: str, fps: float, count: int, problem: str) -> None:
     (tmp_path / "file").write_text("in the way")
     (tmp_path / "folder.gif").mkdir()
     with pytest.raises(ConfigError) as error:

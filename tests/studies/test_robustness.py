@@ -43,8 +43,8 @@ study: estimates
 sensors: realistic
 run_in: 500.0
 faults:
-  count: {law: fixed, value: 1}
-  onset: {law: fixed, value: 0.0}
+  count: {distribution: fixed, value: 1}
+  onset: {distribution: fixed, value: 0.0}
   kinds:
     - {kind: damper_lost}
     - {kind: sensor_dead, sensors: [lateral_acceleration]}

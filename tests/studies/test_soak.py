@@ -22,7 +22,7 @@ LATE = """
 base: faults
 episode_s: 4.0
 faults:
-  onset: {law: uniform, low: 0.0, high: 3.0}
+  onset: {distribution: uniform, low: 0.0, high: 3.0}
 """
 """Episodes so short that a hundred thousand steps make some hundred of them, with faults in most."""
 
@@ -107,7 +107,9 @@ def test_seconds_are_those_of_the_single_environment(tmp_path: Path) -> None:
 
 
 def test_some_thousand_steps_with_everything_drawn(tmp_path: Path) -> None:
-    name = environment(tmp_path, "faults", more="faults: {onset: {law: uniform, low: 0.0, high: 1.0}}\n")
+    name = environment(
+        tmp_path, "faults", more="faults: {onset: {distribution: uniform, low: 0.0, high: 1.0}}\n"
+    )
     result = soak(name, 4000, environments=8, seed=3)
     assert result.failures == ""
     assert result.steps == 4000

@@ -40,10 +40,10 @@ def measure_starts(
     with tempfile.TemporaryDirectory(prefix="sayd-bench-") as folder:
         config = Path(folder) / "scenario.yaml"
         config.write_text(json.dumps(scenario.model_dump(mode="json")))
-        job = ["evaluate", "--config", str(config), *_SHORT, "--speeds", f"{speed * KMH:.6g}"]
+        arguments = ["evaluate", "--config", str(config), *_SHORT, "--speeds", f"{speed * KMH:.6g}"]
         starts = [("first", k) for k in range(effort.first_starts)] + [("later", 0)] * effort.later_starts
         for name, k in starts:
-            results[name].append(timed_start(job, Path(folder) / f"cache-{k}"))
+            results[name].append(timed_start(arguments, Path(folder) / f"cache-{k}"))
             did(f"{name} start")
     seconds = {name: [s for s, _ in pairs] for name, pairs in results.items()}
     memory = {name: float(np.median([peak for _, peak in pairs])) for name, pairs in results.items()}

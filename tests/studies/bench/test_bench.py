@@ -61,10 +61,10 @@ def result() -> BenchResult:
         patch.setattr(module, "measure_training", lambda effort, threads, did: did())
         patch.setattr(module, "measure_executors", lambda choices, effort, did: did() or NO_RUNS)
         patch.setattr(module, "QUICK", Effort(2, 1.0, 1000, 0.1, 1, 2, 1, 0.1, 50, 1, 10))
-        heard: list[tuple[float, float, str]] = []
-        result = bench(load_scenario(), quick=True, progress=lambda *report: heard.append(report))
-    assert [done for done, _, _ in heard] == list(range(1, 10))
-    assert {total for _, total, _ in heard} == {9}
+        reports: list[tuple[float, float, str]] = []
+        result = bench(load_scenario(), quick=True, progress=lambda *report: reports.append(report))
+    assert [done for done, _, _ in reports] == list(range(1, 10))
+    assert {total for _, total, _ in reports} == {9}
     return result
 
 

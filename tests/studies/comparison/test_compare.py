@@ -42,7 +42,7 @@ seeds: [5]
 lines:
   environment: lines.yaml
   seeds: [11]
-  tracks: [{name: german_low, scale: {law: fixed, value: 0.5}}]
+  tracks: [{name: german_low, scale: {distribution: fixed, value: 0.5}}]
 initial_current: 0.0
 critical_speed: {study: study.yaml, speeds_kmh: [320.0, 400.0], wear: 1.0, seeds: [3]}
 constants: [0.3]
