@@ -9,7 +9,9 @@ carries (p + u) Q: the law of an oil of constant bulk modulus, of which p^2 / 2E
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from pydantic import BaseModel
@@ -23,6 +25,8 @@ from sayd_env.physics import step as kernels
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.physics.throttle import series_table, spring_valve_flow
+
+_njit: Any = numba.njit
 
 
 def random_motion(rng: np.random.Generator, times: Array, speed: float) -> tuple[Array, Array]:
@@ -168,22 +172,58 @@ def test_energy_of_other_dampers_is_accounted_for(name: str) -> None:
     assert np.all(gap(config, ends, states, 2.5e-5) < 1e-4)
 
 
-@pytest.mark.parametrize(("amplitude", "frequency"), [(1e-3, 1.0), (4e-3, 1.0), (1e-3, 10.0), (4e-3, 10.0)])
-def test_energy_of_loops_is_accounted_for(amplitude: float, frequency: float) -> None:
-    """Constant currents from closed to open, the corners of the paper's grid; the fastest tears the oil.
+@_njit
+def _marched(
+    step: float, substeps: int, constant: Array, table: Array, ends: Array, inputs: Array, states: Array
+) -> None:
+    """States after the first of dampers whose end on the bogie moves; ends (t, 2): position and velocity."""
+    for t in range(1, len(ends)):
+        for i in range(LANES):
+            inputs[sayd.END_1 * LANES + i], inputs[sayd.RATE_1 * LANES + i] = ends[t, 0], ends[t, 1]
+            inputs[sayd.OLD_RATE_1 * LANES + i] = ends[t - 1, 1]
+        states[t] = states[t - 1]
+        sayd.integrate((0,), step, substeps, constant, table, inputs, states[t])
+
+
+def loop_gap(config: SaydDamperConfig, amplitude: float, frequency: float) -> Array:
+    """`gap` of one and a half loops at eight constant currents from closed to open."""
+    step = 2.5e-5
+    t = step * np.arange(round(1.5 / (frequency * step)) + 1)
+    omega, fade = 2.0 * np.pi * frequency, np.minimum(2.0 * frequency * t, 1.0)
+    rate = np.where(fade < 1.0, 2.0 * frequency, 0.0)
+    motion = np.zeros((len(t), 4, LANES))
+    motion[:, 0] = (amplitude * np.sin(omega * t) * fade)[:, None]
+    motion[:, 1] = (amplitude * (omega * np.cos(omega * t) * fade + np.sin(omega * t) * rate))[:, None]
+    arrays = sayd.sayd_arrays(config, step)
+    states, inputs = np.empty((len(t), sayd.STATES, LANES)), np.zeros((sayd.INPUTS, LANES))
+    states[0] = sayd.rest(config).reshape(-1, LANES)
+    states[0, sayd.CURRENT] = inputs[sayd.OLD_CURRENT] = [0.0, 0.05, 0.2, 0.37, 0.4, 0.5, 0.7, 1.0]
+    flat = states.reshape(len(t), -1)
+    _marched(
+        step,
+        arrays.substeps,
+        arrays.constant,
+        arrays.table,
+        np.ascontiguousarray(motion[:, :2, 0]),
+        inputs.ravel(),
+        flat,
+    )
+    return gap(config, motion, states, step)
+
+
+@pytest.mark.parametrize("name", ["packaged", *others()])
+def test_energy_of_loops_is_accounted_for(name: str) -> None:
+    """The paper's whole grid, constant currents from closed to open; the fastest loops tear the oil.
 
     What then opens at vapour pressure is no flow that carries energy: the account stays closed.
     """
-    config, step = load_sayd("sayd"), 2.5e-5
-    t = step * np.arange(round(1.5 / (frequency * step)) + 1)
-    omega, fade = 2.0 * np.pi * frequency, np.minimum(2.0 * frequency * t, 1.0)
-    motion = np.zeros((len(t), 4, LANES))
-    motion[:, 0] = (amplitude * np.sin(omega * t) * fade)[:, None]
-    rate = np.where(fade < 1.0, 2.0 * frequency, 0.0)
-    motion[:, 1] = (amplitude * (omega * np.cos(omega * t) * fade + np.sin(omega * t) * rate))[:, None]
-    command = np.tile([0.0, 0.05, 0.2, 0.37, 0.4, 0.5, 0.7, 1.0], (len(t), 1))
-    states = driven(config, motion, command, step)
-    assert np.all(gap(config, motion, states, step) < 1e-4)
+    config = load_sayd("sayd") if name == "packaged" else others()[name]
+    largest = 0.0
+    for amplitude in (1e-3, 2e-3, 4e-3):
+        for frequency in (1.0, 2.0, 4.0, 6.0, 8.0, 10.0):
+            largest = max(largest, float(np.max(loop_gap(config, amplitude, frequency))))
+    print(f"{name}: at most {largest:.1e} of the heat")
+    assert largest < 1e-4
 
 
 @pytest.mark.parametrize("speed", [0.01, 0.05, 0.15])
