@@ -19,7 +19,7 @@ import numpy as np
 from sayd_env.config.units import Array, Integers
 from sayd_env.envs import trace
 from sayd_env.envs.trace import BODY_ROWS, DAMPERS, POINTS, command_valves, trace_period
-from sayd_env.physics.formation import References, Units, interleave, plant_of, put_back, state_of, work_of
+from sayd_env.physics.formation import References, interleave, plant_of, put_back, state_of, work_of
 from sayd_env.physics.kernel import kernel, named
 from sayd_env.physics.plant import LANES, Plant, State, Work
 from sayd_env.physics.ragged import Matrix, vehicle_from
@@ -549,7 +549,9 @@ def _run(
 
 
 def _run_units(
-    units: Units,
+    groups: Integers | None,
+    members: Integers | None,
+    alone: Integers | None,
     plants: References,
     states: References,
     works: References,
@@ -567,8 +569,9 @@ def _run_units(
 
     Parameters
     ----------
-    units : Units
-        Who runs.
+    groups, members, alone
+        Who runs, one of `sayd_env.physics.formation.calls`: where groups or vehicles alone are None, their
+        half of the loop is not compiled.
     plants, states, works, group_plants, group_states, group_works
         From `Formation.arguments`.
     substeps : ndarray, shape (v,)
@@ -582,35 +585,40 @@ def _run_units(
         Samples in a second.
     period : Period
     """
-    groups = units.groups.shape[0]
-    for u in numba.prange(groups + units.alone.shape[0]):
-        if u < groups:
-            g, members = units.groups[u], units.members[u].copy()
-            together = state_of(group_states, g)
-            interleave(ABREAST, members, states, together)
-            _run(
-                ABREAST,
-                plant_of(group_plants, g),
-                states,
-                together,
-                work_of(group_works, g),
-                members,
-                substeps[np.max(members)],
-                periods,
-                on_board,
-                band,
-                per_second,
-                period,
-            )
-        else:
-            i = units.alone[u - groups]
+    first_alone = 0 if groups is None else groups.shape[0]
+    count = first_alone + (0 if alone is None else alone.shape[0])
+    for u in numba.prange(count):
+        if u < first_alone:
+            if groups is not None and members is not None:
+                g, who = groups[u], members[u].copy()
+                together = state_of(group_states, g)
+                interleave(ABREAST, who, states, together)
+                plant, work, each = plant_of(group_plants, g), work_of(group_works, g), substeps[np.max(who)]
+                _run(
+                    ABREAST,
+                    plant,
+                    states,
+                    together,
+                    work,
+                    who,
+                    each,
+                    periods,
+                    on_board,
+                    band,
+                    per_second,
+                    period,
+                )
+        elif alone is not None:
+            who = alone[u - first_alone : u - first_alone + 1].copy()
+            i = who[0]
+            plant, together, work = plant_of(plants, i), state_of(states, i), work_of(works, i)
             _run(
                 SINGLE,
-                plant_of(plants, i),
+                plant,
                 states,
-                state_of(states, i),
-                work_of(works, i),
-                units.alone[u - groups : u - groups + 1].copy(),
+                together,
+                work,
+                who,
                 substeps[i],
                 periods,
                 on_board,
@@ -620,9 +628,7 @@ def _run_units(
             )
 
 
-run_units = kernel(announce="the control loop (first use, one to three minutes)")(
-    named(_run_units, "run_units")
-)
+run_units = kernel(announce="the control loop (first use, about a minute)")(named(_run_units, "run_units"))
 """`_run_units`, one unit after another."""
 run_units_in_parallel = kernel(
     parallel=True, announce="the control loop of many vehicles (first use, one to three minutes)"

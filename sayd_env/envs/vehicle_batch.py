@@ -33,7 +33,7 @@ from sayd_env.envs.trace import DAMPERS, MOTIONS, POSITION, SPEED, TRACE
 from sayd_env.envs.vehicle import LoopSettings, Vehicle
 from sayd_env.physics.aligned import copied
 from sayd_env.physics.batch import checked_threads
-from sayd_env.physics.formation import Formation
+from sayd_env.physics.formation import Call, Formation, calls
 from sayd_env.physics.kernel import compiled_threads, specialised
 from sayd_env.physics.plant import State
 from sayd_env.physics.ragged import RaggedBatch
@@ -136,7 +136,7 @@ class VehicleBatch:
         self.status = np.zeros(count, dtype=np.int64)
         self._no_log = np.zeros((count, 0, LOG))
         self._noisy = any(vehicle.noise is not None for vehicle in vehicles)
-        self._compiled: Any = None
+        self._compiled: dict[tuple[bool, ...], Any] = {}
         for i in range(count):
             self._begin_trace(i)
 
@@ -327,7 +327,6 @@ class VehicleBatch:
         units = formation.units(periods > 0)  # first: it may arrange the vehicles anew
         on_board = OnBoard(*(getattr(self, name).table for name in ON_BOARD))
         arguments = (
-            units,
             *formation.arguments(),
             self._substeps,
             periods,
@@ -336,19 +335,21 @@ class VehicleBatch:
             self.settings.per_second,
             period,
         )
-        if self._compiled is None:
-            self._compiled = self._compile(arguments)
         with compiled_threads(self.num_threads):
-            self._compiled(*arguments)
+            for who in calls(units, self.num_threads):
+                self._compiled_for(who, arguments)(*who, *arguments)
 
-    def _compile(self, arguments: tuple[Any, ...]) -> Any:
+    def _compiled_for(self, who: Call, arguments: tuple[Any, ...]) -> Any:
         """The compiled loop for these arguments' types.
 
         Numba would find it anew in each call, by the types of some hundred arrays: an eighth of the time of a
         step. They do not change.
         """
-        kernel = run_units if self.num_threads == 1 else run_units_in_parallel
-        return specialised(kernel, arguments)
+        which = tuple(each is not None for each in who)
+        if which not in self._compiled:
+            kernel = run_units if self.num_threads == 1 else run_units_in_parallel
+            self._compiled[which] = specialised(kernel, (*who, *arguments))
+        return self._compiled[which]
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_compiled": None}
+        return self.__dict__ | {"_compiled": {}}

@@ -17,7 +17,7 @@ from sayd_env.config.units import Array, Integers
 from sayd_env.physics.formation import (
     Formation,
     References,
-    Units,
+    calls,
     interleave,
     plant_of,
     put_back,
@@ -69,7 +69,9 @@ def _advance(
 
 
 def _advance_units(
-    units: Units,
+    groups: Integers | None,
+    members: Integers | None,
+    alone: Integers | None,
     plants: References,
     states: References,
     works: References,
@@ -84,8 +86,9 @@ def _advance_units(
 
     Parameters
     ----------
-    units : Units
-        Which of them run side by side and which alone.
+    groups, members, alone
+        Who runs, one of `Formation.calls`: where groups or vehicles alone are None, their half of the loop
+        is not compiled.
     plants, states, works, group_plants, group_states, group_works
         From `Formation.arguments`.
     substeps : ndarray, shape (v,)
@@ -96,23 +99,25 @@ def _advance_units(
         Zeros; receives the number of samples taken: fewer if a state is no longer finite or a wheel has
         left the contact table.
     """
-    groups = units.groups.shape[0]
-    for u in numba.prange(groups + units.alone.shape[0]):
-        if u < groups:
-            g, members = units.groups[u], units.members[u].copy()
-            together = state_of(group_states, g)
-            interleave(ABREAST, members, states, together)
-            plant, work = plant_of(group_plants, g), work_of(group_works, g)
-            each = substeps[np.max(members)]
-            _advance(ABREAST, plant, states, together, work, members, each, signals, done)
-        else:
-            alone = units.alone[u - groups : u - groups + 1].copy()
-            i = alone[0]
+    first_alone = 0 if groups is None else groups.shape[0]
+    count = first_alone + (0 if alone is None else alone.shape[0])
+    for u in numba.prange(count):
+        if u < first_alone:
+            if groups is not None and members is not None:
+                g, who = groups[u], members[u].copy()
+                together = state_of(group_states, g)
+                interleave(ABREAST, who, states, together)
+                plant, work = plant_of(group_plants, g), work_of(group_works, g)
+                each = substeps[np.max(who)]
+                _advance(ABREAST, plant, states, together, work, who, each, signals, done)
+        elif alone is not None:
+            who = alone[u - first_alone : u - first_alone + 1].copy()
+            i = who[0]
             plant, together, work = plant_of(plants, i), state_of(states, i), work_of(works, i)
-            _advance(SINGLE, plant, states, together, work, alone, substeps[i], signals, done)
+            _advance(SINGLE, plant, states, together, work, who, substeps[i], signals, done)
 
 
-advance_units = kernel(announce="the simulator of several vehicles (first use, one to three minutes)")(
+advance_units = kernel(announce="the simulator of several vehicles (first use, about a minute)")(
     named(_advance_units, "advance_units")
 )
 """`_advance_units`, one unit after another."""
@@ -195,8 +200,10 @@ class BatchSimulator:
         signals = np.empty((count, samples, self._channels))
         done = np.zeros(count, dtype=np.int64)
         kernel = advance_units if self.num_threads == 1 else advance_units_in_parallel
+        units = self._formation.units()
         with compiled_threads(self.num_threads):
-            kernel(self._formation.units(), *self._formation.arguments(), self._substeps, signals, done)
+            for who in calls(units, self.num_threads):
+                kernel(*who, *self._formation.arguments(), self._substeps, signals, done)
         for simulator, taken in zip(self.simulators, done, strict=True):
             if taken < samples:
                 raise StudyError(simulator.divergence())

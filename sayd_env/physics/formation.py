@@ -175,6 +175,23 @@ class Units(NamedTuple):
     """(a,) vehicles that run alone."""
 
 
+Call = tuple[Integers | None, Integers | None, Integers | None]
+"""Groups, their members and vehicles alone as a kernel takes them; None: none, and no code for them."""
+
+
+def calls(units: Units, threads: int) -> list[Call]:
+    """How compiled loops are called for all units.
+
+    On one thread groups and vehicles alone have a call each: what a program never does, vehicles alone in a
+    batch, or groups beside a single environment, it need not wait for the compiler to translate. On several
+    one call lets the threads share both.
+    """
+    if threads > 1:
+        return [units]
+    of_groups: Call = (units.groups, units.members, None)
+    return [of_groups] * (len(units.groups) > 0) + [(None, None, units.alone)] * (len(units.alone) > 0)
+
+
 class Formation:
     """Vehicles of a batch and their groups.
 

@@ -17,6 +17,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import numba
 from numba.core import event, types
 from numba.core.compiler import Compiler
+from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 from numba.np.ufunc import parallel as threading_layer
 
@@ -43,6 +44,22 @@ class _DistinctArrays(Compiler):
     def define_pipelines(self) -> Any:
         self.state.flags.noalias = True
         return super().define_pipelines()  # type: ignore[no-untyped-call]
+
+
+class _OfKernels(CPUDispatcher):
+    """A kernel that other kernels alone call: it has no entry from Python."""
+
+    def __call__(self, *_: Any, **__: Any) -> Any:
+        """Refuse, where the missing entry would end the process.
+
+        Raises
+        ------
+        TypeError
+            Always.
+        """
+        raise TypeError(
+            f"{self.py_func.__qualname__} is merged into the kernels that call it; call one of them"
+        )
 
 
 @overload
@@ -80,6 +97,7 @@ def kernel(
         Allow `numba.prange` loops.
     inline : bool
         Merge the function into its callers, so that a loop that calls it can become vector instructions.
+        Only kernels can call it then, not Python.
     distinct : bool
         The function's arrays never overlap in memory. A loop that reads a table at computed places becomes
         vector instructions only if the compiler may rely on that; arrays that overlap give wrong results.
@@ -101,7 +119,12 @@ def kernel(
             forceinline=inline,
             pipeline_class=_DistinctArrays if distinct else Compiler,
             _nrt=allocates,
+            # Entries from other languages and from Python, which take the compiler longer than many a kernel.
+            no_cfunc_wrapper=True,
+            no_cpython_wrapper=inline,
         )(f)
+        if inline:
+            dispatcher.__class__ = _OfKernels
         dispatcher._cache = kernel_cache(f, CACHE_DIRECTORY)
         if announce is not None:
             _ANNOUNCEMENTS[f.__module__, f.__qualname__] = announce

@@ -8,12 +8,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from sayd_env import baselines
 from sayd_env.agents import pretrained
-from sayd_env.agents.onnx_policy import read_onnx
-from sayd_env.agents.policy_file import StoredPolicy, read_policy
 from sayd_env.config import ConfigError, nearest, packaged_names, validate
 from sayd_env.config.control import (
     ConstantConfig,
@@ -31,6 +29,9 @@ from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.registration import VERSION
 from sayd_env.runs.own_code import OwnPolicy
+
+if TYPE_CHECKING:
+    from sayd_env.agents.policy_file import StoredPolicy
 
 PASSIVE = "passive"
 PAPER = ("mppt1", "mppt2", "skyhook-onoff", "skyhook-continuous")
@@ -50,7 +51,7 @@ EXPECTED = (
     f"{baselines.SAFE} before it inside the safe fallback"
 )
 _CODE = re.compile(r"(?P<place>[\w.]+|.+\.py):(?P<factory>\w+)")
-ForeignReader = Callable[[Path], StoredPolicy]
+ForeignReader: TypeAlias = "Callable[[Path], StoredPolicy]"
 """Reads a file of Stable-Baselines3, for whoever trusts it."""
 
 
@@ -92,6 +93,10 @@ class PolicySpec:
     @property
     def learned(self) -> StoredPolicy | None:
         """Weights with the description of their training, if it has such."""
+        if self.stored is None:
+            return None
+        from sayd_env.agents.policy_file import StoredPolicy  # noqa: PLC0415 - keeps starts without one fast
+
         return self.stored if isinstance(self.stored, StoredPolicy) else None
 
     @property
@@ -265,6 +270,8 @@ def _file_spec(given: str, foreign: ForeignReader | None) -> PolicySpec:
     if given.endswith((LEARNED, FOREIGN)):
         return learned_spec(read_learned(Path(given), foreign))
     if given.endswith(ONNX):
+        from sayd_env.agents.onnx_policy import read_onnx  # noqa: PLC0415 - keeps starts without one fast
+
         return PolicySpec(Path(given).stem, stored=read_onnx(Path(given)))
     load_controller(given)  # refused here rather than under way
     return PolicySpec(given, label=f"{Path(given).stem}@{Path(given).resolve().parent.name}")
@@ -407,6 +414,8 @@ def read_learned(path: Path, foreign: ForeignReader | None = None) -> StoredPoli
         A damaged file.
     """
     if path.suffix != FOREIGN:
+        from sayd_env.agents.policy_file import read_policy  # noqa: PLC0415 - keeps starts without one fast
+
         stored = read_policy(path)
         if (version := stored.environment_version) not in (None, VERSION):
             raise ConfigError(

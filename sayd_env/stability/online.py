@@ -252,7 +252,7 @@ def _filtered(sections: Array, filters: Array, value: float) -> float:
     return value
 
 
-@kernel(inline=True, allocates=False)
+@kernel(allocates=False)
 def push(band: Band, state: BandState, sample: Array, out: Array) -> None:
     """Take one sample of every channel: filter it, and keep it for the next `retune`.
 

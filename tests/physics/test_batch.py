@@ -16,7 +16,7 @@ from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import Array, Flags, Integers
 from sayd_env.physics import kernel as kernel_module
 from sayd_env.physics.batch import BatchSimulator, advance_units_in_parallel
-from sayd_env.physics.formation import FEWEST, WIDTH, Formation
+from sayd_env.physics.formation import FEWEST, WIDTH, Formation, calls
 from sayd_env.physics.kernel import announced_compilation, kernel
 from sayd_env.physics.plant import Plant, State
 from sayd_env.physics.ragged import Matrix, RaggedBatch, vehicle_from
@@ -114,7 +114,7 @@ def advance_to_the_end(
     """The same, and how many samples each vehicle took."""
     signals, done = np.zeros((len(formation), SAMPLES, 16)), np.zeros(len(formation), dtype=np.int64)
     units = formation.units(active)
-    advance_units_in_parallel(units, *formation.arguments(), np.array(substeps), signals, done)
+    advance_units_in_parallel(*units, *formation.arguments(), np.array(substeps), signals, done)
     return signals, done
 
 
@@ -207,6 +207,19 @@ def test_few_of_a_group_run_alone(fleet: Fleet) -> None:
         run = sorted([*units.members[units.members >= 0], *units.alone])
         assert run == sorted(team[:count])
         assert len(units.groups) == (1 if count >= FEWEST else 0)
+
+
+def test_who_does_not_run_is_not_compiled(fleet: Fleet) -> None:
+    """One thread calls a loop for groups and one for vehicles alone, each only where there are such."""
+    units = formation(fleet.vehicles()).units()
+    assert len(units.groups) > 0
+    assert len(units.alone) > 0
+    nobody = np.zeros(0, dtype=np.int64)
+    groups, alone = (units.groups, units.members, None), (None, None, units.alone)
+    assert calls(units, 1) == [groups, alone]
+    assert calls(units._replace(alone=nobody), 1) == [groups]
+    assert calls(units._replace(groups=nobody), 1) == [alone]
+    assert calls(units, 2) == [units]
 
 
 def test_a_vehicle_can_be_replaced(fleet: Fleet) -> None:
@@ -563,6 +576,21 @@ def test_a_long_compilation_says_that_it_goes_on(fresh_kernel: str, monkeypatch:
         half(1.0)
     assert said[1].startswith("still compiling after ")
     assert sum(line.startswith("compiled in ") for line in said) == 1
+
+
+@pytest.mark.compiled
+def test_what_is_merged_into_other_kernels_cannot_be_called_from_python() -> None:
+    @kernel(inline=True)
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    @kernel
+    def quarter(x: float) -> float:
+        return half(half(x))
+
+    assert quarter(1.0) == 0.25
+    with pytest.raises(TypeError, match="half is merged into the kernels that call it"):
+        half(1.0)
 
 
 def test_compilation_is_announced_once(fresh_kernel: str) -> None:

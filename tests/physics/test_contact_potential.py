@@ -17,6 +17,7 @@ from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import Array
 from sayd_env.physics import step as kernels
 from sayd_env.physics.contact.geometry import contact_table
+from sayd_env.physics.kernel import kernel
 from sayd_env.physics.plant import (
     FORCE_X,
     FORCE_Y,
@@ -25,6 +26,8 @@ from sayd_env.physics.plant import (
     MOMENT_ROLL,
     MOMENT_YAW,
     WHEELSETS,
+    Plant,
+    Work,
 )
 from sayd_env.physics.profiles import Profile
 from sayd_env.physics.rows import SINGLE
@@ -122,6 +125,12 @@ def simulator() -> Simulator:
     return Simulator(VehicleModel(load_scenario(overrides=overrides)), 80.0, table=table)
 
 
+@kernel
+def touch(plant: Plant, work: Work) -> None:
+    kernels.motions(SINGLE, plant, work)
+    kernels.wheels(SINGLE, plant, work)
+
+
 def contact_forces(simulator: Simulator, pose: dict[str, float], track: Track) -> Array:
     """What the wheels of the first wheelset, left and right, do in a pose: shape (rows, 2)."""
     plant, work = simulator.plant, simulator.work
@@ -131,8 +140,7 @@ def contact_forces(simulator: Simulator, pose: dict[str, float], track: Track) -
     rail[:] = 0.0
     rail[kernels.SLOPE + kernels.ALIGNMENT, 0] = track.yaw
     rail[kernels.CROSS_LEVEL, 0] = track.cant
-    kernels.motions(SINGLE, plant, work)
-    kernels.wheels(SINGLE, plant, work)
+    touch(plant, work)
     return work.lane_out.reshape(-1, 2, WHEELSETS)[:, :, 0]
 
 

@@ -14,8 +14,9 @@ from sayd_env.config.track import CHANNELS
 from sayd_env.physics import sayd
 from sayd_env.physics import step as kernels
 from sayd_env.physics.batch import BatchSimulator
+from sayd_env.physics.kernel import kernel
 from sayd_env.physics.linear import modes
-from sayd_env.physics.plant import LANES
+from sayd_env.physics.plant import LANES, Plant, Work
 from sayd_env.physics.rows import SINGLE
 from sayd_env.physics.simulator import Simulator, VehicleModel
 
@@ -32,15 +33,21 @@ def model() -> VehicleModel:
     return VehicleModel(scenario())
 
 
+@kernel
+def forces_of_dampers(plant: Plant, work: Work) -> None:
+    _, first, end, _, _ = kernels.sections(SINGLE, plant, work)
+    work.x[:first] = 0.0
+    work.x[end:] = 0.0
+    work.f[:] = 0.0
+    kernels.forces(SINGLE, plant, work)
+
+
 def test_reactions_act_at_both_ends(model: VehicleModel) -> None:
     """-F_1 along the bogie's connection vector, -F_2 along the carbody's, by the assembled model's rows."""
     simulator = Simulator(model, SPEED, 1)
     simulator.advance(400)
     plant, state, work = simulator.plant, simulator.state, simulator.work
-    _, first, end, _, _ = kernels.sections(SINGLE, plant, work)
-    work.x[:first], work.x[end:] = 0.0, 0.0  # only the dampers' forces are left
-    work.f[:] = 0.0
-    kernels.forces(SINGLE, plant, work)
+    forces_of_dampers(plant, work)
     f, forces = work.f, state.sayd.reshape(-1, LANES)
     assert np.min(np.abs(forces[sayd.FORCE_1])) > 1.0
     rows = enumerate(model.multibody.yaw_dampers)

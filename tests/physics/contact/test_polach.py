@@ -9,23 +9,33 @@ import numpy as np
 import pytest
 from llvmlite import binding
 
+from sayd_env.physics.contact import polach as module
 from sayd_env.physics.contact.kalker import kalker_coefficients
 from sayd_env.physics.contact.polach import (
     _polach_loop,
-    arctangent,
-    polach,
     polach_forces,
     polach_spin_gain,
 )
+from sayd_env.physics.kernel import kernel
 
 G, A, B, MU, N = 82e9, 4.5e-3, 6.5e-3, 0.35, 70e3
 C = tuple(float(c) for c in kalker_coefficients(A / B, 0.28))
 GAIN = float(polach_spin_gain(A / B))
 
 
-def law(xi_x: float, xi_y: float, spin: float, normal: float = N, **factors: float) -> tuple[float, float]:
-    """The kernel for the contact of this file."""
-    fx, fy = polach(xi_x, xi_y, spin, normal, A, B, *C, GAIN, MU, G, **factors)
+@kernel
+def polach(*contact: float) -> tuple[float, float]:
+    return module.polach(*contact)
+
+
+@kernel
+def arctangent(x: float) -> float:
+    return module.arctangent(x)
+
+
+def law(xi_x: float, xi_y: float, spin: float, normal: float = N, *factors: float) -> tuple[float, float]:
+    """The kernel for the contact of this file; `factors` are k_A and k_S."""
+    fx, fy = polach(xi_x, xi_y, spin, normal, A, B, *C, GAIN, MU, G, *factors)
     return float(fx), float(fy)
 
 
@@ -117,9 +127,9 @@ def test_no_creepage() -> None:
 def test_reduction_factors() -> None:
     """Polach (2005): the initial slope falls to (k_A + k_S) / 2, the limit stays mu N for k_S > 0."""
     tiny = 1e-8
-    full, reduced = law(tiny, 0.0, 0.0)[0], law(tiny, 0.0, 0.0, k_a=0.8, k_s=0.4)[0]
+    full, reduced = law(tiny, 0.0, 0.0)[0], law(tiny, 0.0, 0.0, N, 0.8, 0.4)[0]
     assert reduced / full == pytest.approx(0.6, rel=1e-6)
-    assert law(1e4, 0.0, 0.0, k_a=0.8, k_s=0.4)[0] == pytest.approx(-MU * N, rel=1e-6)
+    assert law(1e4, 0.0, 0.0, N, 0.8, 0.4)[0] == pytest.approx(-MU * N, rel=1e-6)
 
 
 @pytest.mark.compiled
