@@ -50,6 +50,8 @@ _UNUSED = {
 }
 _TOLERANCE = 1e-4
 """Of a command; the library computes in single precision."""
+_HEAD = 4096
+"""Bytes of a pickle in which the class of its object is named."""
 
 
 def read_foreign(
@@ -108,13 +110,19 @@ def read_foreign(
 def _refuse_forgotten_statistics(path: Path) -> None:
     """A policy that has learned behind `VecNormalize` does something else without its statistics."""
     folder = path.parent
-    found = [p for p in (*folder.glob("*.pkl"), *folder.glob("*.pickle")) if "normalize" in p.stem.lower()]
+    found = [p for p in (*folder.glob("*.pkl"), *folder.glob("*.pickle")) if _is_statistics(p)]
     if found:
         raise ConfigError(
             f"{path}: {found[0].name} beside it holds statistics of VecNormalize: a policy that has learned "
             f"with them needs --vec-normalize {found[0]} (which can run any code, too). If it has learned "
             "without, move either file"
         )
+
+
+def _is_statistics(path: Path) -> bool:
+    """Whether a pickle is a `VecNormalize`, by its name or by the class with which its content begins."""
+    with path.open("rb") as stream:
+        return "normalize" in path.stem.lower() or b"VecNormalize" in stream.read(_HEAD)
 
 
 def _statistics(path: Path, model: Any) -> Any:

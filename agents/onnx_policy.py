@@ -162,7 +162,7 @@ class OnnxRunner:
 
 
 class RememberingRunner(OnnxRunner):
-    """A model that remembers what it has observed, and hears the run-in."""
+    """A model that remembers what it has observed, and takes the run-in."""
 
     def __init__(self, policy: OnnxPolicy, interface: Interface) -> None:
         super().__init__(policy, interface)

@@ -28,7 +28,7 @@ class Watch:
 
     policy: Any
     began: bool
-    """Whether the policy inside has acted or listened."""
+    """Whether the policy inside has acted, or has taken the run-in."""
     hunting: Hunting
     agreement: Agreement
     slow: Integers
@@ -191,7 +191,7 @@ class SafeFallback:
             for vehicle in np.flatnonzero(starts):
                 self._restart(state, newest, int(vehicle))
         if not state.began and starts is not None:
-            episode_start = np.ones_like(starts)  # the monitor has listened to the run-in, the policy has not
+            episode_start = np.ones_like(starts)  # the monitor has seen the run-in, the policy has not
         action, state.policy = self.policy.predict(
             observation, state.policy, episode_start, deterministic=deterministic
         )

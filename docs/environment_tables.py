@@ -118,11 +118,9 @@ def draw_table(environments: Mapping[str, EnvironmentConfig]) -> str:
                 *("the study's" if each is None else in_words(each) for each in columns),
             )
         )
-    randomised = [config.randomisation for config in environments.values()]
-    profiles = [
-        {_profile(each): f"weight {each.weight:g}" for each in config.profiles} for config in randomised
-    ]
-    tracks = [{f"track {each.name}, scale": _track(each) for each in config.tracks} for config in randomised]
+    drawn = [config.randomisation for config in environments.values()]
+    profiles = [{_profile(each): f"weight {each.weight:g}" for each in one.profiles} for one in drawn]
+    tracks = [{f"track {each.name}, scale": _track(each) for each in one.tracks} for one in drawn]
     for columns in (profiles, tracks):
         for name in dict.fromkeys(name for cells in columns for name in cells):
             rows.append((name, "-", *(cells.get(name, "-") for cells in columns)))

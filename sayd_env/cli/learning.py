@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -139,12 +138,13 @@ def _of_seeds(
     config: TrainConfig, seeds: Sequence[int], parallel: int | None, out: Path | None, *, wandb: bool
 ) -> Plan:
     """A training with several seeds."""
-    from sayd_env.studies.learning import require_training  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.executors import cores  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.studies.learning import require_training  # noqa: PLC0415
     from sayd_env.studies.seeds import train_seeds  # noqa: PLC0415
 
     require_training()
     folder = out or RESULTS / f"train-{config.learning.algorithm}"
-    abreast = min(parallel or os.cpu_count() or 1, len(seeds))
+    abreast = min(parallel or cores(), len(seeds))
     return Plan(
         lambda run: train_seeds(config, seeds, folder, parallel=abreast, wandb=wandb, progress=run.progress),
         config,

@@ -323,7 +323,7 @@ def _placed_at(kind: Kind, keys: list[str], value: Any, folder: Path) -> Any:
 
 
 def _alone(key: str, own: Mapping[str, Any], below: Mapping[str, Any]) -> bool:
-    """Whether a section replaces the base's as a whole: a name, a distribution, another kind."""
+    """Whether a section replaces the base's as a whole: by its name, distribution or kind."""
     return (
         key == "provenance"
         or "name" in own

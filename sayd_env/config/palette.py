@@ -28,8 +28,8 @@ LINES = ("-", "--", "-.", ":")
 MARKERS = "osD^vP*X<>"
 FRONT, REAR = BLUE, VERMILION
 """Colours of the bogies."""
-PUSH, PULL = BLUE, VERMILION
-"""Colours of a damper's force, by its direction; words beside them say which."""
+PUSH, PULL = "#2654BE", "#C82830"
+"""Colours of a damper's force by its direction, deeper than the bogies'; words beside them say which."""
 LIMIT = BLACK
 """Colour of a limit, which is a dashed line."""
 INK, SOFT, FAINT = "#18202C", "#687484", "#DEE3E9"

@@ -18,6 +18,8 @@ LIBRARIES = ("numpy", "scipy", "numba", "pydantic", "matplotlib", "gymnasium")
 """Their versions are recorded in every result."""
 FLOORS = ("agents", "baselines", "config", "envs", "measured", "physics", "runs", "stability")
 """Packages whose sources can change a run; the others only ask for runs and show them."""
+SOURCES = (*FLOORS, "configs")
+"""The same and the packaged configurations, some of which are read by name while a run is made."""
 
 
 def provenance(command: str | None) -> dict[str, Any]:
@@ -60,7 +62,7 @@ def git_state(root: Path | None = None) -> tuple[str | None, bool | None]:
 @cache
 def source_fingerprint() -> str:
     """Hash (16 hexadecimal digits) of all sources that can change a run, and of the libraries' versions."""
-    return fingerprint_of([resources.files(f"sayd_env.{floor}") for floor in FLOORS])
+    return fingerprint_of([resources.files(f"sayd_env.{floor}") for floor in SOURCES])
 
 
 @cache
@@ -74,11 +76,11 @@ def floor_fingerprint(module: str) -> str:
 
 
 def fingerprint_of(folders: list[Traversable]) -> str:
-    """Hash (16 hexadecimal digits) of the Python files below some folders, and of the libraries' versions."""
+    """Hash (16 hexadecimal digits) of Python and YAML files in some folders, and of libraries' versions."""
     digest = hashlib.sha256(repr(sorted(versions().items())).encode())
     for folder in folders:
         root = Path(str(folder))
-        for path in sorted(root.rglob("*.py")):
+        for path in sorted((*root.rglob("*.py"), *root.rglob("*.yaml"))):
             digest.update(f"{root.name}/{path.relative_to(root).as_posix()}\0".encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

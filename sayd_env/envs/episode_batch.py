@@ -229,8 +229,10 @@ class EpisodeBatch:
             for i, vehicle in zip(which, built, strict=True):
                 self._vehicles.put(i, vehicle)
         self.observed_run_in = self._prepared(self._vehicles, which) if keep_run_in else None
-        calls = [call for call in (self._keep_observed if keep_run_in else None, watch) if call is not None]
-        logs = self._vehicles.run_in(which, log=log, each_period=_in_turn(calls) if calls else None)
+        watchers = [
+            each for each in (self._keep_observed if keep_run_in else None, watch) if each is not None
+        ]
+        logs = self._vehicles.run_in(which, log=log, each_period=_in_turn(watchers) if watchers else None)
         for i, model, episode, line in zip(which, models, episodes, lines, strict=True):
             self.episodes[i], self.lines[i], self._models[i] = episode, line, model
             self.limits[i] = model_limits(model)

@@ -1,4 +1,4 @@
-"""Pictures of vehicles side by side: one bogie of each from above, sliding values on common axes."""
+"""Pictures of vehicles side by side: one bogie of each from above, sliding RMS values on common axes."""
 
 from __future__ import annotations
 

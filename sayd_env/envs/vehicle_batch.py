@@ -33,7 +33,7 @@ from sayd_env.envs.trace import DAMPERS, MOTIONS, POSITION, SPEED, TRACE
 from sayd_env.envs.vehicle import LoopSettings, Vehicle
 from sayd_env.physics.aligned import copied
 from sayd_env.physics.batch import checked_threads
-from sayd_env.physics.formation import Call, Formation, calls
+from sayd_env.physics.formation import Call, Formation, Units, calls
 from sayd_env.physics.kernel import compiled_threads, specialised
 from sayd_env.physics.plant import State
 from sayd_env.physics.ragged import RaggedBatch
@@ -136,7 +136,7 @@ class VehicleBatch:
         self.status = np.zeros(count, dtype=np.int64)
         self._no_log = np.zeros((count, 0, LOG))
         self._noisy = any(vehicle.noise is not None for vehicle in vehicles)
-        self._compiled: dict[tuple[bool, ...], Any] = {}
+        self._loops: dict[tuple[bool, ...], Any] = {}
         for i in range(count):
             self._begin_trace(i)
 
@@ -336,20 +336,24 @@ class VehicleBatch:
             period,
         )
         with compiled_threads(self.num_threads):
-            for who in calls(units, self.num_threads):
-                self._compiled_for(who, arguments)(*who, *arguments)
+            self._compiled(units, arguments)
 
-    def _compiled_for(self, who: Call, arguments: tuple[Any, ...]) -> Any:
-        """The compiled loop for these arguments' types.
+    def _compiled(self, units: Units, arguments: tuple[Any, ...]) -> None:
+        """All compiled code of a control period, which `sayd bench` measures."""
+        for who in calls(units, self.num_threads):
+            self._loop(who, arguments)(*who, *arguments)
+
+    def _loop(self, who: Call, arguments: tuple[Any, ...]) -> Any:
+        """The compiled loop for who runs, groups, vehicles alone or both, and these arguments' types.
 
         Numba would find it anew in each call, by the types of some hundred arrays: an eighth of the time of a
         step. They do not change.
         """
         which = tuple(each is not None for each in who)
-        if which not in self._compiled:
+        if which not in self._loops:
             kernel = run_units if self.num_threads == 1 else run_units_in_parallel
-            self._compiled[which] = specialised(kernel, (*who, *arguments))
-        return self._compiled[which]
+            self._loops[which] = specialised(kernel, (*who, *arguments))
+        return self._loops[which]
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_compiled": {}}
+        return self.__dict__ | {"_loops": {}}

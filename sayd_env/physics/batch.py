@@ -87,8 +87,8 @@ def _advance_units(
     Parameters
     ----------
     groups, members, alone
-        Who runs, one of `Formation.calls`: where groups or vehicles alone are None, their half of the loop
-        is not compiled.
+        Who runs, one of `sayd_env.physics.formation.calls`: where groups or vehicles alone are None, their
+        half of the loop is not compiled.
     plants, states, works, group_plants, group_states, group_works
         From `Formation.arguments`.
     substeps : ndarray, shape (v,)
@@ -117,7 +117,7 @@ def _advance_units(
             _advance(SINGLE, plant, states, together, work, who, substeps[i], signals, done)
 
 
-advance_units = kernel(announce="the simulator of several vehicles (first use, about a minute)")(
+advance_units = kernel(announce="the simulator of several vehicles (first use, a minute or two)")(
     named(_advance_units, "advance_units")
 )
 """`_advance_units`, one unit after another."""
@@ -201,9 +201,10 @@ class BatchSimulator:
         done = np.zeros(count, dtype=np.int64)
         kernel = advance_units if self.num_threads == 1 else advance_units_in_parallel
         units = self._formation.units()
+        arguments = self._formation.arguments()
         with compiled_threads(self.num_threads):
             for who in calls(units, self.num_threads):
-                kernel(*who, *self._formation.arguments(), self._substeps, signals, done)
+                kernel(*who, *arguments, self._substeps, signals, done)
         for simulator, taken in zip(self.simulators, done, strict=True):
             if taken < samples:
                 raise StudyError(simulator.divergence())

@@ -182,14 +182,17 @@ Call = tuple[Integers | None, Integers | None, Integers | None]
 def calls(units: Units, threads: int) -> list[Call]:
     """How compiled loops are called for all units.
 
-    On one thread groups and vehicles alone have a call each: what a program never does, vehicles alone in a
-    batch, or groups beside a single environment, it need not wait for the compiler to translate. On several
-    one call lets the threads share both.
+    On one thread groups and vehicles alone have a call each, so that a program compiles only what it runs. On
+    several, one call lets the threads share both.
     """
     if threads > 1:
         return [units]
-    of_groups: Call = (units.groups, units.members, None)
-    return [of_groups] * (len(units.groups) > 0) + [(None, None, units.alone)] * (len(units.alone) > 0)
+    found: list[Call] = []
+    if len(units.groups):
+        found.append((units.groups, units.members, None))
+    if len(units.alone):
+        found.append((None, None, units.alone))
+    return found
 
 
 class Formation:

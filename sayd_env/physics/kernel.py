@@ -46,8 +46,8 @@ class _DistinctArrays(Compiler):
         return super().define_pipelines()  # type: ignore[no-untyped-call]
 
 
-class _OfKernels(CPUDispatcher):
-    """A kernel that other kernels alone call: it has no entry from Python."""
+class _InlinedKernel(CPUDispatcher):
+    """A kernel that is merged into its callers: it has no entry from Python."""
 
     def __call__(self, *_: Any, **__: Any) -> Any:
         """Refuse, where the missing entry would end the process.
@@ -119,12 +119,12 @@ def kernel(
             forceinline=inline,
             pipeline_class=_DistinctArrays if distinct else Compiler,
             _nrt=allocates,
-            # Entries from other languages and from Python, which take the compiler longer than many a kernel.
+            # No entry from C, and none from Python for what is merged: each takes longer than many a kernel.
             no_cfunc_wrapper=True,
             no_cpython_wrapper=inline,
         )(f)
         if inline:
-            dispatcher.__class__ = _OfKernels
+            dispatcher.__class__ = _InlinedKernel
         dispatcher._cache = kernel_cache(f, CACHE_DIRECTORY)
         if announce is not None:
             _ANNOUNCEMENTS[f.__module__, f.__qualname__] = announce

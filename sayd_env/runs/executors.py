@@ -33,6 +33,7 @@ from typing import Any, TypeVar
 from threadpoolctl import threadpool_limits
 
 from sayd_env.config.errors import ConfigError, StudyError
+from sayd_env.config.software import source_fingerprint
 from sayd_env.physics.kernel import announced_compilation
 
 T = TypeVar("T")
@@ -46,6 +47,11 @@ PROCESSES_FROM = 8
 CONNECT_SECONDS = 20
 CLUSTER = 256
 """Workers that a cluster at an address is taken to have: more than that share pieces of single runs."""
+
+
+def cores() -> int:
+    """Cores that this process may use: on a shared node fewer than there are."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ class ExecutorChoice:
     @property
     def count(self) -> int:
         """Workers among which work is divided."""
-        return CLUSTER if self.address else self.workers or os.cpu_count() or 1
+        return CLUSTER if self.address else self.workers or cores()
 
     @contextmanager
     def open(self, pieces: int) -> Iterator[Executor]:
@@ -185,7 +191,33 @@ def computed(
             raise
 
 
+@dataclass(frozen=True)
+class SameSources:
+    """Work for a cluster, whose machines may have another version of this package or of a library."""
+
+    work: Callable[[Any], Any]
+    fingerprint: str
+    """`source_fingerprint` of who sends it."""
+
+    def __call__(self, piece: Any) -> Any:
+        """Do it.
+
+        Raises
+        ------
+        ConfigError
+            The sources differ here, and so might the results.
+        """
+        if source_fingerprint() != self.fingerprint:
+            raise ConfigError(
+                f"--executor: a worker on {socket.gethostname()} has other sources of sayd_env, or of its "
+                "libraries, than the process that sends it work: install the same on all machines"
+            )
+        return self.work(piece)
+
+
 def _finished(executor: Executor, work: Callable[[T], U], pieces: dict[int, T]) -> Iterator[tuple[int, U]]:
+    if isinstance(executor, _Ray | _Dask):
+        work = SameSources(work, source_fingerprint())
     # Not `concurrent.futures.wait`: interrupted while it holds the futures' locks, it never gives them back.
     done: SimpleQueue[Future[U]] = SimpleQueue()
     numbers: dict[Future[U], int] = {}

@@ -32,7 +32,7 @@ from sayd_env.config.explain import shown
 from sayd_env.config.files import MIB, read_bytes
 from sayd_env.config.units import Array32
 from sayd_env.envs.episode_batch import checked_actions
-from sayd_env.envs.interface import Interface
+from sayd_env.envs.interface import Interface, RunIn
 
 KEYWORDS = ("observation", "history", "valves", "control_period")
 """What a factory may ask of its environment."""
@@ -123,7 +123,7 @@ class CheckedPolicy:
     def __init__(self, where: str, policy: Any, interface: Interface) -> None:
         self.name, self.interface, self._policy = where, interface, policy
         if hasattr(policy, "state_after"):  # found here, as on the policy itself
-            self.state_after = policy.state_after
+            self.state_after = self._state_after
 
     def predict(
         self,
@@ -149,6 +149,11 @@ class CheckedPolicy:
             return checked_actions(found[0], shape).astype(np.float32), found[1]
         except ConfigError as error:
             raise ConfigError(f"{self.name}: {error}") from None
+
+    def _state_after(self, run_in: RunIn) -> Any:
+        """State at step 0, as the policy's own method gives it; errors as of `predict`."""
+        with _explained(self.name, "; expected state_after(run_in)"):
+            return self._policy.state_after(run_in)
 
 
 def _factory(place: str, name: str) -> tuple[str, Callable[[Interface], Any]]:

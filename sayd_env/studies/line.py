@@ -39,7 +39,7 @@ WHOLE = "whole line"
 """What tables call all sections together."""
 _STEP = 20.0  # m, of what pictures show of a line
 _NO_STRAIGHT = (
-    "Running RMS of acceleration and track shift force were not judged: no section has 500 m of straight "
+    "Sliding RMS of acceleration and track shift force were not judged: no section has 500 m of straight "
     "track."
 )
 

@@ -56,7 +56,7 @@ class Video:
 
 
 @dataclass(eq=False)
-class FilmedRun:
+class RecordedRun:
     """The run of one policy."""
 
     policy: str
@@ -85,7 +85,7 @@ class RenderResult:
     seed: int
     wear: float
     friction: float
-    runs: list[FilmedRun] = field(default_factory=list)
+    runs: list[RecordedRun] = field(default_factory=list)
     """One for each policy."""
 
     @property
@@ -275,7 +275,7 @@ def _pictures(
 ) -> Iterator[Picture]:
     """Run the vehicles from picture to picture, and fill in the result on the way."""
     video, held = result.video, 0
-    result.runs = [FilmedRun(policy.title) for policy in video.policies]
+    result.runs = [RecordedRun(policy.title) for policy in video.policies]
     for n in range(video.pictures):
         for run, ride in zip(result.runs, rides, strict=True):
             ride.advance(video.time(n))

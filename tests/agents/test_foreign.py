@@ -157,6 +157,9 @@ def test_statistics_of_observations_come_along(
     vector.save(str(statistics))
     with pytest.raises(ConfigError, match=r"my_vecnormalize_stats.pkl beside it.*--vec-normalize"):
         read_foreign(path, nominal)
+    statistics = statistics.rename(tmp_path / "stats.pkl")  # its content says what it is
+    with pytest.raises(ConfigError, match=r"stats.pkl beside it.*--vec-normalize"):
+        read_foreign(path, nominal)
     env = SaydEnv(quick, **keywords)
     observations = seen_by(env)
     stored = read_foreign(path, nominal, statistics=statistics)

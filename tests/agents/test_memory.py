@@ -141,7 +141,7 @@ def test_an_output_holds(interface: Interface) -> None:
     assert np.all(np.ptp(held[:, 0], axis=0) > 0.0)
 
 
-def test_a_run_in_is_heard_as_it_was_seen(interface: Interface) -> None:
+def test_a_run_in_leaves_the_memory_of_its_observations(interface: Interface) -> None:
     """The same averages as of a policy that was called all along, from where each vehicle's run-in begins."""
     policy = policy_of(interface).bound(interface)
     rows = np.random.default_rng(5).normal(size=(20, 2, len(interface.signals))).astype(np.float32)

@@ -148,7 +148,7 @@ def test_the_evaluator_gives_what_evaluate_policy_gives(trained: Trained) -> Non
     best = np.exp(np.mean(np.log(costs)))  # the geometric mean judges
     assert best == pytest.approx(trained.best, abs=1e-12)
     if config.memory is not None:
-        return  # it hears the run-in, of which evaluate_policy tells nothing
+        return  # it takes the run-in, which evaluate_policy does not give
     env = SaydEnv(**environment_keywords(config) | {"episode_s": 1.0})
     policy = load_policy(trained.folder / "best.npz", env.interface)
     vector = DummyVecEnv([lambda: Monitor(env)])

@@ -133,7 +133,7 @@ def test_step_0_is_that_of_a_train_which_has_been_running() -> None:
         expected = np.sqrt(np.mean(passed[RATE : 2 * RATE] ** 2, axis=0))
         first = names.index(f"acceleration_rms.{bogie}.leading")
         np.testing.assert_allclose(observed[first : first + 2], expected, rtol=1e-6)  # float32
-        # The running values begin in the same band, those of the track shift force, too.
+        # The sliding RMS values begin in the same band, those of the track shift force, too.
         shift = sosfilt(sections(f0), rows[before - 2 * RATE :, 4 + 2 * k : 6 + 2 * k], axis=0)
         for name, values in (("sliding_rms_acceleration", passed), ("sliding_rms_track_shift", shift)):
             expected = np.sqrt(np.mean(values[-window:] ** 2, axis=0))

@@ -96,6 +96,17 @@ def test_make_vec_gives_the_batch_and_the_workers_of_gymnasium_the_same(quick: s
     np.testing.assert_array_equal(batch.reset(seed=1)[0], plain.reset(seed=1)[0])
 
 
+@pytest.mark.parametrize(("count", "loop"), [(1, (False, False, True)), (8, (True, True, False))])
+def test_on_one_thread_groups_and_vehicles_alone_have_a_loop_each(
+    count: int, loop: tuple[bool, ...], quick: str
+) -> None:
+    """What does not run needs no code; by which of groups, their members and vehicles alone a loop takes."""
+    env = SaydVectorEnv(quick, num_envs=count, num_threads=1)
+    env.reset(seed=[0] * count)
+    env.step(np.full((count, 2), 0.3, np.float32))
+    assert list(env.batch.vehicles._loops) == [loop]
+
+
 def test_disabled_autoreset_waits_for_the_mask(quick: str) -> None:
     vector = SaydVectorEnv(quick, num_envs=3, autoreset_mode="Disabled")
     single = SaydEnv(quick)

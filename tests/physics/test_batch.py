@@ -209,8 +209,7 @@ def test_few_of_a_group_run_alone(fleet: Fleet) -> None:
         assert len(units.groups) == (1 if count >= FEWEST else 0)
 
 
-def test_who_does_not_run_is_not_compiled(fleet: Fleet) -> None:
-    """One thread calls a loop for groups and one for vehicles alone, each only where there are such."""
+def test_groups_and_vehicles_alone_have_a_call_each_on_one_thread(fleet: Fleet) -> None:
     units = formation(fleet.vehicles()).units()
     assert len(units.groups) > 0
     assert len(units.alone) > 0

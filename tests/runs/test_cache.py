@@ -16,7 +16,7 @@ from sayd_env.config import Model, StudyError, software
 from sayd_env.config import control as control_config
 from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import Scenario, load_scenario
-from sayd_env.config.software import FLOORS, fingerprint_of, floor_fingerprint, source_fingerprint
+from sayd_env.config.software import SOURCES, fingerprint_of, floor_fingerprint, source_fingerprint
 from sayd_env.runs import cache as module
 from sayd_env.runs import context, rollouts
 from sayd_env.runs.cache import RunCache, fingerprint
@@ -175,6 +175,7 @@ LEAVES = {
     "agents": "policy_file.py",
     "baselines": "mppt.py",
     "config": "track.py",
+    "configs": "profile/lma.yaml",
     "envs": "loop.py",
     "measured": "recordings.py",
     "physics": "contact/hertz.py",
@@ -188,13 +189,13 @@ LEAVES = {
 def copies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Every floor's sources in a folder of their own."""
     parent = tmp_path_factory.mktemp("floors")
-    for floor in FLOORS:
+    for floor in SOURCES:
         shutil.copytree(
             str(resources.files(f"sayd_env.{floor}")),
             parent / floor,
             ignore=shutil.ignore_patterns("__pycache__", "*.npz"),
         )
-    return {floor: parent / floor for floor in FLOORS}
+    return {floor: parent / floor for floor in SOURCES}
 
 
 def test_what_makes_runs_on_another_floor_counts_with_it(monkeypatch: pytest.MonkeyPatch):
@@ -213,7 +214,7 @@ def test_the_same_sources_elsewhere_have_the_same_fingerprint(copies: dict[str, 
     assert fingerprint_of(list(copies.values())) == source_fingerprint()
 
 
-@pytest.mark.parametrize("floor", FLOORS)
+@pytest.mark.parametrize("floor", SOURCES)
 def test_an_edit_in_any_floor_finds_nothing(
     floor: str, copies: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

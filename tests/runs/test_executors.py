@@ -21,10 +21,11 @@ import pytest
 from sayd_env.config.environment import load_environment
 from sayd_env.config.errors import ConfigError, StudyError
 from sayd_env.config.scenario import load_scenario
+from sayd_env.config.software import source_fingerprint
 from sayd_env.runs import executors
 from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import Progress, RunContext, silent
-from sayd_env.runs.executors import ExecutorChoice, computed
+from sayd_env.runs.executors import ExecutorChoice, SameSources, computed
 from sayd_env.runs.metrics import Row
 from sayd_env.runs.passive import sweep
 from sayd_env.runs.policies import PolicySpec, policy_spec
@@ -104,6 +105,17 @@ def test_an_executor_is_abandoned_at_once_and_other_processes_live() -> None:
     assert bystander.is_alive()
     bystander.kill()
     bystander.join()
+
+
+def test_a_worker_with_other_sources_refuses_its_work():
+    assert SameSources(math.sqrt, source_fingerprint())(4.0) == 2.0
+    with pytest.raises(ConfigError, match="has other sources of sayd_env"):
+        SameSources(math.sqrt, 16 * "0")(4.0)
+
+
+def test_cores_are_those_that_this_process_may_use(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3, 5, 8}, raising=False)
+    assert ExecutorChoice().count == 3
 
 
 def test_what_ray_wraps_is_unwrapped():

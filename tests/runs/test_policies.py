@@ -21,6 +21,7 @@ from sayd_env import baselines
 from sayd_env.cli import main
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.environment import load_environment
+from sayd_env.envs.interface import RunIn
 from sayd_env.envs.single import SaydEnv
 from sayd_env.runs.policies import PolicySpec, policy_spec, policy_specs
 
@@ -63,6 +64,13 @@ class Late:
 
 def late(interface):
     return Late()
+
+class Forgetful(Steady):
+    def __init__(self, interface):
+        super().__init__(0.5, interface.actions)
+
+    def state_after(self, run_in):
+        return run_in.observation
 
 def bare():
     return None
@@ -133,6 +141,13 @@ def test_code_that_fails_is_reported_in_one_message(factory: str, message: str, 
     with pytest.raises(ConfigError, match=message) as caught:
         policy_spec(f"{mine}:{factory}").make(env).predict(np.zeros((2, 41), np.float32))
     assert "\n" not in str(caught.value)
+
+
+def test_a_run_in_that_the_code_cannot_take_is_reported_in_one_message(mine: Path) -> None:
+    policy = policy_spec(f"{mine}:Forgetful").make(SaydEnv())
+    run_in = RunIn(np.zeros((3, 1, 41), np.float32), np.zeros(1, dtype=np.int64))
+    with pytest.raises(ConfigError, match=r"mine.py:Forgetful: .*mine.py, line \d+: AttributeError: .*RunIn"):
+        policy.state_after(run_in)
 
 
 @pytest.mark.parametrize(

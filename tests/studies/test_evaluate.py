@@ -132,7 +132,7 @@ def episode(policy: str, seed: int, **keywords: Any) -> float:
 def test_j_is_minus_the_mean_reward_of_the_environment_with_this_seed(reward: str):
     """To 1e-5, for the passive vehicle, a constant current and two controllers; an episode of 4 s.
 
-    MPPT is none of them: in `evaluate` it has listened to the run-in.
+    MPPT is none of them: in `evaluate` it has seen the run-in.
     """
     names = ("passive", "constant:0.3", "skyhook-onoff", "skyhook-continuous")
     result = evaluate(

@@ -71,8 +71,8 @@ _SPIN_PEAK = _CORE / _SPIN_SCALE
 _RATIOS = 13
 # Ellipses: a/b from 1/15 to 10, clamped beyond, in steps of sqrt(a) / (sqrt(a) + _RATIO_MIDDLE sqrt(b)).
 # Two steps from 10 down lies 5, where Kalker's coefficients, linear between the entries of their table E.3,
-# have a strong kink. That table ends at 1/10, and the coefficients are constant beyond; forces are not: where
-# a worn wheel's contact jumps, its patch is widened to a/b 0.11.
+# have a strong kink. That table ends at 1/10, and the coefficients are constant beyond; forces are not. This
+# table goes on to 1/15, which leaves room below 0.11, to which a worn wheel's patch is widened at a jump.
 _RATIO_MIDDLE = 1.9
 _FIFTH_RATIO, _LAST_RATIO = (math.sqrt(r) / (math.sqrt(r) + _RATIO_MIDDLE) for r in (5.0, 10.0))
 _RATIO_STEP = 0.5 * (_LAST_RATIO - _FIFTH_RATIO)
