@@ -318,7 +318,7 @@ def signatures() -> dict[tuple[str, str], int]:
         (kernel.__module__, kernel.__qualname__): len(kernel.signatures)
         for module in modules
         for kernel in vars(module).values()
-        if hasattr(kernel, "signatures")
+        if hasattr(kernel, "signatures") and not isinstance(kernel, type)
     }
 
 
