@@ -121,8 +121,15 @@ def _refuse_forgotten_statistics(path: Path) -> None:
 
 def _is_statistics(path: Path) -> bool:
     """Whether a pickle is a `VecNormalize`, by its name or by the class with which its content begins."""
-    with path.open("rb") as stream:
-        return "normalize" in path.stem.lower() or b"VecNormalize" in stream.read(_HEAD)
+    if not path.is_file():  # reading a pipe would wait for ever
+        return False
+    try:
+        with path.open("rb") as stream:
+            return "normalize" in path.stem.lower() or b"VecNormalize" in stream.read(_HEAD)
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror}); it may hold statistics of VecNormalize"
+        ) from None
 
 
 def _statistics(path: Path, model: Any) -> Any:

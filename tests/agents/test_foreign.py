@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import pickle
 import zipfile
 from collections.abc import Callable, Iterator
@@ -158,6 +159,8 @@ def test_statistics_of_observations_come_along(
     with pytest.raises(ConfigError, match=r"my_vecnormalize_stats.pkl beside it.*--vec-normalize"):
         read_foreign(path, nominal)
     statistics = statistics.rename(tmp_path / "stats.pkl")  # its content says what it is
+    os.mkfifo(tmp_path / "a_pipe.pkl")
+    (tmp_path / "a_folder.pkl").mkdir()
     with pytest.raises(ConfigError, match=r"stats.pkl beside it.*--vec-normalize"):
         read_foreign(path, nominal)
     env = SaydEnv(quick, **keywords)
