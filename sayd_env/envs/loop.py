@@ -628,7 +628,9 @@ def _run_units(
             )
 
 
-run_units = kernel(announce="the control loop (first use, a minute or two)")(named(_run_units, "run_units"))
+run_units = kernel(announce="the control loop of groups or of single vehicles (first use of each)")(
+    named(_run_units, "run_units")
+)
 """`_run_units`, one unit after another."""
 run_units_in_parallel = kernel(
     parallel=True, announce="the control loop of many vehicles (first use, one to three minutes)"

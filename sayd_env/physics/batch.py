@@ -117,7 +117,7 @@ def _advance_units(
             _advance(SINGLE, plant, states, together, work, who, substeps[i], signals, done)
 
 
-advance_units = kernel(announce="the simulator of several vehicles (first use, a minute or two)")(
+advance_units = kernel(announce="the simulator of groups or of single vehicles (first use of each)")(
     named(_advance_units, "advance_units")
 )
 """`_advance_units`, one unit after another."""
