@@ -24,7 +24,7 @@ from sayd_env.agents.networks import (
 )
 from sayd_env.agents.policy_file import Layers
 from sayd_env.config import DataError
-from sayd_env.config.storage import write_folder
+from sayd_env.config.storage import uninterrupted, write_folder
 
 STATE, REPLAY, PROGRESS = "state.pt", "replay.npz", "progress.json"
 REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -167,6 +167,7 @@ def _restore(model: Any, state: dict[str, Any], progress: Progress) -> None:
     model.num_timesteps, model._n_updates = progress.steps, progress.updates
 
 
+@uninterrupted()
 def _save_replay(path: Path, buffer: Any) -> None:
     filled = buffer.buffer_size if buffer.full else buffer.pos
     arrays = {name: getattr(buffer, name)[:filled] for name in REPLAYED}

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from sayd_env.config import DataError, files, parse_yaml
 from sayd_env.config.explain import shown
+from sayd_env.config.storage import uninterrupted
 
 AnyArray = npt.NDArray[Any]
 Arrays = Mapping[str, tuple[tuple[int, ...], str]]
@@ -69,6 +70,7 @@ def shown_path(path: Path | str) -> str:
     return text if text.isprintable() and len(text) < 1000 else shown(text)
 
 
+@uninterrupted()
 def pack(description: str, arrays: Mapping[str, AnyArray]) -> bytes:
     """Content of a policy file."""
     stream = io.BytesIO()

@@ -7,7 +7,9 @@ import platform
 import re
 import secrets
 import shutil
+import signal
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -21,6 +23,33 @@ try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let Ctrl-C, and whatever else a handler of the process listens to, wait for the end of the context.
+
+    For what must not stop halfway: an archive that is left open complains by an error of its own, and the
+    interrupt is lost.
+    """
+    caught: list[tuple[Any, ...]] = []
+
+    def note(*received: Any) -> None:
+        caught.append(received)
+
+    handlers: dict[signal.Signals, Any] = {}
+    if threading.current_thread() is threading.main_thread():  # no other thread handles signals
+        known = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+        handlers = {each: handler for each, handler in known.items() if callable(handler)}
+    for each in handlers:
+        signal.signal(each, note)
+    try:
+        yield
+    finally:
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
+        for number, frame in caught:
+            handlers[number](number, frame)
 
 
 def write_file(path: Path, content: bytes) -> None:

@@ -28,6 +28,7 @@ import sayd_env
 from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.scenario import Scenario
+from sayd_env.config.storage import uninterrupted
 from sayd_env.config.units import Array
 from sayd_env.fmu.controller import ControllerUnit, controller_content
 from sayd_env.fmu.damper import damper_model
@@ -299,6 +300,7 @@ def _numbers(name: str, values: Iterable[float]) -> str:
     return f"static const double {name}[] = {{{written}}};"
 
 
+@uninterrupted()
 def _archive(contents: Mapping[str, bytes]) -> bytes:
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -21,7 +21,7 @@ import numpy as np
 
 from sayd_env.config.plain import jsonable
 from sayd_env.config.software import source_fingerprint
-from sayd_env.config.storage import remove_leftovers, write_file
+from sayd_env.config.storage import remove_leftovers, uninterrupted, write_file
 
 Record = TypeVar("Record")
 _KEY = "_key"
@@ -68,6 +68,7 @@ class RunCache:
         record = self._memory[key] = kind(**dict.fromkeys(names) | content)
         return record
 
+    @uninterrupted()
     def put(self, key: str, record: Any) -> None:
         """Keep the record of a finished run.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from sayd_env.config import ConfigError, storage
-from sayd_env.config.storage import reserved, write_file
+from sayd_env.config.storage import reserved, uninterrupted, write_file
 
 WRITER = """
 import os, signal, sys
@@ -99,3 +99,30 @@ def test_without_locks_and_signals_nobody_is_kept_out_and_nobody_asked(
     with reserved(tmp_path, "trains"), reserved(tmp_path, "trains"):
         write_file(tmp_path / "result.json", b"whole")
     assert files(tmp_path) == [left.name, "result.json"]
+
+
+@needs_signals
+def test_an_interrupt_waits_for_the_end_of_what_must_not_stop_halfway() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    done = []
+
+    @uninterrupted()
+    def work() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        done.append("all of it")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == ["all of it"]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@needs_signals
+def test_who_listens_to_no_interrupt_goes_on_so() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with uninterrupted():
+            os.kill(os.getpid(), signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
+import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -80,6 +83,27 @@ def test_a_controlled_run_comes_back(controlled_run: Callable[..., ControlledRun
     assert found is not None
     assert same(found, run)
     assert found.command.dtype == np.float32
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs POSIX signals")
+def test_an_interrupt_in_the_middle_of_an_archive_is_one_and_the_run_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """An archive that is left open would end in a ValueError of its own."""
+    begin = zipfile.ZipFile.open
+
+    def interrupted(*arguments: Any, **named: Any) -> Any:
+        opened = begin(*arguments, **named)
+        os.kill(os.getpid(), signal.SIGINT)
+        return opened
+
+    monkeypatch.setattr(zipfile.ZipFile, "open", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        RunCache(tmp_path).put(KEY, TOY)
+    monkeypatch.undo()
+    found = RunCache(tmp_path).get(KEY, Toy)
+    assert found is not None
+    assert same(found, TOY)
 
 
 def test_without_a_folder_runs_are_kept_in_memory():
