@@ -244,6 +244,7 @@ class Work(NamedTuple):
     SECANT,
     LEAD,  # by how much the contact leads its axle, m
     RAISED,  # how much higher a contact lies that leads or lags, over the square of yaw, m
+    LOWERED,  # how much a rolled wheel must sink to touch, over the roll, m
     ROLLING,  # rolling radius, m
     REACH,  # lateral position of the contact from the wheelset's centre, m
     RAIL_ARM,  # the same from the track's centre, m
@@ -252,7 +253,7 @@ class Work(NamedTuple):
     CREEP_T,
     CREEP_SPIN,  # 1/s
     PATCH_ROWS,
-) = range(12)
+) = range(13)
 
 # Rows of `Work.lane_out`: what the contact does to wheelset and track.
 (

@@ -180,10 +180,12 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
       tread's speed V + `faster` the slip is psi (V + faster) / cos(gamma), and the lateral creep force has a
       moment about the axle. Rolling freely, a wheelset so has the longitudinal force -psi F_y. Forces are
       along the rail and across it.
-    - The contact's angle moves with its load, as its potential asks for.
+    - Where the wheel's radius is larger by delta_r, as on its flange, lateral forces act by as much below
+      rail level, and roll moves the wheel across its rail there, by phi delta_r.
+    - The contact's angle moves with its load, with roll and with yaw, as its potential asks for.
 
-    Left out: the contact's motion with roll at a fixed shift in the lever, the wheel's other height over rail
-    level at a climbed flange, and the force along the track of rails at an angle to it.
+    Left out: the contact's motion with roll at a fixed shift in the lever, and the force along the track of
+    rails at an angle to it.
     """
     n = LANES * len(lanes)
     for i in range(x.shape[0] // at.ROWS_IN):
@@ -201,13 +203,17 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         left = 1.0 - right
         p = int(wheel[at.TABLE_BASE * n + i]) + node * geometry.WIDTH
         q = p + geometry.WIDTH
-        delta_r = left * table[p + geometry.DELTA_R] + right * table[q + geometry.DELTA_R]
+        delta_left, delta_right = table[p + geometry.DELTA_R], table[q + geometry.DELTA_R]
+        delta_r = left * delta_left + right * delta_right
+        delta_slope = (delta_right - delta_left) * per_step
         gap_0 = left * table[p + geometry.G0] + right * table[q + geometry.G0]
         arm_left, arm_right = table[p + geometry.Y_C], table[q + geometry.Y_C]
         arm = left * arm_left + right * arm_right
         arm_slope = (arm_right - arm_left) * per_step
         tilt_0 = left * table[p + geometry.PHI_K] + right * table[q + geometry.PHI_K]
-        tangent = left * table[p + geometry.TAN_GAMMA] + right * table[q + geometry.TAN_GAMMA]
+        tangent_left, tangent_right = table[p + geometry.TAN_GAMMA], table[q + geometry.TAN_GAMMA]
+        tangent = left * tangent_left + right * tangent_right
+        tangent_slope = (tangent_right - tangent_left) * per_step
         soft = left * table[p + geometry.COMPLIANCE] + right * table[q + geometry.COMPLIANCE]
         soft_slope = (
             left * table[p + geometry.COMPLIANCE_SLOPE] + right * table[q + geometry.COMPLIANCE_SLOPE]
@@ -218,15 +224,18 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         law[creep.C22 * n + i] = left * table[p + geometry.C22] + right * table[q + geometry.C22]
         law[creep.C23 * n + i] = left * table[p + geometry.C23] + right * table[q + geometry.C23]
 
-        # The table is made at the kinematic roll; another roll moves the contact and so the slope.
+        # Vertical force of the elastic contact. Roll moves a wheel across its rail where it is larger; yawed,
+        # it touches ahead of or behind its axle, by `lead`.
         tilt, yaw, yaw_rate = x[at.TILT * n + i], x[at.YAW * n + i], x[at.YAW_RATE * n + i]
-        tangent += (tilt_0 - tilt) * arm_slope
-
-        # Vertical force of the elastic contact. A yawed wheel touches ahead of or behind its axle, by `lead`.
         lever = arm - radius * tangent
         lead = -side * yaw * lever
-        raised = tangent * lever
-        gap = x[at.LIFT * n + i] + tilt * arm + gap_0 + 0.5 * yaw * yaw * raised
+        raised, lowered = tangent * lever, tangent * delta_r
+        raised_slope = tangent_slope * (lever - radius * tangent) + tangent * arm_slope
+        lowered_slope = tangent_slope * delta_r + tangent * delta_slope
+        half_square = 0.5 * yaw * yaw
+        gap = x[at.LIFT * n + i] + tilt * (arm - lowered) + gap_0 + half_square * raised
+        # The slope is that of the gap. The table is made at the kinematic roll and without yaw.
+        tangent += (tilt_0 - tilt) * arm_slope + tilt * lowered_slope - half_square * raised_slope
         pressed = -gap if gap < 0.0 else 0.0
         power = pressed / soft
         root = math.sqrt(power)
@@ -239,7 +248,7 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         sine = tangent * cosine
         gap_rate = (
             x[at.LIFT_RATE * n + i]
-            + x[at.TILT_RATE * n + i] * arm
+            + x[at.TILT_RATE * n + i] * (arm - lowered)
             + yaw * yaw_rate * raised
             - tangent * x[at.SHIFT_RATE * n + i]
         )
@@ -253,7 +262,7 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         rolling = radius + delta_r
         faster = x[at.SPIN_RATE * n + i] * rolling + speed * delta_r * per_radius
         slip_x = x[at.SLIP_X * n + i] - yaw_rate * reach - faster
-        slip_y = x[at.SLIP_Y * n + i] + lead * yaw_rate
+        slip_y = x[at.SLIP_Y * n + i] + lead * yaw_rate + side * x[at.TILT_RATE * n + i] * delta_r
         slip_z = x[at.SLIP_Z * n + i] + x[at.ROLL_RATE * n + i] * reach - x[at.PLANE_RATE * n + i] * rail_arm
         # The tread moves across the rail, and touching ahead of its axle by r yaw tan(gamma) also downwards:
         # with both the slip of yaw is V yaw / cos(gamma), and along the normal none is left.
@@ -269,6 +278,7 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         patch[at.SECANT * n + i] = secant
         patch[at.LEAD * n + i] = lead
         patch[at.RAISED * n + i] = raised
+        patch[at.LOWERED * n + i] = lowered
         patch[at.ROLLING * n + i] = rolling
         patch[at.REACH * n + i] = reach
         patch[at.RAIL_ARM * n + i] = rail_arm
@@ -296,17 +306,19 @@ def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, law: Array, 
         force_y = creep_y - up * (side * tangent + x[at.PLANE * n + i])
         force_z = up + side * tangent * creep_y
         upright = moment * cosine
+        delta_r = patch[at.ROLLING * n + i] - wheel[at.RADIUS * n + i]
+        deeper = delta_r * creep_y - side * up * patch[at.LOWERED * n + i]
         out[at.FORCE_X * n + i] = force_x
         out[at.FORCE_Y * n + i] = force_y
         out[at.FORCE_Z * n + i] = force_z
-        out[at.MOMENT_ROLL * n + i] = wheel[at.RADIUS * n + i] * force_y + reach * force_z
+        out[at.MOMENT_ROLL * n + i] = wheel[at.RADIUS * n + i] * force_y + reach * force_z + deeper
         out[at.MOMENT_PITCH * n + i] = (
             -patch[at.ROLLING * n + i] * (force_x + yaw * secant * force_t) - side * tangent * upright
         )
         out[at.MOMENT_YAW * n + i] = (
             -reach * force_x + lead * creep_y + up * yaw * patch[at.RAISED * n + i] + upright
         )
-        out[at.MOMENT_TRACK * n + i] = -patch[at.RAIL_ARM * n + i] * force_z
+        out[at.MOMENT_TRACK * n + i] = -patch[at.RAIL_ARM * n + i] * force_z - deeper
         out[at.POWER_SLIP * n + i] = -(
             force_x * patch[at.CREEP_X * n + i]
             + force_t * patch[at.CREEP_T * n + i]

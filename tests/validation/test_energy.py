@@ -113,30 +113,16 @@ def frame_power(model: VehicleModel, run: dict[str, Array], speed: float) -> Arr
     return np.asarray(np.sum(run["v"] * inertia + moved * joints, axis=1))
 
 
-def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[str, Array]:
-    """Energy (J) and powers (W) over time, shape (t,) each."""
-    body, table = model.multibody, model.table
-    q, v, force, lanes = run["q"], run["v"], run["force"], run["lanes"]
-    radius, n = model.scenario.vehicle.wheel_radius, body.n
+def holding_power(model: VehicleModel, run: dict[str, Array], speed: float) -> Array:
+    """Power of what holds the speed against the rails' irregularities and bends, shape (t,), W."""
+    body, table, q, lanes = model.multibody, model.table, run["q"], run["lanes"]
+    radius, n, dofs, section = (
+        model.scenario.vehicle.wheel_radius,
+        body.n,
+        body.wheelset_dofs,
+        body.section_dofs,
+    )
     moved = run["line"][:, 2 * n : 3 * n]
-    joined, rate = q + run["line"][:, n : 2 * n], v + moved
-
-    # Stored energy. The static load of each wheelset is a constant force between wheelset and track.
-    kinetic = 0.5 * np.einsum("ti,i,ti->t", v, body.mass, v)
-    springs = 0.5 * np.einsum("ti,ij,tj->t", joined, body.stiffness, joined)
-    stops = sum((curve_energy(joined @ e.connection, e.curve) for e in body.stops), np.zeros(len(q)))
-    maxwell = sum(0.5 * force[:, k] ** 2 / e.series_stiffness for k, e in enumerate(model.dampers))
-    dofs, section = body.wheelset_dofs, body.section_dofs
-    static = 2.0 * (q[:, dofs[:, 2]] - q[:, section[:, 1]]) @ body.wheel_load
-    stored = row(lanes, STORED).sum(axis=1)
-
-    # Heat.
-    linear = np.einsum("ti,ij,tj->t", rate, body.damping, rate)
-    pistons = sum(force[:, k] * inverse_curve(force[:, k], e.curve) for k, e in enumerate(model.dampers))
-    slip = row(lanes, POWER_SLIP).sum(axis=1)
-    contact = row(lanes, POWER_DAMPING).sum(axis=1)
-
-    # What holds the speed.
     side = np.repeat([1.0, -1.0], WHEELSETS)
     of = np.tile(np.arange(WHEELSETS), 2)
     values, slopes = run["rail"][:, :4, of], run["rail"][:, 4:, of]
@@ -157,14 +143,19 @@ def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[st
     # Stored is (2/5) N d, with the elastic force N and the penetration d = m N^(2/3).
     compliance, rest = at_shift(table.compliance), table.load ** (2.0 / 3.0)
     power = (2.5 * row(lanes, STORED) / compliance) ** 0.4
-    slant = at_shift(table.tan_gamma) + (tilt_0 - side * (roll - plane)) * slope(table.y_c)
-    tangent = slant - 0.6 * at_shift(table.compliance_slope) * (power - rest)
+    tilt, across = side * (roll - plane), yaw - slopes[:, 0]
+    steep, steeper = at_shift(table.tan_gamma), slope(table.tan_gamma)
+    # Where a wheel is larger by dr, roll moves it sideways; a yawed wheel touches beside its lowest point.
+    lowered, raised = steep * delta_r, steep * (arm - radius * steep)
+    lower = steeper * delta_r + steep * slope(table.delta_r)
+    higher = steeper * (arm - 2.0 * radius * steep) + steep * slope(table.y_c)
+    tangent = steep + (tilt_0 - tilt) * slope(table.y_c) + tilt * lower - 0.5 * across**2 * higher
+    tangent -= 0.6 * at_shift(table.compliance_slope) * (power - rest)
     cosine = 1.0 / np.hypot(1.0, tangent)
     up = row(lanes, NORMAL) * cosine
     creep_y = row(lanes, FORCE_Y) + up * (side * tangent + plane)
     rise = vertical + cross * (side * arm + offset)  # of the rail's surface below the wheel
     # A wheel of radius r0 + dr that spins with V / r0, and rolls along its yawed plane over the rail's line.
-    across = yaw - slopes[:, 0]
     more = delta_r / radius
     hold = speed * row(lanes, FORCE_X) * more
     hold += speed * creep_y * (yaw + across * (tangent**2 + more / cosine**2))
@@ -174,15 +165,40 @@ def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[st
     turning = moved[:, dofs[of, 5]] + speed * run["line"][:, 4 * n + CENTRE_KAPPA, None]
     bend += turning
     hold -= turning * row(lanes, MOMENT_YAW)
-    hold += up * across * slant * (arm - radius * slant) * bend
+    hold += up * across * raised * bend
     # The rail's surface lifts the wheel and shifts it sideways as it runs by.
     hold += creep_y * side * tangent * rise
     hold += up * (rise - (side * tangent + plane) * align - 0.5 * tangent * gauge)
+    hold += cross * (creep_y * delta_r - side * up * lowered)
+    return np.asarray(hold.sum(axis=1))
+
+
+def balance(model: VehicleModel, run: dict[str, Array], speed: float) -> dict[str, Array]:
+    """Energy (J) and powers (W) over time, shape (t,) each."""
+    body, n = model.multibody, model.multibody.n
+    q, v, force, lanes = run["q"], run["v"], run["force"], run["lanes"]
+    joined, rate = q + run["line"][:, n : 2 * n], v + run["line"][:, 2 * n : 3 * n]
+
+    # Stored energy. The static load of each wheelset is a constant force between wheelset and track.
+    kinetic = 0.5 * np.einsum("ti,i,ti->t", v, body.mass, v)
+    springs = 0.5 * np.einsum("ti,ij,tj->t", joined, body.stiffness, joined)
+    stops = sum((curve_energy(joined @ e.connection, e.curve) for e in body.stops), np.zeros(len(q)))
+    maxwell = sum(0.5 * force[:, k] ** 2 / e.series_stiffness for k, e in enumerate(model.dampers))
+    dofs, section = body.wheelset_dofs, body.section_dofs
+    static = 2.0 * (q[:, dofs[:, 2]] - q[:, section[:, 1]]) @ body.wheel_load
+    stored = row(lanes, STORED).sum(axis=1)
+
+    # Heat.
+    linear = np.einsum("ti,ij,tj->t", rate, body.damping, rate)
+    pistons = sum(force[:, k] * inverse_curve(force[:, k], e.curve) for k, e in enumerate(model.dampers))
+    slip = row(lanes, POWER_SLIP).sum(axis=1)
+    contact = row(lanes, POWER_DAMPING).sum(axis=1)
+
     frames = frame_power(model, run, speed)
     return {
         "energy": kinetic + springs + stops + maxwell + static + stored,
         "heat": linear + pistons + slip + contact,
-        "hold": hold.sum(axis=1) + frames,
+        "hold": holding_power(model, run, speed) + frames,
         "frames": frames,
     }
 
