@@ -243,8 +243,9 @@ class Work(NamedTuple):
     TANGENT,  # of the contact angle
     SECANT,
     LEAD,  # by how much the contact leads its axle, m
-    RAISED,  # how much higher a contact lies that leads or lags, over the square of yaw, m
-    LOWERED,  # how much a rolled wheel must sink to touch, over the roll, m
+    RAISED,  # how much higher a wheel stands that touches ahead or behind, over half of yaw squared, m
+    DEEPER,  # how far below the wheelset's lowest point lateral forces act, m
+    NEARER,  # by how much roll so brings the wheel nearer to its rail, over the roll, m
     ROLLING,  # rolling radius, m
     REACH,  # lateral position of the contact from the wheelset's centre, m
     RAIL_ARM,  # the same from the track's centre, m
@@ -253,7 +254,7 @@ class Work(NamedTuple):
     CREEP_T,
     CREEP_SPIN,  # 1/s
     PATCH_ROWS,
-) = range(13)
+) = range(14)
 
 # Rows of `Work.lane_out`: what the contact does to wheelset and track.
 (

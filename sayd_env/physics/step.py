@@ -180,12 +180,13 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
       tread's speed V + `faster` the slip is psi (V + faster) / cos(gamma), and the lateral creep force has a
       moment about the axle. Rolling freely, a wheelset so has the longitudinal force -psi F_y. Forces are
       along the rail and across it.
-    - Where the wheel's radius is larger by delta_r, as on its flange, lateral forces act by as much below
-      rail level, and roll moves the wheel across its rail there, by phi delta_r.
+    - Where the wheel's radius is larger by delta_r, as on its flange, lateral forces act by as much (less
+      phi Y_c, by which roll lifts it) below the wheelset's lowest point, and roll moves the wheel across its
+      rail there.
     - The contact's angle moves with its load, with roll and with yaw, as its potential asks for.
 
-    Left out: the contact's motion with roll at a fixed shift in the lever, and the force along the track of
-    rails at an angle to it.
+    Left out: the contact's motion with roll at a fixed shift in the lever, the way across inclined rails of a
+    wheelset that stands higher over them, and the force along the track of rails at an angle to it.
     """
     n = LANES * len(lanes)
     for i in range(x.shape[0] // at.ROWS_IN):
@@ -224,18 +225,25 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         law[creep.C22 * n + i] = left * table[p + geometry.C22] + right * table[q + geometry.C22]
         law[creep.C23 * n + i] = left * table[p + geometry.C23] + right * table[q + geometry.C23]
 
-        # Vertical force of the elastic contact. Roll moves a wheel across its rail where it is larger; yawed,
-        # it touches ahead of or behind its axle, by `lead`.
+        # Vertical force of the elastic contact. Roll moves a wheel that is larger where it touches across its
+        # rail, and so `nearer` to it; a yawed wheel touches ahead of or behind its axle, by `lead`.
         tilt, yaw, yaw_rate = x[at.TILT * n + i], x[at.YAW * n + i], x[at.YAW_RATE * n + i]
-        lever = arm - radius * tangent
+        rolling = radius + delta_r
+        lever = arm - rolling * tangent
         lead = -side * yaw * lever
-        raised, lowered = tangent * lever, tangent * delta_r
-        raised_slope = tangent_slope * (lever - radius * tangent) + tangent * arm_slope
-        lowered_slope = tangent_slope * delta_r + tangent * delta_slope
-        half_square = 0.5 * yaw * yaw
-        gap = x[at.LIFT * n + i] + tilt * (arm - lowered) + gap_0 + half_square * raised
-        # The slope is that of the gap. The table is made at the kinematic roll and without yaw.
-        tangent += (tilt_0 - tilt) * arm_slope + tilt * lowered_slope - half_square * raised_slope
+        raised = tangent * lever
+        deeper = delta_r - tilt * arm
+        nearer = tangent * deeper
+        half_yaw, half_tilt = 0.5 * yaw * yaw, 0.5 * tilt * tilt
+        gap = x[at.LIFT * n + i] + gap_0 + tilt * (arm - nearer)
+        gap += half_yaw * raised - half_tilt * tangent * arm
+        # The contact's slope is that of the gap. The table is made at the kinematic roll and without yaw.
+        tangent += (
+            (tilt_0 - tilt) * arm_slope
+            + tilt * (tangent_slope * delta_r + tangent * delta_slope)
+            - (half_yaw + half_tilt) * (tangent_slope * arm + tangent * arm_slope)
+            + half_yaw * tangent * (2.0 * rolling * tangent_slope + tangent * delta_slope)
+        )
         pressed = -gap if gap < 0.0 else 0.0
         power = pressed / soft
         root = math.sqrt(power)
@@ -248,7 +256,7 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         sine = tangent * cosine
         gap_rate = (
             x[at.LIFT_RATE * n + i]
-            + x[at.TILT_RATE * n + i] * (arm - lowered)
+            + x[at.TILT_RATE * n + i] * (arm - nearer)
             + yaw * yaw_rate * raised
             - tangent * x[at.SHIFT_RATE * n + i]
         )
@@ -259,10 +267,9 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         # Slip of the wheel over the rail, and creepages.
         reach = side * arm + x[at.SWAY * n + i]
         rail_arm = side * arm + x[at.OFFSET * n + i]
-        rolling = radius + delta_r
         faster = x[at.SPIN_RATE * n + i] * rolling + speed * delta_r * per_radius
         slip_x = x[at.SLIP_X * n + i] - yaw_rate * reach - faster
-        slip_y = x[at.SLIP_Y * n + i] + lead * yaw_rate + side * x[at.TILT_RATE * n + i] * delta_r
+        slip_y = x[at.SLIP_Y * n + i] + lead * yaw_rate + side * x[at.TILT_RATE * n + i] * deeper
         slip_z = x[at.SLIP_Z * n + i] + x[at.ROLL_RATE * n + i] * reach - x[at.PLANE_RATE * n + i] * rail_arm
         # The tread moves across the rail, and touching ahead of its axle by r yaw tan(gamma) also downwards:
         # with both the slip of yaw is V yaw / cos(gamma), and along the normal none is left.
@@ -278,7 +285,8 @@ def _touch(  # noqa: PLR0915 - one loop body, as the physics reads
         patch[at.SECANT * n + i] = secant
         patch[at.LEAD * n + i] = lead
         patch[at.RAISED * n + i] = raised
-        patch[at.LOWERED * n + i] = lowered
+        patch[at.DEEPER * n + i] = deeper
+        patch[at.NEARER * n + i] = nearer
         patch[at.ROLLING * n + i] = rolling
         patch[at.REACH * n + i] = reach
         patch[at.RAIL_ARM * n + i] = rail_arm
@@ -306,19 +314,18 @@ def _resultants(lanes: Lanes, wheel: Array, x: Array, patch: Array, law: Array, 
         force_y = creep_y - up * (side * tangent + x[at.PLANE * n + i])
         force_z = up + side * tangent * creep_y
         upright = moment * cosine
-        delta_r = patch[at.ROLLING * n + i] - wheel[at.RADIUS * n + i]
-        deeper = delta_r * creep_y - side * up * patch[at.LOWERED * n + i]
+        below = patch[at.DEEPER * n + i] * creep_y - side * up * patch[at.NEARER * n + i]
         out[at.FORCE_X * n + i] = force_x
         out[at.FORCE_Y * n + i] = force_y
         out[at.FORCE_Z * n + i] = force_z
-        out[at.MOMENT_ROLL * n + i] = wheel[at.RADIUS * n + i] * force_y + reach * force_z + deeper
+        out[at.MOMENT_ROLL * n + i] = wheel[at.RADIUS * n + i] * force_y + reach * force_z + below
         out[at.MOMENT_PITCH * n + i] = (
             -patch[at.ROLLING * n + i] * (force_x + yaw * secant * force_t) - side * tangent * upright
         )
         out[at.MOMENT_YAW * n + i] = (
             -reach * force_x + lead * creep_y + up * yaw * patch[at.RAISED * n + i] + upright
         )
-        out[at.MOMENT_TRACK * n + i] = -patch[at.RAIL_ARM * n + i] * force_z - deeper
+        out[at.MOMENT_TRACK * n + i] = -patch[at.RAIL_ARM * n + i] * force_z - below
         out[at.POWER_SLIP * n + i] = -(
             force_x * patch[at.CREEP_X * n + i]
             + force_t * patch[at.CREEP_T * n + i]

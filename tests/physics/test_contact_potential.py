@@ -33,7 +33,7 @@ from sayd_env.physics.profiles import Profile
 from sayd_env.physics.rows import SINGLE
 from sayd_env.physics.simulator import Simulator, VehicleModel
 
-RADIUS, HALF, CONE, CROWN, LOAD = 0.46, 0.75, 0.05, 0.3, 75e3
+RADIUS, HALF, LOAD = 0.46, 0.75, 75e3
 OUT = {
     "x": FORCE_X,
     "y": FORCE_Y,
@@ -51,17 +51,41 @@ class Track(NamedTuple):
     cant: float = 0.0
 
 
-def gap(surface: Array, pose: dict[str, float], side: float, track: Track) -> float:
+class Pair(NamedTuple):
+    """A conical wheel on a circular rail head."""
+
+    cone: float
+    """Slope of the wheel."""
+    crown: float
+    """Radius of the rail head, m."""
+    larger: float
+    """Radius of the wheel over `RADIUS` where it touches in the centre, m."""
+
+    @property
+    def middle(self) -> float:
+        """Where that is, from the tape circle and from the rail's crown, m."""
+        return -self.crown * self.cone / np.hypot(1.0, self.cone)
+
+    def radius(self, s: Array | float) -> Array | float:
+        """Radius of the wheel at a distance from its tape circle, m."""
+        return RADIUS + self.larger - self.cone * (s - self.middle)
+
+
+TREAD = Pair(cone=0.05, crown=0.3, larger=7.5e-4)
+FLANGE = Pair(cone=1.0, crown=0.08, larger=20e-3)
+
+
+def gap(surface: Array, pose: dict[str, float], side: float, track: Track, pair: Pair) -> float:
     """Gap below the point (s, theta) of a conical wheel, over a circular rail, upright to the track plane."""
     s, theta = surface
-    radius = RADIUS - CONE * s
+    radius = pair.radius(s)
     theta += pose["pitch"]
     point = np.array([radius * np.sin(theta), side * (HALF + s), -radius * np.cos(theta)])
     x, y, z = about_z(pose["yaw"]) @ about_x(pose["roll"]) @ point
     centre = np.array([x + pose["x"], y + pose["y"], z + RADIUS + pose["z"]])
     _, y, z = about_x(-track.cant) @ about_z(-track.yaw) @ centre
     t = side * y - HALF
-    return float(z - (np.sqrt(CROWN**2 - t**2) - CROWN))
+    return float(z - (np.sqrt(pair.crown**2 - t**2) - pair.crown))
 
 
 def about_x(angle: float) -> Array:
@@ -76,12 +100,12 @@ def about_z(angle: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def lowest_point(pose: dict[str, float], side: float, track: Track) -> Array:
+def lowest_point(pose: dict[str, float], side: float, track: Track, pair: Pair) -> Array:
     """Point (s, theta) of least gap, by Newton's method on differences; the gap is nearly quadratic."""
-    point, h = np.array([-CROWN * CONE, -pose["pitch"]]), 1e-4 * np.eye(2)
+    point, h = np.array([pair.middle, -pose["pitch"]]), 1e-4 * np.eye(2)
     for _ in range(6):
         at = {
-            (i, j): gap(point + i * h[0] + j * h[1], pose, side, track)
+            (i, j): gap(point + i * h[0] + j * h[1], pose, side, track, pair)
             for i in range(-1, 2)
             for j in range(-1, 2)
         }
@@ -92,27 +116,26 @@ def lowest_point(pose: dict[str, float], side: float, track: Track) -> Array:
     return point
 
 
-def gradient(pose: dict[str, float], side: float, track: Track) -> dict[str, float]:
+def gradient(pose: dict[str, float], side: float, track: Track, pair: Pair) -> dict[str, float]:
     """Derivatives of the least gap: those at the point where it is least (envelope theorem)."""
-    least = lowest_point(pose, side, track)
+    least = lowest_point(pose, side, track, pair)
     h = 1e-6
     return {
         k: (
-            gap(least, pose | {k: pose[k] + h}, side, track)
-            - gap(least, pose | {k: pose[k] - h}, side, track)
+            gap(least, pose | {k: pose[k] + h}, side, track, pair)
+            - gap(least, pose | {k: pose[k] - h}, side, track, pair)
         )
         / (2.0 * h)
         for k in pose
     }
 
 
-@pytest.fixture(scope="module")
-def simulator() -> Simulator:
-    s = np.arange(-1000, 1001) * 5e-5
-    wheel = Profile("cone", "wheel", s, -CONE * s, half_distance=HALF)
-    t = np.arange(-2100, 2101) * 5e-5
-    rail = Profile("arc", "rail", t, np.sqrt(CROWN**2 - t**2) - CROWN, gauge_depth=0.014)
-    gauge = 2.0 * (HALF - np.sqrt(2.0 * CROWN * 0.014 - 0.014**2))
+def simulator(pair: Pair) -> Simulator:
+    s = pair.middle + np.arange(-1000, 1001) * 5e-5
+    wheel = Profile("cone", "wheel", s, pair.radius(s) - RADIUS, half_distance=HALF)
+    t = np.arange(-1400, 1401) * (5e-5 if pair is FLANGE else 7.5e-5)
+    rail = Profile("arc", "rail", t, np.sqrt(pair.crown**2 - t**2) - pair.crown, gauge_depth=0.014)
+    gauge = 2.0 * (HALF - np.sqrt(2.0 * pair.crown * 0.014 - 0.014**2))
     config = ContactConfig(
         youngs_modulus=2.1e11,
         poisson_ratio=0.28,
@@ -123,6 +146,11 @@ def simulator() -> Simulator:
     table = contact_table(wheel, rail, gauge, config, RADIUS, LOAD, HALF)
     overrides = ["track=smooth", "friction=1e-9", "contact_damping=0"]
     return Simulator(VehicleModel(load_scenario(overrides=overrides)), 80.0, table=table)
+
+
+@pytest.fixture(scope="module")
+def simulators() -> dict[Pair, Simulator]:
+    return {pair: simulator(pair) for pair in (TREAD, FLANGE)}
 
 
 @kernel
@@ -144,37 +172,43 @@ def contact_forces(simulator: Simulator, pose: dict[str, float], track: Track) -
     return work.lane_out.reshape(-1, 2, WHEELSETS)[:, :, 0]
 
 
+@pytest.mark.parametrize("pair", [TREAD, FLANGE], ids=["tread", "flange"])
 @pytest.mark.parametrize(
     ("y", "roll", "yaw", "track"),
     [
         (0.0, 0.0, 0.0, Track()),
         (3e-3, 0.0, 0.0, Track()),
         (1e-3, 1e-3, 0.0, Track()),
+        (2e-3, -2e-3, 0.0, Track()),
         (2e-3, 10e-3, 0.0, Track(cant=10e-3)),
         (-2e-3, 0.0, 10e-3, Track()),
+        (0.0, 0.0, 15e-3, Track()),
         (2e-3, 0.0, 4e-3, Track(yaw=-6e-3)),
     ],
 )
 def test_forces_are_the_gradient_of_the_gap(
-    simulator: Simulator, y: float, roll: float, yaw: float, track: Track
+    simulators: dict[Pair, Simulator], pair: Pair, y: float, roll: float, yaw: float, track: Track
 ) -> None:
     """Lateral force, roll and yaw moment over the vertical force, in poses with a wheel at its static depth.
 
-    Left out, and so allowed for: roll over the track moves a contact (0.3 m times roll here) and turns its
-    height over rail level (arm times roll times slope); a rail at an angle has a force along the track.
+    Left out, and so allowed for: roll over the track moves a contact (the rail head's radius times roll); a
+    rail at an angle has a force along the track.
     """
     centred = dict.fromkeys(OUT, 0.0)
+    slope = abs(pair.cone)
     for wheel, side in enumerate((1.0, -1.0)):
         pose = centred | {"y": y - RADIUS * roll, "roll": roll, "yaw": yaw}
-        pose["z"] = gap(lowest_point(centred, side, Track()), centred, side, Track())
-        pose["z"] -= gap(lowest_point(pose, side, track), pose | {"z": 0.0}, side, track)
-        expected = gradient(pose, side, track)
-        out = contact_forces(simulator, pose, track)
+        pose["z"] = gap(lowest_point(centred, side, Track(), pair), centred, side, Track(), pair)
+        pose["z"] -= gap(lowest_point(pose, side, track, pair), pose | {"z": 0.0}, side, track, pair)
+        expected = gradient(pose, side, track, pair)
+        out = contact_forces(simulators[pair], pose, track)
         force = {k: out[row, wheel] / out[FORCE_Z, wheel] for k, row in OUT.items()}
         tilt = abs(roll - track.cant)
-        assert out[FORCE_Z, wheel] == pytest.approx(LOAD, rel=0.01)
-        assert force["y"] == pytest.approx(expected["y"], abs=2e-5 + 0.02 * tilt)
-        assert force["roll"] == pytest.approx(expected["roll"], abs=1e-4 + (CROWN + HALF * CONE) * tilt)
+        assert out[FORCE_Z, wheel] == pytest.approx(LOAD, rel=0.015)
+        assert force["y"] == pytest.approx(
+            expected["y"], abs=2e-5 + 2e-4 * slope + (0.02 + 0.11 * slope) * tilt
+        )
+        assert force["roll"] == pytest.approx(expected["roll"], abs=1e-4 + 2e-4 * slope + pair.crown * tilt)
         assert force["pitch"] == pytest.approx(expected["pitch"], abs=1e-8)
-        assert force["yaw"] == pytest.approx(expected["yaw"], abs=1e-6)
-        assert force["x"] == pytest.approx(expected["x"], abs=1e-8 + 0.06 * abs(track.yaw))
+        assert force["yaw"] == pytest.approx(expected["yaw"], abs=1e-6 + 1e-5 * slope)
+        assert force["x"] == pytest.approx(expected["x"], abs=1e-8 + 1.2 * slope * abs(track.yaw))

@@ -145,11 +145,13 @@ def holding_power(model: VehicleModel, run: dict[str, Array], speed: float) -> A
     power = (2.5 * row(lanes, STORED) / compliance) ** 0.4
     tilt, across = side * (roll - plane), yaw - slopes[:, 0]
     steep, steeper = at_shift(table.tan_gamma), slope(table.tan_gamma)
-    # Where a wheel is larger by dr, roll moves it sideways; a yawed wheel touches beside its lowest point.
-    lowered, raised = steep * delta_r, steep * (arm - radius * steep)
-    lower = steeper * delta_r + steep * slope(table.delta_r)
-    higher = steeper * (arm - 2.0 * radius * steep) + steep * slope(table.y_c)
-    tangent = steep + (tilt_0 - tilt) * slope(table.y_c) + tilt * lower - 0.5 * across**2 * higher
+    # Roll moves a wheel sideways that is larger by dr; a yawed wheel touches ahead of or behind its axle.
+    rolling, deeper = radius + delta_r, delta_r - tilt * arm
+    raised = steep * (arm - rolling * steep)
+    slope_dr, slope_arm = slope(table.delta_r), slope(table.y_c)
+    tangent = steep + (tilt_0 - tilt) * slope_arm + tilt * (steeper * delta_r + steep * slope_dr)
+    tangent -= 0.5 * (across**2 + tilt**2) * (steeper * arm + steep * slope_arm)
+    tangent += 0.5 * across**2 * steep * (2.0 * rolling * steeper + steep * slope_dr)
     tangent -= 0.6 * at_shift(table.compliance_slope) * (power - rest)
     cosine = 1.0 / np.hypot(1.0, tangent)
     up = row(lanes, NORMAL) * cosine
@@ -169,7 +171,7 @@ def holding_power(model: VehicleModel, run: dict[str, Array], speed: float) -> A
     # The rail's surface lifts the wheel and shifts it sideways as it runs by.
     hold += creep_y * side * tangent * rise
     hold += up * (rise - (side * tangent + plane) * align - 0.5 * tangent * gauge)
-    hold += cross * (creep_y * delta_r - side * up * lowered)
+    hold += cross * deeper * (creep_y - side * up * steep)
     return np.asarray(hold.sum(axis=1))
 
 
