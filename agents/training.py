@@ -216,10 +216,17 @@ class _Run:
             left = self.config.total_steps - self.steps
             if left > 0:
                 self.model.learn(left, _Callback(self, report), log_interval=None, reset_num_timesteps=False)
+            elif self.evaluated != self.steps:  # it was interrupted in its last evaluation
+                self.evaluate()
             self.keep()
         finally:
             self.model.logger.close()
             self.env.close()
+
+    @property
+    def evaluated(self) -> int:
+        """Steps at its last evaluation; -1 before the first."""
+        return int(self.evaluations.rows[-1]["steps"]) if self.evaluations.rows else -1
 
     def progress(self) -> Progress:
         """How far it has come."""
@@ -311,7 +318,9 @@ class _Callback(BaseCallback):
         self._run, self._report = run, report
         checkpoint = run.config.checkpoint.every
         self._every = (max(checkpoint // LOGS, 1), run.config.evaluation.every, checkpoint)
-        self._next = [(run.steps // each + 1) * each for each in self._every]
+        # A run that was interrupted in an evaluation has its checkpoint at the same step.
+        done = (run.steps, max(run.evaluated, 0), run.steps)
+        self._next = [(steps // each + 1) * each for steps, each in zip(done, self._every, strict=True)]
         self._fresh, self._reported = True, 0.0
         self._rollout: Any = None
 
@@ -347,7 +356,7 @@ class _Callback(BaseCallback):
     def _on_training_end(self) -> None:
         run = self._run
         run.steps = self.model.num_timesteps
-        if not run.stopped and (not run.evaluations.rows or run.evaluations.rows[-1]["steps"] != run.steps):
+        if not run.stopped and run.evaluated != run.steps:
             run.evaluate()
         self.model.dump_logs()
 
@@ -402,8 +411,9 @@ def _make_folders(folder: Path, *, resume: bool) -> None:
 
 def _starts(config: TrainConfig, folder: Path, digest: str) -> list[dict[str, Any]]:
     """Former starts of a run; refuse to go on with another configuration."""
-    if not (folder / CONFIG).is_file() or not (folder / RUN).is_file():
-        raise ConfigError(f"--resume {folder}: holds no run of 'sayd train' (no {CONFIG})")
+    for name in (CONFIG, RUN):
+        if not (folder / name).is_file():
+            raise ConfigError(f"--resume {folder}: holds no run of 'sayd train' (no {name})")
     refuse_changes(load_train(str(folder / CONFIG)), config, f"--resume {folder}")
     run = parse_yaml(read_text(folder / RUN, largest=MIB), str(folder / RUN))
     starts = run.get("starts") if isinstance(run, dict) else None

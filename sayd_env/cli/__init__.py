@@ -12,6 +12,8 @@ from typing import Any, NoReturn
 
 from threadpoolctl import threadpool_limits
 
+from sayd_env.config.storage import ENDINGS
+
 INPUT_ERROR = 2
 FAILURE = 1
 INTERRUPTED = 130
@@ -35,9 +37,8 @@ def start() -> NoReturn:
 
 
 def _endings() -> list[signal.Signals]:
-    """Signals after which a process cleans up and ends; not those that whoever started it has it ignore."""
-    known = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    return [each for each in known if signal.getsignal(each) is not signal.SIG_IGN]
+    """Signals after which the process cleans up and ends; not those that whoever started it has it ignore."""
+    return [each for each in ENDINGS if signal.getsignal(each) is not signal.SIG_IGN]
 
 
 def _interrupt(*_: object) -> NoReturn:
@@ -60,16 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit status: 0, 2 for bad input, 1 for a failed study or a defect, 130 when interrupted.
     """
-    # On matrices as small as ours BLAS threads only wait for each other, a hundred times as long as the work
-    # takes when the cores are busy. The studies have threads of their own.
-    threadpool_limits(1, "blas")  # NumPy's, which is loaded already
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # SciPy's, which is not
-    # Matplotlib opens no window here, and cannot be imported with a backend that is not installed.
-    os.environ.pop("MPLBACKEND", None)
-    # A program whose standard streams are closed writes nowhere.
-    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - as long as the process
-    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     try:
+        _prepare()
         status = _run(arguments)
         sys.stdout.flush()
         return status
@@ -95,6 +88,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "the command (SAYD_DEBUG=1 shows where it happened)"
         )
         return FAILURE
+
+
+def _prepare() -> None:
+    # On matrices as small as ours BLAS threads only wait for each other, a hundred times as long as the work
+    # takes when the cores are busy. The studies have threads of their own.
+    threadpool_limits(1, "blas")  # NumPy's, which is loaded already
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # SciPy's, which is not
+    # Matplotlib opens no window here, and cannot be imported with a backend that is not installed.
+    os.environ.pop("MPLBACKEND", None)
+    # A program whose standard streams are closed writes nowhere.
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - as long as the process
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
 
 
 def _run(arguments: Sequence[str] | None) -> int:

@@ -146,7 +146,15 @@ def _offered(own: Parameters, common: Iterable[type[Group]], without: Collection
 
 
 def _run(name: str, plan: Plan, given: Mapping[str, Any], keeps: bool) -> None:
-    from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415 - keeps --help fast
+    """Compute and store a result, and show it.
+
+    Raises
+    ------
+    Interrupted
+        By Ctrl-C, where finished runs or the result are kept.
+    """
+    from sayd_env.config.errors import Interrupted  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415
 
     # Where nothing is kept, workers are what the command itself makes of them.
     executor = ExecutorChoice.parse(given["executor"], given["workers"]) if keeps else ExecutorChoice()
@@ -155,9 +163,14 @@ def _run(name: str, plan: Plan, given: Mapping[str, Any], keeps: bool) -> None:
     with _own_output(given["as_json"]):
         result = _compute(plan, output, executor, keeps=keeps)
     config = plan.config(result) if callable(plan.config) else plan.config
-    output.finish(result, config, plan.seed, quick=given.get("quick", False))
-    if plan.after is not None:
-        plan.after(result, output)
+    try:
+        output.finish(result, config, plan.seed, quick=given.get("quick", False))
+        if plan.after is not None:
+            plan.after(result, output)
+    except KeyboardInterrupt:
+        if not output.stored:
+            raise
+        raise Interrupted(f"the result is in {folder}") from None
 
 
 def _compute(plan: Plan, output: Output, executor: ExecutorChoice, *, keeps: bool) -> Result:

@@ -381,8 +381,15 @@ class GridOptions(ScenarioOptions):
 
     def load(self) -> Scenario:
         """Scenario of the first wear and friction."""
-        from sayd_env.config.reward import with_reward  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.config.errors import ConfigError  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.config.reward import with_reward  # noqa: PLC0415
 
+        keys = {item.partition("=")[0].strip() for item in self.assignments or ()}
+        twice = keys & {"cost", "cost.acceleration_weight", "cost.force_weight"}
+        if self.reward is not None and twice:
+            raise ConfigError(
+                f"--reward {self.reward}: sets the weights, as --set {min(twice)} does; give one"
+            )
         found = self.read(self.wear[0] if self.wear else None, self.friction[0] if self.friction else None)
         return found if self.reward is None else with_reward(found, self.reward)
 

@@ -38,6 +38,11 @@ class Output:
     wide : bool
         Print all columns of the tables.
 
+    Attributes
+    ----------
+    stored : bool
+        Whether the result is in its directory.
+
     Raises
     ------
     ConfigError
@@ -52,6 +57,7 @@ class Output:
         self.wide = wide
         self.console = _console(to_stderr=as_json, width=WIDE_WIDTH if wide else PLAIN_WIDTH)
         self.directory = None if folder is None else ResultDirectory(folder)
+        self.stored = False
 
     def finish(self, result: Result, config: Any, seed: int | None, *, quick: bool) -> None:
         """Store the result, then show it: JSON or the study's summary."""
@@ -62,6 +68,7 @@ class Output:
             content.setdefault("notes", notes)
         former = None if self.directory is None else self.directory.former_command()
         files = [] if self.directory is None else self.directory.save(result, content)
+        self.stored = self.directory is not None
         result.summary(self.console, wide=self.wide)
         if quick:
             self.say("--quick: a look, not a result")

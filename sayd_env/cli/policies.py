@@ -104,7 +104,7 @@ def evaluate(
     )
 
 
-@command(GROUP, "--quick --policies passive,mppt2", name="map", runs=True, without=("wide",))
+@command(GROUP, "--quick --policies passive,mppt2", name="map", runs=True, without=("wide", "reward"))
 def map_(
     grid: options.GridOptions,
     foreign: options.ForeignOptions,

@@ -25,9 +25,13 @@ except ImportError:  # Windows
     fcntl = None
 
 
+ENDINGS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Signals by which users and systems ask a process to end; Windows has no SIGHUP."""
+
+
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let Ctrl-C, and whatever else a handler of the process listens to, wait for the end of the context.
+    """Let Ctrl-C, and what else asks the process to end and is handled by it, wait until the context ends.
 
     For what must not stop halfway: an archive that is left open complains by an error of its own, and the
     interrupt is lost.
@@ -39,7 +43,7 @@ def uninterrupted() -> Iterator[None]:
 
     handlers: dict[signal.Signals, Any] = {}
     if threading.current_thread() is threading.main_thread():  # no other thread handles signals
-        known = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+        known = {each: signal.getsignal(each) for each in ENDINGS}
         handlers = {each: handler for each, handler in known.items() if callable(handler)}
     for each in handlers:
         signal.signal(each, note)

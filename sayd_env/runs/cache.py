@@ -8,11 +8,13 @@ machines may share a folder.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import io
 import json
 import shutil
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,6 +26,7 @@ from sayd_env.config.software import source_fingerprint
 from sayd_env.config.storage import remove_leftovers, uninterrupted, write_file
 
 Record = TypeVar("Record")
+_DAY = 86400.0
 _KEY = "_key"
 """Name under which a file says which run it is."""
 
@@ -86,12 +89,15 @@ class RunCache:
         write_file(self._folder / f"{key}.npz", stream.getvalue())
 
     def forget_former(self) -> None:
-        """Remove the runs of other software and unfinished files; call it when a study is complete."""
+        """Remove the runs of former software and unfinished files; call it when a study is complete.
+
+        Other software's that were added to within a day stay: another machine may be at work on them.
+        """
         if self._parent is None or self._folder is None or not self._folder.is_dir():
             return
         remove_leftovers(self._folder)
         for path in self._parent.iterdir():
-            if path.name != self._folder.name and _is_fingerprint(path.name):
+            if path.name != self._folder.name and _is_fingerprint(path.name) and _is_old(path):
                 shutil.rmtree(path, ignore_errors=True)
 
 
@@ -118,6 +124,12 @@ def fingerprint(*inputs: Any) -> str:
 
 def _is_fingerprint(name: str) -> bool:
     return len(name) == 16 and set(name) <= set("0123456789abcdef")
+
+
+def _is_old(folder: Path) -> bool:
+    with contextlib.suppress(OSError):  # another process has removed it
+        return time.time() - folder.stat().st_mtime > _DAY
+    return False
 
 
 def _named_files(value: Any) -> Iterator[Path]:

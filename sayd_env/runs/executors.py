@@ -26,6 +26,7 @@ from concurrent.futures import (
 )
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.synchronize import Lock
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
@@ -258,7 +259,7 @@ def _cause(error: Exception) -> Exception:
 
 
 def _start_threads(choice: ExecutorChoice) -> Executor:
-    return ThreadPoolExecutor(choice.workers, thread_name_prefix="sayd")
+    return ThreadPoolExecutor(choice.count, thread_name_prefix="sayd")
 
 
 def _start_processes(choice: ExecutorChoice) -> Executor:
@@ -267,10 +268,21 @@ def _start_processes(choice: ExecutorChoice) -> Executor:
     context = multiprocessing.get_context(method)
     if method == "forkserver":
         context.set_forkserver_preload(["sayd_env.runs.rollouts"])
+        _start_server()
     announcer = context.Lock()
     return ProcessPoolExecutor(
         choice.count, mp_context=context, initializer=_prepare_process, initargs=(announcer,)
     )
+
+
+def _start_server() -> None:
+    """Start the process that workers are forked from, deaf to Ctrl-C from its imports on, and so are they."""
+    resource_tracker.ensure_running()  # would listen again, were it started with the server
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _worker_context = ExitStack()

@@ -427,8 +427,8 @@ def read_learned(path: Path, foreign: ForeignReader | None = None) -> StoredPoli
     if foreign is None:
         raise ConfigError(
             f"{path}: a file of Stable-Baselines3 can run any code while it is loaded. If you trust where it "
-            "comes from, use --trust-pickles (in Python trust_pickles=True); "
-            "'sayd export FILE --trust-pickles' makes a safe file of it"
+            "comes from, 'sayd export FILE --trust-pickles' makes a safe file of it; commands for several "
+            "policies take --trust-pickles, too (in Python trust_pickles=True)"
         )
     return foreign(path)
 

@@ -21,7 +21,7 @@ from sayd_env.agents.table import Table as Growing
 from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.palette import policy_style
-from sayd_env.config.storage import reserved, write_file
+from sayd_env.config.storage import reserved, uninterrupted, write_file
 from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.context import Progress, silent
@@ -165,9 +165,11 @@ def _run(waiting: list[_Process], parallel: int, total: float, progress: Progres
             what = f"steps, seed{'s' if len(at_work) > 1 else ''} {', '.join(at_work)}" if at_work else ""
             progress(sum(each.steps() for each in every), total, what)
             time.sleep(POLL_SECONDS)
-    except (KeyboardInterrupt, Interrupted):
+    except BaseException as error:
         for each in every:
             each.interrupt()
+        if not isinstance(error, KeyboardInterrupt | Interrupted):
+            raise
         raise Interrupted("all trainings were saved; go on with the same command") from None
     progress(sum(each.steps() for each in every), total, "")  # what the last ones did since they were asked
     failed = [each for each in every if each.failed]
@@ -221,7 +223,7 @@ class _Process:
         command = [*PROGRAM, "train", *where, "--workers", "1"]
         command += ["--wandb"] if self._wandb else []
         alone = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-        with (beside / f"{self.folder.name}-{LOG}").open("ab") as log:
+        with (beside / f"{self.folder.name}-{LOG}").open("ab") as log, uninterrupted():
             self._process = subprocess.Popen(
                 command,
                 env=os.environ | alone,

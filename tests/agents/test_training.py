@@ -30,7 +30,7 @@ from sayd_env.agents.learner import load_model, make_model  # noqa: E402
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env  # noqa: E402
 from sayd_env.agents.policy_file import load_policy, read_policy  # noqa: E402
 from sayd_env.agents.table import Table  # noqa: E402
-from sayd_env.agents.training import Trained  # noqa: E402
+from sayd_env.agents.training import Trained, _Run  # noqa: E402
 from sayd_env.agents.training import train as learn  # noqa: E402
 from sayd_env.cli import main  # noqa: E402
 from sayd_env.config import ConfigError, DataError  # noqa: E402
@@ -398,6 +398,27 @@ def test_ctrl_c_saves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         train(config, tmp_path / "run", progress=interrupt)
     assert steps_on_disk(tmp_path / "run") == [56]
     assert train(config, tmp_path / "run", resume=True).steps == 200
+
+
+@pytest.mark.parametrize("which", [1, 2], ids=["in the middle", "the last"])
+def test_an_evaluation_that_was_interrupted_is_made_again(
+    which: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = load_train("sac", [*settings("sac", tmp_path), "evaluation.every=100"])
+    whole = [row["steps"] for row in train(config, tmp_path / "whole").evaluations]
+    evaluate = _Run.evaluate
+
+    def interrupt(run: _Run) -> None:
+        if run.steps == whole[which]:
+            raise KeyboardInterrupt
+        evaluate(run)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_Run, "evaluate", interrupt)
+        with pytest.raises(Interrupted, match=f"saved at step {whole[which]:g} of 200"):
+            train(config, tmp_path / "run")
+    again = train(config, tmp_path / "run", resume=True).evaluations
+    assert [row["steps"] for row in again] == whole
 
 
 def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

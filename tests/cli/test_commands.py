@@ -32,7 +32,7 @@ OFFERED = {
     | {"delay-order"},
     "assess": {*CONFIG, *SHOWN, "speed", "sample-rate", "column", "run-in"} | {"bogie-mass", "axle-load"},
     "evaluate": {*GRID, *RUNS, *SHOWN, "line", "initial-current", "seed", "seeds"},
-    "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"},
+    "map": {*GRID, *RUNS, *SHOWN, "conditions", "constants", "quick", "seed", "seeds"} - {"reward"},
     "hindsight": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick"},
     "bound": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "conditions", "quick", "convergence"},
     "robustness": {*CONFIG, *RUNS, *SHOWN, *FOREIGN, "policies", "quick"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import time
 import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -390,15 +391,19 @@ def test_a_damaged_byte_changes_no_value(cache: RunCache, tmp_path: Path):
 
 
 def test_former_runs_are_removed_on_request_and_nothing_else(cache: RunCache, tmp_path: Path):
-    for name in ("0123456789abcdef", "not-ours", "old", "0123456789ABCDEF"):
+    for name in ("0123456789abcdef", "not-ours", "old", "0123456789ABCDEF", "fedcba9876543210"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.npz").write_bytes(b"x")
+        yesterday = time.time() - 90_000.0
+        os.utime(tmp_path / name, (yesterday, yesterday))
+    (tmp_path / "fedcba9876543210" / "b.npz").write_bytes(b"x")  # another machine is at work there
     cache.forget_former()
     assert {path.name for path in tmp_path.iterdir()} == {
         source_fingerprint(),
         "not-ours",
         "old",
         "0123456789ABCDEF",
+        "fedcba9876543210",
     }
     assert cache.get(KEY, Toy) is not None
 

@@ -92,7 +92,7 @@ def provenance(policy: PolicySpec) -> dict[str, Any]:
 
 def _read(text: str, foreign: ForeignReader | None) -> list[Entrant]:
     name, equals, files = text.partition("=")
-    if equals:
+    if equals and not Path(text).exists():
         return [_group(name.strip(), [read_learned(file, foreign) for file in _files(files.split("+"))])]
     ready = pretrained.groups()
     if text in ready:

@@ -260,7 +260,7 @@ def _check_folder(folder: Path, settings: SearchConfig, seed: int) -> None:
     text = yaml.safe_dump(asked, sort_keys=False, allow_unicode=True)
     path = folder / SETTINGS
     if path.exists():
-        if path.read_text(encoding="utf-8") != text:
+        if path.read_bytes() != text.encode():
             raise ConfigError(f"{folder}: holds another search; take another --out, or the same settings")
         return
     write_file(path, text.encode())
@@ -296,7 +296,7 @@ class _Search:
         if drawn == 0:
             self._enqueue_own()
         self.study.sampler = optuna.samplers.TPESampler(
-            seed=seed + 7919 * drawn, n_startup_trials=settings.random_trials
+            seed=(seed + 7919 * drawn) % 2**32, n_startup_trials=settings.random_trials
         )
         self.study.pruner = optuna.pruners.MedianPruner(
             n_startup_trials=settings.random_trials // 2,
@@ -332,6 +332,9 @@ class _Search:
                 raise Interrupted(
                     f"{done} of {self.settings.trials} trials are done; go on with the same command"
                 ) from None
+            except Exception:  # not to be done again: it would fail again
+                self.study.tell(trial, state=states.FAIL)
+                raise
 
     def _run(self, trial: Any, number: int) -> None:
         """One trial, with so many before it."""

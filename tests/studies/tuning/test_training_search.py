@@ -14,7 +14,7 @@ pytest.importorskip("optuna", reason="needs the extra 'train'")
 from sayd_env.agents.config import TrainConfig, load_train
 from sayd_env.agents.search_config import RangeConfig, SearchConfig, load_search
 from sayd_env.config import ConfigError
-from sayd_env.config.errors import Interrupted
+from sayd_env.config.errors import Interrupted, StudyError
 from sayd_env.studies.tuning import training as study
 
 BEST = 3.0
@@ -39,14 +39,14 @@ def formula(config: TrainConfig) -> float:
 class Trainings:
     """Stands for `studies.learning.train`."""
 
-    def __init__(self, dies_at: int | None = None) -> None:
+    def __init__(self, dies_at: int | None = None, of: Exception | None = None) -> None:
         self.configs: list[TrainConfig] = []
-        self._dies_at = dies_at
+        self._dies_at, self._end = dies_at, of or Interrupted("saved")
 
     def __call__(self, config: TrainConfig, folder: Path, *, stop_rule: Any, progress: Any, **_: Any) -> Any:
         self.configs.append(config)
         if len(self.configs) == self._dies_at:
-            raise Interrupted("saved")
+            raise self._end
         cost, steps = formula(config), 0
         while steps < config.total_steps:
             steps += config.total_steps // 4
@@ -94,6 +94,17 @@ def test_an_interrupted_search_goes_on_with_what_was_under_way(
     assert second.configs[0] == first.configs[5]
     with pytest.raises(ConfigError, match="holds another search"):
         study.search("ppo", settings(trials=13), tmp_path / "s")
+
+
+def test_a_training_that_fails_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the same seed it would fail again, however often the command is repeated."""
+    failing, second = Trainings(dies_at=6, of=StudyError("diverged")), Trainings()
+    monkeypatch.setattr(study, "train", failing)
+    with pytest.raises(StudyError, match="diverged"):
+        study.search("ppo", settings(), tmp_path / "s", seed=2**32 - 1)
+    monkeypatch.setattr(study, "train", second)
+    assert len(study.search("ppo", settings(), tmp_path / "s", seed=2**32 - 1).trials) == 12
+    assert failing.configs[5] not in second.configs
 
 
 @pytest.mark.parametrize(
