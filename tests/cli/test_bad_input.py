@@ -136,6 +136,10 @@ def test_bad_speeds_are_refused_before_any_work(command: str, speeds: str, messa
         ),
         (["--set", "track.section.mass=1.4e-9"], "track.section need steps of "),
         (["--set", "damper.friction.width=5e-5"], "of type 'passive'; for keys of another, set damper=NAME"),
+        (
+            ["--reward", "mppt1", "--set", "cost.force_weight=0.1,0.3"],
+            "--reward mppt1: sets the weights, as --set cost.force_weight does; give one",
+        ),
         (["--set", "track.gauge=1.6"], "check gauge and back-to-back distance"),
         (["--set", "vehicle.bodies.carbody.mass=-1"], "vehicle.bodies.carbody.mass: found -1; expected"),
     ],

@@ -99,6 +99,20 @@ def test_an_interruption_lets_all_save(tmp_path: Path) -> None:
     assert not (runs / "s3").exists()
 
 
+def test_trainings_do_not_outlive_a_failure(tmp_path: Path) -> None:
+    """As when nobody reads the progress any more."""
+    Path("hang").write_text("")
+    runs = tmp_path / "runs"
+
+    def fail(done: float, total: float, what: str = "") -> None:
+        if all((runs / f"s{seed}" / "said").exists() for seed in (1, 2)):
+            raise SystemExit(1)
+
+    with pytest.raises(SystemExit):
+        train_seeds(load_train("ppo"), [1, 2], runs, parallel=2, progress=fail)
+    assert all((runs / f"s{seed}" / "saved").exists() for seed in (1, 2))
+
+
 def test_the_command_line_says_what_came_of_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     assert main(["train", "ppo", "--seed", "2", "--seeds", "2", "--out", "runs", "--json"]) == 0

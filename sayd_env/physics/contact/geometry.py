@@ -31,8 +31,8 @@ the kinematic roll phi_k, at which both wheels carry that load at one height:
     g0 = -integral <h'> d(dy) - integral phi_k dY_c - (3/5) d_0
 
 So tan = <h'> + (phi_k - phi) dY_c/d(dy) - (3/5) m' (N^(2/3) - N_0^(2/3)): the angle of a contact that moves
-with its load, and forces that are the gradient of one potential and do no net work around a loop. What roll and
-yaw add to gap and slope, from the same columns, stands in `sayd_env.physics.step`.
+with its load, and forces that are the gradient of one potential and do no net work around a loop. What roll
+and yaw add to gap and slope, from the same columns, stands in `sayd_env.physics.step`.
 """
 
 from __future__ import annotations

@@ -110,6 +110,14 @@ def test_a_folder_is_a_group_for_each_algorithm(folder: Path):
     assert [each.learned for each in found] == [False, False, True, True]
 
 
+def test_a_path_may_hold_an_equals_sign(folder: Path, policy: Callable[..., StoredPolicy]):
+    path = folder / "rate=3e-4"
+    path.mkdir()
+    save_policy(path / "best.npz", policy(0.25, **trained(0)))
+    for text in (path, path / "best.npz"):
+        assert [each.learned for each in read_entrants([str(text)])] == [False, False, True]
+
+
 def test_files_are_grouped_under_a_name(folder: Path, policy: Callable[..., StoredPolicy]):
     (found,) = read_entrants([f"mine={folder}/c.npz+{folder}/a.npz", "mppt2", "passive"])[:1]
     assert found.titles == ("mine-s1", "mine-s2")
