@@ -31,7 +31,7 @@ REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", 
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """How far a training has come."""
 
     steps: int
@@ -98,7 +98,7 @@ def _layers(modules: Iterable[torch.nn.Module]) -> Layers:
     )
 
 
-def save_model(path: Path, model: Any, progress: Progress) -> None:
+def save_model(path: Path, model: Any, progress: TrainingProgress) -> None:
     """Write a checkpoint: a folder that is complete or not there.
 
     Raises
@@ -116,7 +116,7 @@ def save_model(path: Path, model: Any, progress: Progress) -> None:
     write_folder(path, fill)
 
 
-def load_model(path: Path, model: Any) -> Progress:
+def load_model(path: Path, model: Any) -> TrainingProgress:
     """Put a checkpoint into a model that was made from the same configuration.
 
     Raises
@@ -127,7 +127,7 @@ def load_model(path: Path, model: Any) -> Progress:
     try:
         # With weights_only torch reads tensors, numbers and texts, and runs nothing from the file.
         state = torch.load(path / STATE, weights_only=True, map_location="cpu")
-        progress = Progress(**json.loads((path / PROGRESS).read_text(encoding="utf-8")))
+        progress = TrainingProgress(**json.loads((path / PROGRESS).read_text(encoding="utf-8")))
         _restore(model, state, progress)
         if isinstance(model, SAC):
             _load_replay(path / REPLAY, model.replay_buffer)
@@ -155,7 +155,7 @@ def _is_tensor(model: Any, name: str) -> bool:
     return isinstance(getattr(model, name, None), torch.Tensor)
 
 
-def _restore(model: Any, state: dict[str, Any], progress: Progress) -> None:
+def _restore(model: Any, state: dict[str, Any], progress: TrainingProgress) -> None:
     model.set_parameters(state["parameters"], exact_match=True, device="cpu")
     if model.estimating is not None:
         model.estimating.optimizer.load_state_dict(state["estimator"])

@@ -38,7 +38,7 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 
 from sayd_env.agents.config import MEANS, TrainConfig, load_train, refuse_changes
 from sayd_env.agents.learner import (
-    Progress,
+    TrainingProgress,
     estimator_layers,
     load_model,
     make_model,
@@ -175,11 +175,11 @@ class _Run:
         self.env, self.encoding = make_learning_env(config)
         self.model = make_model(config, self.env)
         _make_folders(folder, resume=resume)
-        self.origin = Progress(0, 0, len(starts), 0.0)
+        self.origin = TrainingProgress(0, 0, len(starts), 0.0)
         found = _checkpoints(folder)
         if found:
             stored = load_model(found[-1], self.model)
-            self.origin = Progress(stored.steps, stored.updates, len(starts), stored.seconds)
+            self.origin = TrainingProgress(stored.steps, stored.updates, len(starts), stored.seconds)
         self.steps, self.clock = self.origin.steps, time.monotonic()
         seed_environments(self.env, config.seed, self.origin.restarts)
         self.model.action_space.seed(config.seed + self.origin.restarts)
@@ -228,10 +228,10 @@ class _Run:
         """Steps at its last evaluation; -1 before the first."""
         return int(self.evaluations.rows[-1]["steps"]) if self.evaluations.rows else -1
 
-    def progress(self) -> Progress:
+    def progress(self) -> TrainingProgress:
         """How far it has come."""
         seconds = self.origin.seconds + time.monotonic() - self.clock
-        return Progress(self.steps, self.model._n_updates, self.origin.restarts, seconds)
+        return TrainingProgress(self.steps, self.model._n_updates, self.origin.restarts, seconds)
 
     def evaluate(self) -> None:
         """Evaluate the policy as it is, and keep it if it is the best."""

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sayd_env.config.limits import LIMITS, Limits
+from sayd_env.config.limits import LIMITS, AllowedRange
 from sayd_env.config.profile import RailProfileConfig
 from sayd_env.config.track import DefectConfig, IrregularityConfig
 from sayd_env.config.units import GRAVITY, KMH, Array
@@ -336,7 +336,7 @@ def _problems(line: Line, speed: float | None) -> Iterator[str]:
         yield from _too_large(line, "acceleration", squared.s, acceleration, MOST_ACCELERATION, "m/s2")
     elif speed is not None:
         squared = Knots((0.0,), (speed**2,))
-    shares = Limits(0.0, 1.0, "-")
+    shares = AllowedRange(0.0, 1.0, "-")
     for name, knots, allowed in (
         ("gauge", line.gauge, LIMITS["gauge"]),
         ("friction", line.friction, LIMITS["friction"]),
@@ -383,7 +383,7 @@ def _too_large(
         yield f"{_place(line, place)}: {name}: found {found}; at most {allowed} is allowed"
 
 
-def _outside(line: Line, name: str, s: npt.ArrayLike, value: Array, allowed: Limits) -> Iterator[str]:
+def _outside(line: Line, name: str, s: npt.ArrayLike, value: Array, allowed: AllowedRange) -> Iterator[str]:
     slack = _ROUNDING * allowed.high
     wrong = np.flatnonzero((value < allowed.low - slack) | (value > allowed.high + slack))
     if wrong.size:

@@ -11,7 +11,7 @@ from sayd_env.config.limits import LIMITS
 from sayd_env.config.loader import read_study
 
 
-class DrawnLines(Model):
+class DrawnLinesConfig(Model):
     """Lines that an environment draws."""
 
     environment: str = Field(min_length=1, description="Environment with `lines`: a name or a path")
@@ -39,7 +39,7 @@ class HindsightConfig(Model):
         ge=LIMITS["speed_kmh"].low,
         le=LIMITS["speed_kmh"].high,
     )
-    drawn: DrawnLines
+    drawn: DrawnLinesConfig
     seeds: tuple[Seed, ...] = Field(min_length=1, description="Of tracks")
     openings: tuple[Share, ...] = Field(
         min_length=1, description="Commands beside 0, as shares of the valve's travel beyond its overlap (-)"

@@ -13,7 +13,7 @@ WORN_OUT = 1.2
 same law. A fifth shows what a controller does with wheels that are turned too late; no profile says more."""
 
 
-class Limits(NamedTuple):
+class AllowedRange(NamedTuple):
     """Values that a quantity of an episode may have."""
 
     low: float
@@ -24,18 +24,18 @@ class Limits(NamedTuple):
         return f"{self.low:g} to {self.high:g} {self.unit}".removesuffix(" -")
 
 
-LIMITS: Mapping[str, Limits] = MappingProxyType(
+LIMITS: Mapping[str, AllowedRange] = MappingProxyType(
     {
-        "speed_kmh": Limits(30.0, 500.0, "km/h"),
-        "wear": Limits(0.0, WORN_OUT, "-"),
-        "gauge": Limits(0.9, 1.7, "m"),
-        "friction": Limits(0.05, 1.0, "-"),
-        "payload": Limits(-0.5, 0.5, "-"),
-        "initial_current": Limits(0.0, 1.0, "-"),
-        "track_scale": Limits(0.0, 5.0, "-"),
-        "sensor_bias": Limits(-10.0, 10.0, "-"),
-        "sensor_noise": Limits(0.0, 100.0, "-"),
-        "factor": Limits(0.1, 10.0, "-"),
+        "speed_kmh": AllowedRange(30.0, 500.0, "km/h"),
+        "wear": AllowedRange(0.0, WORN_OUT, "-"),
+        "gauge": AllowedRange(0.9, 1.7, "m"),
+        "friction": AllowedRange(0.05, 1.0, "-"),
+        "payload": AllowedRange(-0.5, 0.5, "-"),
+        "initial_current": AllowedRange(0.0, 1.0, "-"),
+        "track_scale": AllowedRange(0.0, 5.0, "-"),
+        "sensor_bias": AllowedRange(-10.0, 10.0, "-"),
+        "sensor_noise": AllowedRange(0.0, 100.0, "-"),
+        "factor": AllowedRange(0.1, 10.0, "-"),
     }
 )
 """For options of an episode and for what it draws alike. (The vehicle's speeds may reach less far.)"""

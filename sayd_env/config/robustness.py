@@ -22,7 +22,7 @@ from sayd_env.config.loader import read_study
 from sayd_env.config.sensors import DAMPERS, KINDS, SIGNALS, SensorKind, SensorsConfig
 from sayd_env.config.track import check_track
 
-Quantity = Literal["sensor_noise", "delay", "lag", "wear", "friction", "payload"]
+DisturbedQuantity = Literal["sensor_noise", "delay", "lag", "wear", "friction", "payload"]
 
 MOST_DELAY = 0.15
 """s: with a driver's own delay of some milliseconds within the 0.2 s that a valve may have."""
@@ -37,7 +37,7 @@ class Axis(Model):
     """One quantity that leaves what a policy has been trained or tuned for."""
 
     name: str = Field(min_length=1, description="How tables call it")
-    quantity: Quantity = Field(
+    quantity: DisturbedQuantity = Field(
         description="sensor_noise: factor on the noise of all sensors; delay: added to the driver's of the "
         "valves (s); lag: factor on the valves' time constant; wear, friction; payload: change of the "
         "carbody's mass and inertia, as a share"

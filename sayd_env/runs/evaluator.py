@@ -30,7 +30,7 @@ MOST_PREPARED = 16
 
 
 @dataclass(frozen=True)
-class Costs:
+class PolicyCosts:
     """A policy on all scenarios."""
 
     costs: Array
@@ -95,7 +95,7 @@ class PolicyEvaluator:
         environment = self._configured(policy)
         return self._cases, self._current, *environment, load_online(), policy.identity()
 
-    def costs(self, policy: PolicySpec) -> Costs:
+    def costs(self, policy: PolicySpec) -> PolicyCosts:
         """J of a policy in each scenario.
 
         Raises
@@ -108,7 +108,9 @@ class PolicyEvaluator:
         work = [(piece, policy) for piece in self._split(policy)]
         results = dict(computed(_costs, work, self._executor, self._kept))
         found = [results[i] for i in range(len(work))]
-        return Costs(np.concatenate([costs for costs, _ in found]), sum(derailed for _, derailed in found))
+        return PolicyCosts(
+            np.concatenate([costs for costs, _ in found]), sum(derailed for _, derailed in found)
+        )
 
     def _configured(self, policy: PolicySpec) -> tuple[EnvironmentConfig, Scenario]:
         """Environment and scenario as a policy needs them."""

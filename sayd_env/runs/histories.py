@@ -30,7 +30,7 @@ MOTION = {"displacement": ("m", "rad"), "velocity": ("m/s", "rad/s"), "body_acce
 
 
 @dataclass(frozen=True)
-class Quantity:
+class SignalGroup:
     """A group of signals that differ in their places."""
 
     unit: str
@@ -40,34 +40,38 @@ class Quantity:
     """Whether it is written unless something else is asked for."""
 
 
-QUANTITIES: Mapping[str, Quantity] = {
-    "distance": Quantity("m", "of the vehicle's centre from step 0 on; on a line from its start"),
-    "speed": Quantity("m/s", "speed of the train"),
-    "lateral_acceleration": Quantity("m/s2", "of the bogie frame above each wheelset, to the left"),
-    "longitudinal_acceleration": Quantity(
+QUANTITIES: Mapping[str, SignalGroup] = {
+    "distance": SignalGroup("m", "of the vehicle's centre from step 0 on; on a line from its start"),
+    "speed": SignalGroup("m/s", "speed of the train"),
+    "lateral_acceleration": SignalGroup("m/s2", "of the bogie frame above each wheelset, to the left"),
+    "longitudinal_acceleration": SignalGroup(
         "m/s2", "of the bogie frame at the yaw dampers' mounts, forward", usual=False
     ),
-    "filtered_acceleration": Quantity(
+    "filtered_acceleration": SignalGroup(
         "m/s2", "the lateral acceleration behind the on-line filter of J", usual=False
     ),
-    "carbody_acceleration": Quantity("m/s2", "of the carbody's floor: x forward, y to the left, z upwards"),
-    "track_shift": Quantity("N", "sum of Y of a wheelset's wheels, to the left"),
-    "Y": Quantity("N", "lateral force of a wheel on its rail, to the left"),
-    "Q": Quantity("N", "vertical force of a wheel on its rail, downwards"),
-    "damper_force": Quantity("N", "of a yaw damper at the bogie, positive in tension"),
-    "hydraulic_force": Quantity("N", "A (p_A - p_B) of a yaw damper, positive in compression", usual=False),
-    "stroke": Quantity("m", "elongation of a yaw damper, of a semi-active one without its mounts"),
-    "stroke_rate": Quantity(
+    "carbody_acceleration": SignalGroup(
+        "m/s2", "of the carbody's floor: x forward, y to the left, z upwards"
+    ),
+    "track_shift": SignalGroup("N", "sum of Y of a wheelset's wheels, to the left"),
+    "Y": SignalGroup("N", "lateral force of a wheel on its rail, to the left"),
+    "Q": SignalGroup("N", "vertical force of a wheel on its rail, downwards"),
+    "damper_force": SignalGroup("N", "of a yaw damper at the bogie, positive in tension"),
+    "hydraulic_force": SignalGroup(
+        "N", "A (p_A - p_B) of a yaw damper, positive in compression", usual=False
+    ),
+    "stroke": SignalGroup("m", "elongation of a yaw damper, of a semi-active one without its mounts"),
+    "stroke_rate": SignalGroup(
         "m/s", "rate of the stroke; of a passive damper, of its viscous part", usual=False
     ),
-    "pressure_a": Quantity("Pa", "in chamber A of a yaw damper"),
-    "pressure_b": Quantity("Pa", "in chamber B of a yaw damper"),
-    "command": Quantity("-", "what is asked of a valve, 0 closed to 1 open"),
-    "current": Quantity("-", "in the coil of a valve, 0 to 1", usual=False),
-    "valve": Quantity("-", "where the spool of a valve stands, 0 closed to 1 open"),
-    "displacement": Quantity("m, rad", "of a body from where it stands at rest, by its axes", usual=False),
-    "velocity": Quantity("m/s, rad/s", "its rate", usual=False),
-    "body_acceleration": Quantity("m/s2, rad/s2", "the rate of this", usual=False),
+    "pressure_a": SignalGroup("Pa", "in chamber A of a yaw damper"),
+    "pressure_b": SignalGroup("Pa", "in chamber B of a yaw damper"),
+    "command": SignalGroup("-", "what is asked of a valve, 0 closed to 1 open"),
+    "current": SignalGroup("-", "in the coil of a valve, 0 to 1", usual=False),
+    "valve": SignalGroup("-", "where the spool of a valve stands, 0 closed to 1 open"),
+    "displacement": SignalGroup("m, rad", "of a body from where it stands at rest, by its axes", usual=False),
+    "velocity": SignalGroup("m/s, rad/s", "its rate", usual=False),
+    "body_acceleration": SignalGroup("m/s2, rad/s2", "the rate of this", usual=False),
 }
 """What there can be, by the first part of a signal's name."""
 _SEMI_ACTIVE = ("hydraulic_force", "pressure_a", "pressure_b", "command", "current", "valve")
@@ -78,7 +82,7 @@ class HistorySignal:
     """One signal of a run, and where a rollout has it."""
 
     name: str
-    """Quantity and place, for example ``damper_force.front.left.upper``."""
+    """SignalGroup and place, for example ``damper_force.front.left.upper``."""
     unit: str
     kept: str
     """``true``, ``traced`` or ``actions``: attribute of the rollout."""

@@ -96,7 +96,7 @@ ADAPTATION = (
 
 
 @dataclass(frozen=True)
-class Costs:
+class CommandCosts:
     """J of constant commands for one weight of the force."""
 
     by_condition: Mapping[MapCondition, Mapping[float, float]]
@@ -128,7 +128,7 @@ class ConstantMap:
     """J of constant commands over conditions, and what it says."""
 
     config: MapConfig
-    costs: Mapping[float, Costs]
+    costs: Mapping[float, CommandCosts]
     """By k_F at k_y = 1."""
     conditions: tuple[MapCondition, ...] = field(init=False)
 
@@ -350,10 +350,10 @@ class _Study:
                 self._scenarios[anywhere] = config.scenario(scenario, condition)
         self._parts: dict[MapCondition, dict[float, list[CostParts]]] = {}
 
-    def costs(self, tried: Mapping[MapCondition, Iterable[float]]) -> dict[float, Costs]:
+    def costs(self, tried: Mapping[MapCondition, Iterable[float]]) -> dict[float, CommandCosts]:
         """J of commands by weight of the force, condition and command."""
         self._run(tried)
-        return {weight: Costs(self._weighted(weight)) for weight in self._config.force_weights}
+        return {weight: CommandCosts(self._weighted(weight)) for weight in self._config.force_weights}
 
     def _weighted(self, weight: float) -> dict[MapCondition, dict[float, float]]:
         cost = self._cost.model_copy(update={"acceleration_weight": 1.0, "force_weight": weight})

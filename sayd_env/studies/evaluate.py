@@ -39,7 +39,7 @@ AVERAGED = (*COSTS, *RATIOS, *FORCES, "comfort", *VALVES)
 """Columns of a row that a summary averages."""
 
 
-class OperatingPoint(NamedTuple):
+class GridPoint(NamedTuple):
     """What the runs of one line of the table have in common, beside the policy."""
 
     wear: float
@@ -85,7 +85,7 @@ _POLICY_COLUMNS = (
     Column("derailed", "derailed", limit=0.0),
     Column("runs", "runs"),
 )
-_MEDIANS = tuple(Column(name) for name in ("policy", *OperatingPoint._fields, *AVERAGED, "derailed"))
+_MEDIANS = tuple(Column(name) for name in ("policy", *GridPoint._fields, *AVERAGED, "derailed"))
 _BY_NAME = {column.name: column for column in (*_COST_COLUMNS, *_DAMPER_COLUMNS)}
 _PANELS = {
     "J": "J, on-line filter",
@@ -124,11 +124,11 @@ class EvaluateResult:
         return tuple(dict.fromkeys(row.policy for row in self.rows))
 
     @cached_property
-    def conditions(self) -> tuple[OperatingPoint, ...]:
+    def conditions(self) -> tuple[GridPoint, ...]:
         """Conditions in the order of wear, friction and speed."""
         return tuple(sorted({_condition(row) for row in self.rows}))
 
-    def runs(self, policy: str, condition: OperatingPoint | None = None) -> list[Row]:
+    def runs(self, policy: str, condition: GridPoint | None = None) -> list[Row]:
         """Runs of a policy, of one condition or of all."""
         chosen = [row for row in self.rows if row.policy == policy]
         return chosen if condition is None else [row for row in chosen if _condition(row) == condition]
@@ -347,8 +347,8 @@ def evaluate(
     return EvaluateResult(scenario, rows(runs, context or RunContext()), setup)
 
 
-def _condition(row: Row) -> OperatingPoint:
-    return OperatingPoint(row.wear, row.friction, row.speed_kmh)
+def _condition(row: Row) -> GridPoint:
+    return GridPoint(row.wear, row.friction, row.speed_kmh)
 
 
 def _derailed(runs: Sequence[Row]) -> int:

@@ -18,8 +18,8 @@ from sayd_env.config.fault import DamperLost, Fault, PowerLost, ValveStuck
 from sayd_env.config.palette import SHADE, policy_style
 from sayd_env.config.robustness import (
     Axis,
+    DisturbedQuantity,
     OperatingCondition,
-    Quantity,
     RobustnessConfig,
     single_faults,
 )
@@ -392,7 +392,7 @@ class RobustnessResult:
 
 _OPEN: dict[str, Any] = {"markerfacecolor": "none", "markeredgewidth": 1.3}
 """Markers through which those of equal values are seen."""
-_UNITS: Mapping[Quantity, str] = {
+_UNITS: Mapping[DisturbedQuantity, str] = {
     "sensor_noise": "factor",
     "delay": "s",
     "lag": "factor on the time constant",
@@ -403,7 +403,7 @@ _UNITS: Mapping[Quantity, str] = {
 
 
 def _undisturbed(
-    quantity: Quantity, conditions: Iterable[OperatingCondition], environment: EnvironmentConfig
+    quantity: DisturbedQuantity, conditions: Iterable[OperatingCondition], environment: EnvironmentConfig
 ) -> tuple[float, float]:
     """Least and largest value of a quantity in the runs without a disturbance."""
     match quantity:

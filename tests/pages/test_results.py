@@ -31,7 +31,7 @@ from sayd_env.runs.metrics import Row
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.runs.rollouts import Run
 from sayd_env.stability import Crossing, Limits
-from sayd_env.studies.adaptation import ConstantMap, Costs
+from sayd_env.studies.adaptation import CommandCosts, ConstantMap
 from sayd_env.studies.assess import Train, assess_file
 from sayd_env.studies.bound.cases import CONSTANT, SCHEDULE
 from sayd_env.studies.bound.result import CLAIRVOYANT, BoundResult, Reached
@@ -149,7 +149,7 @@ def adapted(scenario: Scenario) -> MapResult:
         each: {v: 0.02 + (v - 30.0 / each.speed_kmh) ** 2 for v in (0.0, 0.1, 0.3, 1.0)}
         for each in config.conditions()
     }
-    found = ConstantMap(config, {weight: Costs(costs) for weight in config.force_weights})
+    found = ConstantMap(config, {weight: CommandCosts(costs) for weight in config.force_weights})
     return replace(mapped(scenario), constants=found)
 
 

@@ -32,7 +32,7 @@ from sayd_env.runs.executors import PROCESSES, THREADS, ExecutorChoice
 from sayd_env.studies.bench import environment
 from sayd_env.studies.bench.environment import ID, RATES, TIMES, YARDSTICK, measure_environments
 from sayd_env.studies.bench.executors import measure_executors
-from sayd_env.studies.bench.spread import Effort, Quantity, in_turn, quantities
+from sayd_env.studies.bench.spread import Effort, Measurement, in_turn, quantities
 from sayd_env.studies.bench.start import measure_starts
 from sayd_env.studies.bench.training import TrainingRates, measure_training
 from sayd_env.studies.bench.vehicle import (
@@ -93,7 +93,7 @@ class BenchResult:
     """s"""
     batch: dict[str, int]
     """Vehicles of the simulator's batch, environments of the batch environment, and threads of both."""
-    measured: dict[str, dict[str, Quantity]]
+    measured: dict[str, dict[str, Measurement]]
     """Quantities by group and name, the keys of the JSON document. What could not be measured is left out."""
     training: TrainingRates | None
     """None where torch and Stable-Baselines3 are not installed."""
@@ -142,7 +142,7 @@ class BenchResult:
         for note in self._notes():
             console.print(note)
 
-    def _groups(self) -> dict[str, dict[str, Quantity]]:
+    def _groups(self) -> dict[str, dict[str, Measurement]]:
         """All quantities, those of the trainings among them."""
         return self.measured | {"training": {} if self.training is None else self.training.rates}
 
@@ -196,7 +196,7 @@ class BenchResult:
         figure.suptitle(f"{self.machine['processor']}, {self.machine['cores']} cores", fontsize="small")
 
 
-def _bars(axes: Axes, shown: Sequence[Quantity], title: str) -> None:
+def _bars(axes: Axes, shown: Sequence[Measurement], title: str) -> None:
     spreads = [quantity.spread for quantity in shown]
     medians = np.array([s.median for s in spreads])
     low, high = medians - [s.minimum for s in spreads], np.array([s.maximum for s in spreads]) - medians

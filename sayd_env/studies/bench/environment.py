@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
 
 from sayd_env.envs.registration import IDS
-from sayd_env.studies.bench.spread import Effort, Quantity, Spread, Timed, in_turn, quantities
+from sayd_env.studies.bench.spread import Effort, Measurement, Spread, Timed, in_turn, quantities
 
 ID = next(name for name in IDS if name.startswith("SAYD/Nominal-"))
 """Of whatever version: an earlier commit is measured by this file, too."""
@@ -39,7 +39,7 @@ TIMES = {"overhead_us": "step minus compiled call", "compiled_us": "compiled cal
 
 def measure_environments(
     effort: Effort, threads: int, did: Callable[[], None] = lambda: None
-) -> dict[str, dict[str, Quantity]]:
+) -> dict[str, dict[str, Measurement]]:
     """Measure the environments on this machine.
 
     Parameters
@@ -83,8 +83,8 @@ def measure_environments(
     return {
         "control_steps_per_second": steps,
         "reset_s": {
-            "single": Quantity("reset of one environment", "s", Spread.of(measured["single_reset"])),
-            "batch": Quantity(f"reset of {BATCH} at once", "s", Spread.of(measured["batch_reset"])),
+            "single": Measurement("reset of one environment", "s", Spread.of(measured["single_reset"])),
+            "batch": Measurement(f"reset of {BATCH} at once", "s", Spread.of(measured["batch_reset"])),
         },
     }
 

@@ -16,7 +16,7 @@ from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.runs.metrics import judged
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.runs.rollouts import Run, policy_runs
-from sayd_env.studies.bench.spread import Effort, Quantity, in_turn, quantities
+from sayd_env.studies.bench.spread import Effort, Measurement, in_turn, quantities
 
 POLICIES, SEEDS, SPEED = ("passive", "mppt2"), 16, 300.0 / KMH
 SHORT = ("assessment.run_in=100", "assessment.length=600")
@@ -25,7 +25,7 @@ SHORT = ("assessment.run_in=100", "assessment.length=600")
 
 def measure_executors(
     choices: Sequence[ExecutorChoice], effort: Effort, did: Callable[[], None] = lambda: None
-) -> dict[str, dict[str, Quantity]]:
+) -> dict[str, dict[str, Measurement]]:
     """Make the same short runs with each executor in turn.
 
     Parameters

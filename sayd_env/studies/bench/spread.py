@@ -59,7 +59,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Measurement:
     """What was measured, in words, and how it came out."""
 
     label: str
@@ -69,10 +69,10 @@ class Quantity:
 
 def quantities(
     measured: Mapping[str, Sequence[float]], labels: Mapping[str, str], unit: str
-) -> dict[str, Quantity]:
+) -> dict[str, Measurement]:
     """Quantities of one unit by name, in the order of their labels, without what was not measured."""
     return {
-        name: Quantity(label, unit, Spread.of(measured[name]))
+        name: Measurement(label, unit, Spread.of(measured[name]))
         for name, label in labels.items()
         if name in measured
     }

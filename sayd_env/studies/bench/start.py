@@ -16,7 +16,7 @@ import numpy as np
 from sayd_env.config import StudyError
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
-from sayd_env.studies.bench.spread import Effort, Quantity, quantities
+from sayd_env.studies.bench.spread import Effort, Measurement, quantities
 
 # What `sayd` does, in a process of its own, which tells its peak memory (kB) at the end where it can. The
 # usage that is reported to a parent counts the parent's own memory, too, since a process begins as its copy.
@@ -34,7 +34,7 @@ _SHORT = ("--seeds", "1", "--json", "--set", "assessment.run_in=0", "--set", "as
 
 def measure_starts(
     scenario: Scenario, speed: float, effort: Effort, did: Callable[[str], None]
-) -> tuple[dict[str, Quantity], dict[str, float] | None]:
+) -> tuple[dict[str, Measurement], dict[str, float] | None]:
     """Time and memory (MB; None if unknown) of ``first`` and ``later`` starts of a short evaluation."""
     results: dict[str, list[tuple[float, float]]] = {"first": [], "later": []}
     with tempfile.TemporaryDirectory(prefix="sayd-bench-") as folder:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sayd_env.studies.bench.spread import Effort, Quantity, Spread, Timed, in_turn, quantities
+from sayd_env.studies.bench.spread import Effort, Measurement, Spread, Timed, in_turn, quantities
 
 if TYPE_CHECKING:
     from sayd_env.agents.config import TrainConfig
@@ -31,7 +31,7 @@ ENVIRONMENT, SHARE, UNCAPPED = "environment", "_share", "_uncapped"
 class TrainingRates:
     """Figures of the trainings."""
 
-    rates: dict[str, Quantity]
+    rates: dict[str, Measurement]
     """Steps of all vehicles together per second: ``environment``, `ALGORITHMS`, the same with `UNCAPPED`."""
     environment_share: dict[str, float]
     """Share of an algorithm's time that is the environment's (-); the rest is the learner's."""

@@ -26,7 +26,7 @@ from sayd_env.studies.comparison.page import CompareResult
 from sayd_env.studies.comparison.scores import (
     STABLE_TO,
     Bound,
-    Costs,
+    CostsByPolicy,
     Score,
     best_constants,
     score,
@@ -102,7 +102,7 @@ def compare(
 def _scores(
     grid: ScenarioGrid,
     entrants: Sequence[Entrant],
-    costs: Mapping[Variant, Costs],
+    costs: Mapping[Variant, CostsByPolicy],
     bounds: Mapping[Variant, Bound],
     settings: BootstrapConfig,
     which: slice,

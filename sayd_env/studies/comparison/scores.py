@@ -26,7 +26,7 @@ from sayd_env.studies.comparison.statistics import (
 )
 from sayd_env.studies.map import Cell
 
-Costs = Mapping[str, Array]
+CostsByPolicy = Mapping[str, Array]
 """J by policy, over training seeds, conditions and seeds: shape (R, C, S)."""
 STABLE_TO = 400.0
 """Speed up to which a policy has to keep the vehicle stable, km/h: the paper's."""
@@ -100,7 +100,7 @@ def _plain(value: Any) -> Any:
 
 def score(
     name: str,
-    costs: Costs,
+    costs: CostsByPolicy,
     bound: Array,
     conditions: Sequence[Condition],
     bootstrap: Bootstrap,
@@ -146,7 +146,7 @@ def score(
     )
 
 
-def best_of(costs: Costs, bound: Array) -> dict[str, Best]:
+def best_of(costs: CostsByPolicy, bound: Array) -> dict[str, Best]:
     """The best of those controllers of each group that take part; a group without any is left out.
 
     A controller with parameters of one's own, ``lqg-tuned@folder``, is of the group of its name.

@@ -22,7 +22,7 @@ from sayd_env.report.columns import Column, Table, print_table
 from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.cache import fingerprint
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.evaluator import Costs, PolicyEvaluator
+from sayd_env.runs.evaluator import PolicyCosts, PolicyEvaluator
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning.search import best_of, draw_costs, minimise, provenance_lines
 
@@ -355,9 +355,9 @@ class _Tuning:
         self._tell(stage)
         return evaluation
 
-    def _costs(self, evaluator: PolicyEvaluator, spec: PolicySpec) -> Costs:
+    def _costs(self, evaluator: PolicyEvaluator, spec: PolicySpec) -> PolicyCosts:
         key = fingerprint(*evaluator.inputs(spec))
-        found = self._context.cache.get(key, Costs)
+        found = self._context.cache.get(key, PolicyCosts)
         if found is None:
             found = evaluator.costs(spec)
             self._context.cache.put(key, found)

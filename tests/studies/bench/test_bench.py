@@ -29,7 +29,7 @@ from sayd_env.studies.bench import start as bench_start
 from sayd_env.studies.bench.bench import BenchResult, bench
 from sayd_env.studies.bench.environment import make_yardstick, step_times, whole_episodes
 from sayd_env.studies.bench.executors import measure_executors, short_runs
-from sayd_env.studies.bench.spread import Effort, Quantity, Spread
+from sayd_env.studies.bench.spread import Effort, Measurement, Spread
 from sayd_env.studies.bench.training import TrainingRates
 from sayd_env.studies.bench.vehicle import FirstOrder, PartTimer, match_accuracy, with_dampers
 
@@ -141,7 +141,7 @@ def test_training_stands_beside_the_rest(result: BenchResult) -> None:
     """Where it can be measured; where it cannot, a line says why."""
     assert result.as_dict()["training"] is None
     rates = {
-        name: Quantity(f"training: {name}", "steps/s", Spread.of([rate]))
+        name: Measurement(f"training: {name}", "steps/s", Spread.of([rate]))
         for name, rate in (("environment", 900.0), ("ppo", 300.0), ("sac", 100.0))
     }
     shares = {"ppo": 0.25, "sac": 0.5}

@@ -20,7 +20,7 @@ from sayd_env.envs.keywords import configured
 from sayd_env.envs.rollout import roll_out
 from sayd_env.runs.cache import RunCache
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.evaluator import Costs
+from sayd_env.runs.evaluator import PolicyCosts
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.tuning import tune as module
 from sayd_env.studies.tuning.search import minimise
@@ -102,12 +102,12 @@ class Bowl:
         environment, cases, settings = self.asked
         return environment, cases, settings["episode_s"], policy.identity()
 
-    def costs(self, policy: PolicySpec) -> Costs:
+    def costs(self, policy: PolicySpec) -> PolicyCosts:
         if Bowl.stop == Bowl.made:
             raise KeyboardInterrupt
         Bowl.made += 1
         current = policy.parameters.get("current", 0.0)
-        return Costs(0.02 + (current - 0.45) ** 2 + 0.1 * np.arange(len(self.asked[1])), 0)
+        return PolicyCosts(0.02 + (current - 0.45) ** 2 + 0.1 * np.arange(len(self.asked[1])), 0)
 
 
 @pytest.fixture
@@ -156,7 +156,7 @@ def test_progress_counts_every_evaluation_once(bowl: type[Bowl]):
 
 
 def test_the_mean_is_the_geometric_one_over_scenarios_and_lines(bowl: type[Bowl]):
-    """Costs of 0.02 + 0.1 k, of each list by itself."""
+    """PolicyCosts of 0.02 + 0.1 k, of each list by itself."""
     result = tune("constant", load_tuning())
     costs = [0.02 + 0.1 * k for k in (*range(32), *range(8))]
     least = result.best.gains["current"]
