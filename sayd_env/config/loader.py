@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Callable, Hashable, Iterable
-from functools import partial
+from copy import deepcopy
+from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -96,12 +97,18 @@ def parse_yaml(text: str, source: str) -> Any:
         raise ConfigError(
             f"{source}: is longer than {LONGEST_TEXT} characters, the most that is read of YAML"
         )
-    content = _parsed(text, source)
+    return deepcopy(_parsed(text, source))
+
+
+@lru_cache(maxsize=64)
+def _parsed(text: str, source: str) -> Any:
+    """Parse and check a text; the parts that a scenario stands on are read many times."""
+    content = _constructed(text, source)
     _check_content(content, source)
     return content
 
 
-def _parsed(text: str, source: str) -> Any:
+def _constructed(text: str, source: str) -> Any:
     try:
         loader = _Loader(text)
     except yaml.YAMLError:  # a character that YAML does not allow

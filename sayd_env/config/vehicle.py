@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -304,6 +304,15 @@ class VehicleConfig(Part):
         if not any(body.role == "wheelset" for body in self.bodies):
             raise ValueError("a vehicle needs at least one body with the role 'wheelset'")
         return self
+
+    @property
+    def structure(self) -> Hashable:
+        """What vehicles have in common that differ in numbers alone: sets, bodies, roles and elements."""
+        return (
+            tuple((name, *members) for name, members in self.sets.items()),
+            tuple((body.name, body.role, body.per) for body in self.bodies),
+            tuple((element.name, element.type, element.per) for element in self.elements),
+        )
 
 
 def _check_body(user: str, name: str, per: tuple[str, ...], bodies: dict[str, Body]) -> None:

@@ -41,6 +41,7 @@ def _advance(
     work: Work,
     members: Integers,
     substeps: int,
+    samples: Integers,
     signals: Array,
     done: Integers,
 ) -> None:
@@ -62,7 +63,7 @@ def _advance(
                 finite = math.isfinite(signals[i, t, 0] + together.v[k])
                 goes_on = finite and largest_shift(lanes, k, plant, work) < 1.0
                 done[i] += 1 if goes_on else 0
-                if not goes_on or t + 1 == signals.shape[1]:
+                if not goes_on or t + 1 == samples[i]:
                     put_back(lanes, k, states, i, together)
                     members[k] = -1
                     running -= 1
@@ -79,10 +80,11 @@ def _advance_units(
     group_states: References,
     group_works: References,
     substeps: Integers,
+    samples: Integers,
     signals: Array,
     done: Integers,
 ) -> None:
-    """Advance v vehicles by as many samples as `signals` has.
+    """Advance v vehicles, each by its own number of samples.
 
     Parameters
     ----------
@@ -93,8 +95,10 @@ def _advance_units(
         From `Formation.arguments`.
     substeps : ndarray, shape (v,)
         Steps between two samples of each vehicle.
-    signals : ndarray, shape (v, samples, 2 w + d)
-        Receives the signals of `sayd_env.physics.step.record`.
+    samples : ndarray, shape (v,)
+        At least 1 each.
+    signals : ndarray, shape (v, largest of samples, 2 w + d)
+        Receives the signals of `sayd_env.physics.step.record`, in a vehicle's first rows.
     done : ndarray, shape (v,)
         Zeros; receives the number of samples taken: fewer if a state is no longer finite or a wheel has
         left the contact table.
@@ -109,12 +113,12 @@ def _advance_units(
                 interleave(ABREAST, who, states, together)
                 plant, work = plant_of(group_plants, g), work_of(group_works, g)
                 each = substeps[np.max(who)]
-                _advance(ABREAST, plant, states, together, work, who, each, signals, done)
+                _advance(ABREAST, plant, states, together, work, who, each, samples, signals, done)
         elif alone is not None:
             who = alone[u - first_alone : u - first_alone + 1].copy()
             i = who[0]
             plant, together, work = plant_of(plants, i), state_of(states, i), work_of(works, i)
-            _advance(SINGLE, plant, states, together, work, who, substeps[i], signals, done)
+            _advance(SINGLE, plant, states, together, work, who, substeps[i], samples, signals, done)
 
 
 advance_units = kernel(announce="the simulator of groups or of single vehicles (first use of each)")(
@@ -177,36 +181,43 @@ class BatchSimulator:
             [s.work for s in self.simulators],
         )
 
-    def advance(self, samples: int) -> Array:
+    def advance(self, samples: int | Sequence[int]) -> Array:
         """Run all vehicles on for a number of samples.
 
         Parameters
         ----------
-        samples : int
-            Number of samples at the scenario's sample rate.
+        samples : int or sequence of int
+            Number of samples at the scenario's sample rate: for all vehicles, or of each.
 
         Returns
         -------
-        ndarray, shape (vehicles, samples, 2 w + d)
+        ndarray, shape (vehicles, largest of samples, 2 w + d)
             Lateral acceleration of the bogie frame above each wheelset (m/s2), track shift force of each
-            wheelset (N), force of each yaw damper (N), as in `Telemetry`.
+            wheelset (N), force of each yaw damper (N), as in `Telemetry`. Rows behind a vehicle's own last
+            sample are NaN.
 
         Raises
         ------
+        ConfigError
+            No sample for one of the vehicles, or not one number for each.
         StudyError
             The state of a vehicle did not stay finite, or a wheel has left the contact table.
         """
         count = len(self.simulators)
-        signals = np.empty((count, samples, self._channels))
+        wanted = np.array(samples, dtype=np.int64)
+        wanted = np.full(count, wanted) if wanted.ndim == 0 else wanted
+        if wanted.shape != (count,) or wanted.min() < 1:
+            raise ConfigError(f"a batch of {count} vehicles needs 1 sample or more of each, found {samples}")
+        signals = np.full((count, wanted.max(), self._channels), np.nan)
         done = np.zeros(count, dtype=np.int64)
         kernel = advance_units if self.num_threads == 1 else advance_units_in_parallel
         units = self._formation.units()
         arguments = self._formation.arguments()
         with compiled_threads(self.num_threads):
             for who in calls(units, self.num_threads):
-                kernel(*who, *arguments, self._substeps, signals, done)
-        for simulator, taken in zip(self.simulators, done, strict=True):
-            if taken < samples:
+                kernel(*who, *arguments, self._substeps, wanted, signals, done)
+        for simulator, taken, own in zip(self.simulators, done, wanted, strict=True):
+            if taken < own:
                 raise StudyError(simulator.divergence())
         return signals
 

@@ -37,6 +37,9 @@ class RunSpec(Protocol):
     def companions(self) -> Hashable:
         """Key of the runs with which this one can be computed in one piece."""
 
+    def duration(self) -> float:
+        """How long it takes beside its companions, in any unit: those about as long run side by side."""
+
 
 Spec = TypeVar("Spec", bound=RunSpec)
 
@@ -120,10 +123,11 @@ def _keys(work: Callable[..., Any], specs: Sequence[RunSpec]) -> list[str]:
 def pieces(specs: Sequence[RunSpec], which: Sequence[int], workers: int) -> list[list[int]]:
     """Numbers of the specs of each piece of work: equal pieces, and one for each worker where that can be.
 
-    None is of more runs than the simulator advances side by side.
+    None is of more runs than the simulator advances side by side. The longest runs of a group come first, so
+    that those of a piece end together, and no worker begins a long one when the others are done.
     """
     groups: dict[Hashable, list[int]] = {}
-    for i in which:
+    for i in sorted(which, key=lambda i: -specs[i].duration()):
         groups.setdefault(specs[i].companions(), []).append(i)
     widest = min(WIDTH, max(1, math.ceil(len(which) / workers)))
     return [

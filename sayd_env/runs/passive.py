@@ -147,8 +147,12 @@ class PassiveRun:
         return self.scenario, (round(self.speed, 9), self.seed)
 
     def companions(self) -> Hashable:
-        """Runs that end together run side by side."""
-        return id(self.scenario), self.speed
+        """Vehicles of one structure run side by side, whatever their numbers, speeds and tracks."""
+        return self.scenario.vehicle.structure, self.scenario.assessment.sample_rate
+
+    def duration(self) -> float:
+        """As long as its speed is low."""
+        return 1.0 / self.speed
 
 
 def sweep(
@@ -176,11 +180,26 @@ def sweep(
 
 def assessed(runs: list[PassiveRun]) -> list[Assessed]:
     """Make runs that are companions, and assess them."""
-    settings = runs[0].scenario.assessment
     return [
-        assessed_run(*signals, run.speed, run.seed, settings)
+        assessed_run(*signals, run.speed, run.seed, run.scenario.assessment)
         for run, signals in zip(runs, simulated(runs), strict=True)
     ]
+
+
+def assessed_or_derailed(runs: list[PassiveRun]) -> list[Assessed]:
+    """Make runs that are companions, and assess them; one that ends early is beyond every limit."""
+    try:
+        return assessed(runs)
+    except Diverged:
+        if len(runs) > 1:
+            return [record for run in runs for record in assessed_or_derailed([run])]
+        return [_beyond(runs[0])]
+
+
+def _beyond(run: PassiveRun) -> Assessed:
+    w = len(VehicleModel(run.scenario).multibody.wheelset_x)
+    none, beyond = np.full(w, np.nan), np.full(w, np.inf)
+    return Assessed(run.speed, run.seed, none, none, beyond, beyond)
 
 
 def simulated(runs: Sequence[PassiveRun]) -> list[tuple[Array, Array]]:
@@ -191,17 +210,24 @@ def simulated(runs: Sequence[PassiveRun]) -> list[tuple[Array, Array]]:
     list of tuple of ndarray, shape (t, w)
         Lateral acceleration of the bogie frame (m/s2) and track shift force (N) at each wheelset.
     """
-    settings, speed = runs[0].scenario.assessment, runs[0].speed
-    assert settings.length is not None  # the simulator's track refuses it
-    model = VehicleModel(runs[0].scenario)
-    batch = BatchSimulator([Simulator(model, speed, run.seed) for run in runs], num_threads=1)
-    distance = settings.run_in + settings.length + RUN_OUT
+    models = {id(run.scenario): VehicleModel(run.scenario) for run in runs}
+    batch = BatchSimulator(
+        [Simulator(models[id(run.scenario)], run.speed, run.seed) for run in runs], num_threads=1
+    )
+    samples = [_samples(run) for run in runs]
     try:
-        signals = batch.advance(math.ceil(distance / speed * settings.sample_rate))
+        signals = batch.advance(samples)
     except StudyError as error:
         raise Diverged(str(error)) from None
-    w = len(model.multibody.wheelset_x)
-    return [(each[:, :w], each[:, w : 2 * w]) for each in signals]
+    w = len(models[id(runs[0].scenario)].multibody.wheelset_x)
+    return [(own[:n, :w], own[:n, w : 2 * w]) for own, n in zip(signals, samples, strict=True)]
+
+
+def _samples(run: PassiveRun) -> int:
+    settings = run.scenario.assessment
+    assert settings.length is not None  # the simulator's track refuses it
+    distance = settings.run_in + settings.length + RUN_OUT
+    return math.ceil(distance / run.speed * settings.sample_rate)
 
 
 def assessed_run(

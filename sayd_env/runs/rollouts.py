@@ -51,6 +51,10 @@ class Run:
         """Runs of one batch share everything but speed, seed and faults."""
         return id(self.policy), id(self.scenario), id(self.environment), self.initial_current
 
+    def duration(self) -> float:
+        """As long as its speed is low."""
+        return 1.0 / self.speed
+
 
 def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, keep: Sequence[int] = ()) -> list[Rollout]:
     """Run-in and assessed length of runs that are companions, on one thread.

@@ -114,7 +114,8 @@ def advance_to_the_end(
     """The same, and how many samples each vehicle took."""
     signals, done = np.zeros((len(formation), SAMPLES, 16)), np.zeros(len(formation), dtype=np.int64)
     units = formation.units(active)
-    advance_units_in_parallel(*units, *formation.arguments(), np.array(substeps), signals, done)
+    samples = np.full(len(formation), SAMPLES)
+    advance_units_in_parallel(*units, *formation.arguments(), np.array(substeps), samples, signals, done)
     return signals, done
 
 
@@ -170,6 +171,25 @@ def test_company_changes_nothing(fleet: Fleet) -> None:
     together = BatchSimulator(fleet.vehicles(order)).advance(SAMPLES)
     for k, i in enumerate(order):
         np.testing.assert_array_equal(together[k], fleet.alone[i][0])
+
+
+def test_each_vehicle_ends_with_its_own_number_of_samples(fleet: Fleet) -> None:
+    """Its neighbours in the group run on, and its state is that of its last sample."""
+    simulators = fleet.vehicles()
+    samples = [1 + (37 * i) % SAMPLES for i in range(len(simulators))]
+    together = BatchSimulator(simulators).advance(samples)
+    assert together.shape[1] == max(samples)
+    for i, (single, count) in enumerate(zip(fleet.vehicles(), samples, strict=True)):
+        signals, state = alone(single, count)
+        np.testing.assert_array_equal(together[i, :count], signals)
+        assert np.isnan(together[i, count:]).all()
+        assert_same_state(simulators[i].state, state)
+
+
+@pytest.mark.parametrize("samples", [0, [5, 0], [5], [5, 5, 5]])
+def test_a_number_of_samples_that_cannot_be_is_refused(fleet: Fleet, samples: int | list[int]) -> None:
+    with pytest.raises(ConfigError, match=r"batch of 2 vehicles .*1 sample or more"):
+        BatchSimulator(fleet.vehicles(range(2))).advance(samples)
 
 
 def test_two_halves_are_a_whole(fleet: Fleet) -> None:

@@ -126,6 +126,9 @@ class Spec:
     def companions(self) -> int:
         return 0
 
+    def duration(self) -> float:
+        return 0.0
+
 
 @dataclass(frozen=True)
 class Doubled:

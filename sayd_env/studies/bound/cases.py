@@ -101,6 +101,10 @@ class CandidateRun:
         """A condition is a piece of work of its own."""
         return id(self)
 
+    def duration(self) -> float:
+        """In the order in which they come."""
+        return 0.0
+
 
 @dataclass(frozen=True)
 class Candidates:
@@ -308,6 +312,10 @@ class SearchRun:
     def companions(self) -> Hashable:
         """A condition is a piece of work of its own."""
         return id(self)
+
+    def duration(self) -> float:
+        """In the order in which they come."""
+        return 0.0
 
 
 @dataclass(frozen=True)

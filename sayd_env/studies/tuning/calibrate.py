@@ -31,9 +31,9 @@ from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.context import Progress, RunContext
-from sayd_env.runs.controlled import ControlledRun, ControlledRuns, assessed_controlled, assessed_or_derailed
-from sayd_env.runs.passive import Assessed, PassiveRun, assessed, gathered
-from sayd_env.runs.policies import PolicySpec, constant_spec
+from sayd_env.runs.controlled import ControlledRun, ControlledRuns, assessed_controlled
+from sayd_env.runs.passive import Assessed, PassiveRun, assessed, assessed_or_derailed, gathered
+from sayd_env.runs.policies import PolicySpec
 from sayd_env.runs.rollouts import Run, environment_of
 from sayd_env.studies.paper.controlled_claims import (
     CLOSED,
@@ -466,15 +466,11 @@ class _Passive:
         """
         runs = []
         for each in values:
-            more = ["wear=1.0", f"damper={self.config.semi_active_damper}"]
-            scenario = vehicle_of(self.config, each, length, more)
-            environment = environment_of(scenario, load_environment())
-            runs += [
-                Run(constant_spec(command), scenario, environment, 400 / KMH, track, command)
-                for command in HELD
-                for track in tracks
-            ]
-        records = context.records(assessed_or_derailed, runs, ControlledRun)
+            for command in HELD:
+                damper = [f"damper={self.config.semi_active_damper}", f"damper.current={command}"]
+                scenario = vehicle_of(self.config, each, length, ["wear=1.0", *damper])
+                runs += [PassiveRun(scenario, 400 / KMH, track) for track in tracks]
+        records = context.records(assessed_or_derailed, runs, Assessed)
         shape = (len(values), len(HELD), len(tracks))
         largest = np.array([min(record.acceleration.max(), WORST) for record in records])
         frequency = np.array([record.frequency for record in records]).reshape(*shape, -1)
