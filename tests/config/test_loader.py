@@ -183,6 +183,13 @@ def test_text_that_is_no_configuration(text: str, expected: str):
     assert "\n" not in found
 
 
+def test_what_was_read_before_is_not_shared():
+    """A text is parsed once; who changes what came of it changes nobody else's."""
+    first = parse_yaml(GOOD, "machine.yaml")
+    first["parts"][0]["ends"].append(2)
+    assert parse_yaml(GOOD, "machine.yaml")["parts"][0]["ends"] == [0, 1]
+
+
 def test_an_anchor_may_be_merged_and_overridden():
     assert parse_yaml("a: &a {x: 1, y: 2}\nb: {<<: *a, y: 3}", "x")["b"] == {"x": 1, "y": 3}
 
