@@ -277,5 +277,5 @@ def _export_policy(
     for name, value in fits.items():
         if value is not None:
             raise ConfigError(f"{name}: belongs to --fmu; a policy has none")
-    stored = study.read_source(source, foreign.reader(load_environment()))
+    stored = study.read_source(source, foreign.reader(load_environment(), [str(source)]))
     return Plan(lambda _: study.export(stored, target, onnx=onnx), folder=target)

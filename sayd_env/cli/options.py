@@ -6,7 +6,7 @@ import copy
 import json
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -420,8 +420,9 @@ class ForeignOptions(Group):
             "--vec-normalize": self.vec_normalize,
         }
 
-    def reader(self, environment: EnvironmentConfig) -> ForeignReader | None:
-        """What reads such files, or None where they are not trusted."""
+    def reader(self, environment: EnvironmentConfig, chosen: Iterable[str] | None) -> ForeignReader | None:
+        """What reads such files among the chosen policies, or None where they are not trusted."""
         from sayd_env.runs.policies import foreign_reader  # noqa: PLC0415 - keeps --help fast
 
-        return foreign_reader(self.trust_pickles, environment, self.trained_period, self.vec_normalize)
+        own = self.trust_pickles, environment, self.trained_period, self.vec_normalize
+        return foreign_reader(chosen or (), *own)

@@ -72,7 +72,7 @@ def evaluate(
     from sayd_env.studies.sweep import over_variants  # noqa: PLC0415
 
     setup = load_environment(grid.environment)
-    specs = policy_specs(policies or (), foreign.reader(setup))
+    specs = policy_specs(policies or (), foreign.reader(setup, policies))
     wear, friction = grid.wear or (), grid.friction or ()
     runs = seeds * max(1, len(specs)) * len(grid.speeds or SPEEDS) * max(1, len(wear)) * max(1, len(friction))
     variants, scenarios = grid.sweep(runs)
@@ -147,7 +147,7 @@ def map_(
     where = replace(study.QUICK if quick else study.MapGrid(), **changes)
     found = load_map(conditions or "map") if constants else None
     found = found.shortened() if found is not None and quick else found
-    specs = policy_specs(policies or study.POLICIES, foreign.reader(setup))
+    specs = policy_specs(policies or study.POLICIES, foreign.reader(setup, policies))
     numbers = range(seed, seed + (seeds or (1 if quick else 2)))
     return Plan(
         lambda run: study.stability_map(
@@ -185,7 +185,7 @@ def hindsight(
 
     settings = load_hindsight("hindsight" if config is None else config, assignments or ())
     settings = settings.shortened() if quick else settings
-    reader = foreign.reader(load_environment(settings.environment))
+    reader = foreign.reader(load_environment(settings.environment), policies)
     specs = policy_specs(policies or settings.policies, reader)
     return Plan(lambda run: study(settings, specs, context=run), settings, settings.seeds[0])
 
@@ -230,7 +230,7 @@ def bound(
     settings = settings if conditions is None else settings.of(load_conditions(conditions))
     settings = settings.shortened() if quick else settings
     specs = policy_specs(
-        policies or settings.policies, foreign.reader(load_environment(settings.environment))
+        policies or settings.policies, foreign.reader(load_environment(settings.environment), policies)
     )
     return Plan(
         lambda run: study(settings, specs, convergence=convergence, context=run),
@@ -268,7 +268,7 @@ def robustness(
     settings = load_robustness("robustness" if config is None else config, assignments or ())
     settings = settings.shortened() if quick else settings
     specs = policy_specs(
-        policies or settings.policies, foreign.reader(load_environment(settings.environment))
+        policies or settings.policies, foreign.reader(load_environment(settings.environment), policies)
     )
     return Plan(lambda run: study(settings, specs, context=run), settings, settings.seeds[0])
 
@@ -315,7 +315,7 @@ def compare(
 
     given = list(assignments or ()) + ([] if seed is None else [f"bootstrap.seed={seed}"])
     conditions = load_comparison(config or HELD_OUT, given)
-    chosen = read_entrants(policies, foreign.reader(load_environment()))
+    chosen = read_entrants(policies, foreign.reader(load_environment(), policies))
     return Plan(
         lambda run: study(conditions, chosen, quick=quick, context=run),
         lambda result: result.config,
@@ -369,7 +369,7 @@ def render(
     choice.refuse_said(line or setup.line)
     left = drawn_conditions(choice, setup)
     target = file or (out or RESULTS / "render") / "render.gif"
-    specs = policy_specs(who or ("mppt2",), foreign.reader(setup))
+    specs = policy_specs(who or ("mppt2",), foreign.reader(setup, who))
     video = study.Video(specs, target, seconds, fps, exaggeration)
     metric = None if speed is None else speed / KMH
     if line is not None and metric is not None:

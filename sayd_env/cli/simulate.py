@@ -76,7 +76,8 @@ def simulate(
     ResultDirectory(target.file.parent)  # cannot be written to? Say so before the work
     setup = load_environment(environment)
     variants, scenarios = choice.sweep(1, MOST_FILES)
-    spec = None if who is None else policy_spec(who, foreign.reader(setup))
+    reader = foreign.reader(setup, None if who is None else [who])
+    spec = None if who is None else policy_spec(who, reader)
     metric = (300.0 if speed is None else speed) / KMH
     where = {} if line is None else {"line": line_content(line)}
     choice.refuse_said(line)

@@ -347,7 +347,9 @@ def load_policy(
         A damaged file.
     """
     nominal = load_environment()
-    spec = policy_spec(policy, foreign_reader(trust_pickles, nominal, trained_period, vec_normalize))
+    spec = policy_spec(
+        policy, foreign_reader([policy], trust_pickles, nominal, trained_period, vec_normalize)
+    )
     if env is not None:
         return spec.make(baselines.interface_of(env, spec.needs))
     config = validate(EnvironmentConfig, dict(nominal) | dict(spec.needs), policy)
@@ -355,6 +357,7 @@ def load_policy(
 
 
 def foreign_reader(
+    policies: Iterable[str],
     trusted: bool,
     config: EnvironmentConfig,
     period: float | None = None,
@@ -364,6 +367,8 @@ def foreign_reader(
 
     Parameters
     ----------
+    policies : iterable of str
+        Those that are to be read, as on a command line.
     trusted : bool
         Whether such files, which can run any code while they are loaded, may be loaded.
     config : EnvironmentConfig
@@ -376,11 +381,14 @@ def foreign_reader(
     Raises
     ------
     ConfigError
-        A period or statistics, where no file may be loaded.
+        A period or statistics, where no file may be loaded or none of the policies is one.
     """
-    for option, value in (("--trained-period", period), ("--vec-normalize", statistics)):
-        if not trusted and value is not None:
-            raise ConfigError(f"{option}: is that of files of Stable-Baselines3: add --trust-pickles")
+    given = {"--trained-period": period, "--vec-normalize": statistics}
+    asked = next((option for option, value in given.items() if value is not None), None)
+    if asked is not None and not any(FOREIGN in policy for policy in policies):
+        raise ConfigError(f"{asked}: is that of a file of Stable-Baselines3 ({FOREIGN}); no policy is one")
+    if asked is not None and not trusted:
+        raise ConfigError(f"{asked}: is that of files of Stable-Baselines3: add --trust-pickles")
 
     def read(path: Path) -> StoredPolicy:
         try:

@@ -179,6 +179,10 @@ def test_statistics_of_observations_come_along(
     capsys.readouterr()
     assert main(["export", str(path), *options[1:]]) == 2
     assert "--vec-normalize: is that of files of Stable-Baselines3: add" in capsys.readouterr().err
+    assert main(["evaluate", "--policies", "mppt1", *options[:3]]) == 2
+    assert (
+        "--vec-normalize: is that of a file of Stable-Baselines3 (.zip); no policy" in capsys.readouterr().err
+    )
     statistics.write_bytes(b"no pickle")
     with pytest.raises(DataError, match=r"is no VecNormalize that can be loaded"):
         read_foreign(path, nominal, statistics=statistics)
