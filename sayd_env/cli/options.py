@@ -150,10 +150,10 @@ class Group:
         return {key: (hint, settled(getattr(cls, key))) for key, hint in hints.items()}
 
 
-def out_text(command: str, *, quick: bool) -> str:
-    """Help of ``--out`` of a command, with its default directory."""
+def out_text(command: str, *, quick: bool, apart: str = "") -> str:
+    """Help of ``--out`` of a command, with its default directory, and who has one with ``--json``, too."""
     look = f", with --quick {command}-quick" if quick else ""
-    return f"Directory of the result's files. Default: results/{command}{look} (none with --json)."
+    return f"Directory of the result's files. Default: results/{command}{look} (none with --json{apart})."
 
 
 class RunOptions(Group):

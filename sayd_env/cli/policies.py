@@ -424,7 +424,9 @@ def tune(
     file: Path | None = output(
         "-o --file FILE", "YAML file of the tuned parameters. Default: CONTROLLER-tuned.yaml in --out."
     ),
-    out: Path | None = output("--out DIR", options.out_text("tune-CONTROLLER", quick=True)),
+    out: Path | None = output(
+        "--out DIR", options.out_text("tune-CONTROLLER", quick=True, apart=", but for ppo and sac")
+    ),
     as_json: options.Json = False,
 ) -> Plan:
     """Find the gains of a controller, or the settings of a training, with the smallest J over scenarios.
