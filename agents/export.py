@@ -22,6 +22,7 @@ from sayd_env.agents.policy_file import (
 )
 from sayd_env.agents.state import INPUT, NEXT_STATE, OUTPUT, STATE
 from sayd_env.config import StudyError
+from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.storage import write_file
 from sayd_env.config.units import KMH
 from sayd_env.envs.scaled import FLOOR, Scaling
@@ -36,7 +37,8 @@ def export_onnx(stored: StoredPolicy, path: Path) -> None:
     shape (N, A), valve commands from 0 to 1. One that remembers also takes ``state``, float64 of shape
     (N, S), zeros at the start, and gives ``next_state``. Its metadata holds the names of the signals, the
     layout of the valves and the control period. Inside it computes in double precision, as `LearnedPolicy`
-    does.
+    does. A policy that sees forces takes them from pressures with the piston area of the packaged damper,
+    which the metadata holds, too.
 
     Parameters
     ----------
@@ -58,7 +60,8 @@ def export_onnx(stored: StoredPolicy, path: Path) -> None:
 
 def onnx_model(stored: StoredPolicy) -> Any:
     """The ONNX model of a policy."""
-    policy = stored.bound(interface_like(stored.description))
+    interface = interface_like(stored.description)
+    policy = stored.bound(interface)
     graph = _Graph()
     seen = graph.add("Cast", INPUT, to=TensorProto.DOUBLE)
     inputs = [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["N", *policy.interface.shape])]
@@ -78,6 +81,8 @@ def onnx_model(stored: StoredPolicy) -> Any:
     properties = _metadata(stored.description)
     if policy.encoding.memory_width:
         properties["remembered"] = str(policy.encoding.memory_width)
+    if isinstance(policy.encoding, BogieEncoding) and isinstance(interface.damper, SaydDamperConfig):
+        properties["piston_area"] = repr(interface.damper.cylinder.area)
     helper.set_model_props(model, properties)
     return model
 

@@ -180,3 +180,7 @@ def _load_replay(path: Path, buffer: Any) -> None:
             kept = file[name]
             getattr(buffer, name)[: len(kept)] = kept
         buffer.pos, buffer.full = int(file["place"]), bool(file["full"])
+    if buffer.pos > 0 or buffer.full:
+        # The vehicles begin new episodes: no return may reach from the last ones into them.
+        last = buffer.pos - 1
+        buffer.timeouts[last] = np.logical_not(buffer.dones[last])

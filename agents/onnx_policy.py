@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sayd_env.agents.policy_archive import read_bytes, shown_path
 from sayd_env.agents.state import NEXT_STATE, OUTPUT, STATE, run_in_periods, started
 from sayd_env.config import ConfigError, DataError
+from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.explain import shown
 from sayd_env.config.units import Array, Array32
 from sayd_env.envs.episode_batch import checked_actions
@@ -32,6 +33,8 @@ class OnnxPolicy:
     """Names of what it observes, in order; empty for a model that does not say."""
     remembered: int = 0
     """Numbers, the first ones of its state, that come from what it has observed, in the run-in as well."""
+    piston_area: float | None = None
+    """Of the damper whose pressures it takes for forces, m2; None for a model that does not say."""
 
     def identity(self) -> str:
         """SHA-256 of the file."""
@@ -43,9 +46,16 @@ class OnnxPolicy:
         Raises
         ------
         ConfigError
-            It takes other observations, or says that it needs another environment.
+            It takes other observations, or says that it needs another environment or damper.
         """
         interface.check(self.where, self.needs, self.signals)
+        damper = interface.damper
+        own = damper.cylinder.area if isinstance(damper, SaydDamperConfig) else None
+        if None not in (own, self.piston_area) and own != self.piston_area:
+            raise ConfigError(
+                f"{self.where}: takes pressures for forces of a piston of {self.piston_area:g} m2, found one "
+                f"of {own:g} m2; the .npz of the policy fits any damper"
+            )
         return (RememberingRunner if self.remembered else OnnxRunner)(self, interface)
 
 
@@ -72,9 +82,10 @@ def read_onnx(path: Path) -> OnnxPolicy:
         rows = {"history": int(metadata["history"])} if metadata["observation"] == "history" else {}
         signals = tuple(metadata["signals"].split())
         remembered = int(metadata.get("remembered", 0))
+        area = float(metadata["piston_area"]) if "piston_area" in metadata else None
     except (KeyError, ValueError) as error:
         raise DataError(f"{where}: its metadata cannot be used ({shown(str(error))})") from None
-    return OnnxPolicy(where, content, needs | rows, signals, remembered)
+    return OnnxPolicy(where, content, needs | rows, signals, remembered, area)
 
 
 def _session(content: bytes, where: str) -> Any:

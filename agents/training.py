@@ -12,7 +12,8 @@ A run is a folder::
     checkpoints/      from which a killed run goes on
 
 All files are complete or not there. A resumed run goes on from its last checkpoint with the same weights,
-optimiser, replayed steps and random numbers of the learner; its vehicles begin new episodes.
+optimiser, replayed steps and random numbers of the learner; its vehicles begin new episodes, and the former
+rollouts that an estimator keeps are gathered anew.
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from sayd_env.config import ConfigError
 from sayd_env.config.explain import shown
 from sayd_env.envs.interface import Interface
@@ -24,7 +26,7 @@ def interface_of(source: Any, keywords: Mapping[str, Any] | None = None) -> Inte
     Raises
     ------
     ConfigError
-        Something else, or an environment whose observations a wrapper has changed.
+        Something else, or an environment whose observations or actions a wrapper has changed.
     """
     if isinstance(source, Interface):
         return source
@@ -38,7 +40,7 @@ def interface_of(source: Any, keywords: Mapping[str, Any] | None = None) -> Inte
         raise ConfigError(
             f"found {shown(source)}; expected an environment of sayd_env, several, or an environment's id"
         )
-    _check_observations(source, inner)
+    _check_wrappers(source, inner)
     return found
 
 
@@ -69,14 +71,31 @@ def _first_attribute(vector: Any) -> Any:
         return None
 
 
-def _check_observations(source: Any, inner: Any) -> None:
-    """Refuse wrappers that change observations: controllers read the sensors' own, in SI units."""
-    for name in ("single_observation_space", "observation_space"):
-        own = getattr(inner, name, None)
-        if own is not None:
-            if getattr(source, name, own) != own:
-                raise ConfigError(
-                    "a wrapper changes the environment's observations; controllers need them as the sensors "
-                    "give them: make the policy with the environment inside the wrapper"
-                )
-            return
+_SPACES = {
+    "observations": ("single_observation_space", "observation_space"),
+    "actions": ("single_action_space", "action_space"),
+}
+"""Where environments have their spaces: vector environments of Gymnasium in the first of two attributes."""
+
+
+def _check_wrappers(source: Any, inner: Any) -> None:
+    """Refuse wrappers after which observations or actions are not the environment's own, in SI units.
+
+    One that takes any action, as `ClipAction`, changes none that a controller gives.
+    """
+    for kind, names in _SPACES.items():
+        name = next((name for name in names if hasattr(inner, name)), None)
+        own = getattr(inner, name) if name else None
+        seen = getattr(source, name, own) if name else None
+        if seen != own and (kind == "observations" or np.isfinite([seen.low, seen.high]).all()):
+            raise ConfigError(_CHANGED.format(kind))
+    while source is not inner and source is not None:
+        if getattr(source, "norm_obs", False):  # SB3's VecNormalize, whose space stays as it was
+            raise ConfigError(_CHANGED.format("observations"))
+        source = getattr(source, "venv", None)
+
+
+_CHANGED = (
+    "a wrapper changes the environment's {}; controllers need them in SI units and valve commands: make the "
+    "policy with the environment inside the wrapper"
+)

@@ -396,7 +396,7 @@ def drawn_conditions(choice: options.VehicleOptions, setup: EnvironmentConfig) -
     keys += [item.partition("=")[0].strip() for item in choice.assignments or ()]
     fixed = fixed_by(keys)
     lines = None if setup.lines is None else setup.lines.without(fixed)
-    drawn = setup.randomisation.without(fixed)
+    drawn = setup.randomisation.without_keys(keys, setup.damper)
     return setup.model_copy(update={"randomisation": drawn, "lines": lines})
 
 

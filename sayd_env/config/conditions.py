@@ -139,6 +139,17 @@ class TrackPiece:
     scale: float | None
     """Factor on the amplitudes, in place of its own; None: its own."""
 
+    def level(self, episodes: float) -> float:
+        """Factor on the amplitudes that acts, given that of the episode's track."""
+        if self.scale is not None:
+            return self.scale
+        return episodes if self.irregularity is None else amplitude(self.irregularity)
+
+
+def amplitude(irregularity: IrregularityConfig) -> float:
+    """Factor on the amplitudes of a track's irregularities; measured ones are as they are."""
+    return float(getattr(irregularity, "scale", 1.0))
+
 
 @dataclass(frozen=True)
 class Line:

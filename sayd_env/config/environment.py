@@ -130,6 +130,13 @@ def fixed_by(keys: Iterable[str]) -> set[str]:
     return found
 
 
+def _covers(assigned: str, key: str) -> bool:
+    """Whether an assignment settles the number of a tolerance. A part that is named keeps its tolerances."""
+    if "." not in assigned:
+        return False
+    return f"{key}.".startswith(f"{assigned}.") or f"{assigned}.".startswith(f"{key}.")
+
+
 class RandomisationConfig(Model):
     """The distributions of what an episode draws."""
 
@@ -174,6 +181,18 @@ class RandomisationConfig(Model):
                     raise ValueError(f"key '{key}' is in two groups, '{owner[key]}' and '{name}'")
                 owner[key] = name
         return groups
+
+    def without_keys(self, keys: Iterable[str], damper: str) -> RandomisationConfig:
+        """The same without what assignments to keys of a scenario set, whose damper is of this type."""
+        own = [
+            f"{damper}.{key.removeprefix('damper.')}" if key.startswith("damper.") else key for key in keys
+        ]
+        left = {
+            name: group.model_copy(update={"keys": kept})
+            for name, group in self.tolerances.items()
+            if (kept := tuple(key for key in group.keys if not any(_covers(each, key) for each in own)))
+        }
+        return self.without(fixed_by(own)).model_copy(update={"tolerances": left})
 
     def without(self, names: Iterable[str] = OF_THE_SCENARIO) -> RandomisationConfig:
         """The same, but some of `OF_THE_SCENARIO` are not drawn."""

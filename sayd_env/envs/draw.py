@@ -104,7 +104,11 @@ class Episode:
 
 
 def draw_episode(
-    config: EnvironmentConfig, seed: int, episode: int, options: Mapping[str, Any] | None = None
+    config: EnvironmentConfig,
+    seed: int,
+    episode: int,
+    options: Mapping[str, Any] | None = None,
+    base: Scenario | None = None,
 ) -> Episode:
     """Draw the conditions of an episode.
 
@@ -123,6 +127,9 @@ def draw_episode(
         (m), ``friction``, ``payload``, ``initial_current``, ``track`` (name, or path to a YAML file: its
         irregularities) and ``track_scale``, ``line`` (name, path to a YAML or CSV file, or content: what it
         says goes before the other quantities), ``faults`` (a list as for `parse_faults`).
+    base : Scenario, optional
+        The environment's, where settings may have changed its wear and its wheels; by default both are as the
+        packaged studies have them: worn wheels, of a profile that says how it wears.
 
     Raises
     ------
@@ -145,12 +152,14 @@ def draw_episode(
     faults = () if config.faults is None else _drawn_faults(config.faults, config.sensors, sequence)
     track = _drawn_track(drawn_from.tracks, fixed, uniform)
     # A wear that is not drawn, the option's or the study's, is to act.
-    worn = fixed.numbers.get("wear", 1.0 if drawn_from.wear is None else 0.0) > 0.0
+    own = 1.0 if base is None else base.wear
+    worn = fixed.numbers.get("wear", own if drawn_from.wear is None else 0.0) > 0.0
     profile = _drawn_profile(drawn_from.profiles, fixed, uniform, worn=worn)
-    if not profile.wears:
+    wheel = profile.wheel if profile.wheel is not None or base is None else base.wheel
+    if wheel is not None and wheel.wear is None:
         if fixed.numbers.get("wear", 0.0) > 0.0:
             raise ConfigError(
-                f"options: wear: found {fixed.numbers['wear']:g}; wheel profile '{profile.name}' does not "
+                f"options: wear: found {fixed.numbers['wear']:g}; wheel profile '{wheel.name}' does not "
                 "say how it wears: expected 0"
             )
         drawn["wear"] = 0.0

@@ -17,7 +17,7 @@ from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.explain import shown
 from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.draw import draw_episode
-from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, checked_actions
+from sayd_env.envs.episode_batch import EpisodeBatch, EpisodeState, OutOfRange, checked_actions
 from sayd_env.envs.info import episode_info, period_info, vehicle_info
 from sayd_env.envs.interface import Interface, Signal
 from sayd_env.envs.keywords import (
@@ -196,7 +196,9 @@ class Environment:
                 chosen.append((known, self._numbers[i] + 1))
             else:
                 chosen.append((int(self.np_random.integers(SEEDS)), 0))
-        episodes = [draw_episode(self.config, seed, number, options) for seed, number in chosen]
+        episodes = [
+            draw_episode(self.config, seed, number, options, self.batch.scenario) for seed, number in chosen
+        ]
         rows = self.batch.reset(
             which, episodes, log=self._full, keep_run_in=self.keeps_run_in, whole_track=False
         )
@@ -222,9 +224,11 @@ class Environment:
         try:
             given = actions if self._view is None else self._view.commands(actions, self._shape)
             return checked_actions(given, self._shape)
-        except ConfigError as refused:
+        except OutOfRange as refused:
             advice = "gymnasium.wrappers.ClipAction keeps actions in their range"
             raise InvalidAction(f"{refused}; {advice}") from None
+        except ConfigError as refused:
+            raise InvalidAction(str(refused)) from None
 
     def _after_the_run_in(self, i: int, rows: Array) -> SlidingRms:
         batch, episode = self.batch, self.batch.episodes[i]
@@ -307,6 +311,8 @@ class Environment:
         """
         if not isinstance(state, EnvironmentState):
             raise ConfigError(f"state: found {shown(state)}; expected what get_state has returned")
+        if self._full and None in state.sliding:
+            raise ConfigError('state: found one without the sliding RMS that info="full" gives')
         self.batch.set_state(state.vehicles)
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._sliding = list(copy.deepcopy(state.sliding))

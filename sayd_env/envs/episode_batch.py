@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError
-from sayd_env.config.conditions import Line
+from sayd_env.config.conditions import Line, amplitude
 from sayd_env.config.control import OnlineConfig, load_online
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig
@@ -66,6 +66,7 @@ class EpisodeState:
     """All of one vehicle of a batch at an instant."""
 
     config: EnvironmentConfig
+    scenario: Scenario
     vehicle: VehicleState
     episode: Episode | None
     line: Line | None
@@ -418,7 +419,10 @@ class EpisodeBatch:
         bounds = np.array([(piece.start, piece.end) for piece in line.tracks])
         bounds[-1, 1] = math.inf  # beyond its end a line goes on
         inside = np.clip(bounds, 0.0, self.mean_speed(i) * self.config.episode_s)
-        levels = [1.0 if piece.scale is None else piece.scale for piece in line.tracks]
+        own = episode.track_scale
+        if own is None:
+            own = amplitude(episode.irregularity or self.scenario.track.irregularity)
+        levels = [piece.level(own) for piece in line.tracks]
         return float(np.sqrt(np.average(np.square(levels), weights=inside[:, 1] - inside[:, 0])))
 
     def distance(self) -> Array:
@@ -430,6 +434,7 @@ class EpisodeBatch:
         """All of a vehicle and its episode, as copies; it can be pickled."""
         return EpisodeState(
             config=self.config,
+            scenario=self.scenario,
             vehicle=self.vehicles.get_state(i),
             episode=self.episodes[i],
             line=self.lines[i],
@@ -449,8 +454,11 @@ class EpisodeBatch:
         """
         if len(states) != self.count:
             raise ConfigError(f"state: found one of {len(states)} vehicles; expected {self.count}")
-        if any(state.config != self.config for state in states):
-            raise ConfigError("state: found one of another environment; expected one of equal configuration")
+        if any(not self._made(state) for state in states):
+            raise ConfigError(
+                "state: found one of another environment; expected one of equal configuration, settings and "
+                "reward"
+            )
         if self._vehicles is None:
             vehicles = [state.vehicle.built for state in states]
             self._vehicles = self._batch(vehicles)
@@ -462,6 +470,11 @@ class EpisodeBatch:
             self._faults[i] = copy.deepcopy(state.faults)
             self._history[i] = state.history
         self._faulty = any(schedule is not None for schedule in self._faults)
+
+    def _made(self, state: EpisodeState) -> bool:
+        """Whether a state is one of this environment; a batch's own share their configuration with it."""
+        pairs = (state.config, self.config), (state.scenario, self.scenario)
+        return all(theirs is own or theirs == own for theirs, own in pairs)
 
     def ending(self, i: int) -> str:
         """Why a vehicle's episode was terminated."""
@@ -610,13 +623,17 @@ def _sensed(config: EnvironmentConfig, name: str, signal: str) -> Signal:
     return Signal(name, UNITS[SENSED[signal]], sensor.low, sensor.high)
 
 
+class OutOfRange(ConfigError):
+    """Valve commands beyond 0 to 1, which may be cut off."""
+
+
 def checked_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     """Valve commands of the right shape, each a number from 0 to 1; rounding beyond is cut off.
 
     Raises
     ------
     ConfigError
-        Anything else; the message names the value and what is allowed.
+        Anything else, `OutOfRange` for numbers; the message names the value and what is allowed.
     """
     values = number_array("action", actions, shape)
     if values.shape != shape:
@@ -627,7 +644,8 @@ def checked_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     inside = (values >= -ROUNDING) & (values <= 1.0 + ROUNDING)
     if np.count_nonzero(inside) < inside.size:
         place = tuple(int(i) for i in np.argwhere(~inside)[0])
-        raise ConfigError(
+        kind = ConfigError if np.isnan(values[place]) else OutOfRange
+        raise kind(
             f"action: found {float(values[place])!r} at {list(place)}; expected finite numbers from 0 to 1"
         )
     clipped: Array = np.clip(values, 0.0, 1.0)

@@ -82,7 +82,8 @@ def configured(
     config = load_environment(environment)
     if "sensors" in given:
         given["sensors"] = _sensors(given["sensors"])
-    given["randomisation"] = _randomisation(config.randomisation, given.pop("speed_kmh", None), assignments)
+    left = config.randomisation.without_keys(_keys(assignments), str(given.get("damper", config.damper)))
+    given["randomisation"] = _at_speed(left, given.pop("speed_kmh", None))
     if config.line is not None:
         named = {"speed_kmh": "speed_kmh"} if keywords.get("speed_kmh") is not None else {}
         settings = options_of(_keys(assignments))
@@ -166,15 +167,12 @@ def _sensors(sensors: Any) -> SensorsConfig:
     return load_sensors(sensors)
 
 
-def _randomisation(
-    drawn: RandomisationConfig, speed_kmh: float | None, assignments: Iterable[str]
-) -> RandomisationConfig:
-    """Distributions of an environment without those of what a keyword fixes."""
-    left = drawn.without(fixed_by(_keys(assignments)))
+def _at_speed(drawn: RandomisationConfig, speed_kmh: float | None) -> RandomisationConfig:
+    """Distributions of an environment whose speed a keyword may fix."""
     if speed_kmh is None:
-        return left
+        return drawn
     speed = {"distribution": "fixed", "value": checked_number("speed_kmh", speed_kmh)}
-    return validate(RandomisationConfig, dict(left) | {"speed_kmh": speed}, "keywords")
+    return validate(RandomisationConfig, dict(drawn) | {"speed_kmh": speed}, "keywords")
 
 
 def _weights(reward: Any) -> RewardConfig | None:

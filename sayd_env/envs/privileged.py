@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sayd_env.config import ConfigError, nearest
-from sayd_env.config.conditions import Line, cant_deficiency
+from sayd_env.config.conditions import Knots, Line, amplitude, cant_deficiency
 from sayd_env.config.track import CHANNELS
 from sayd_env.config.units import Array
 from sayd_env.envs.episode_batch import EpisodeBatch
@@ -97,12 +97,11 @@ class Conditions:
         changing = line is not None or ahead
         reach = batch.mean_speed(i) * batch.config.episode_s if changing else 0.0
         s: Array = STEP * np.arange(int(reach / STEP) + 1, dtype=np.float64) + 0.5 * STEP
-        level = 1.0 if episode.track_scale is None else episode.track_scale
         single = {
             "speed": episode.speed,
             "wear": scenario.wear,
             "friction": scenario.friction,
-            "track_level": level,
+            "track_level": amplitude(scenario.track.irregularity),
             "gauge": scenario.track.gauge,
             "payload": episode.payload,
             "curvature": 0.0,
@@ -110,7 +109,7 @@ class Conditions:
         }
         found = {name: np.full(len(s), float(value)) for name, value in single.items()}
         if line is not None:
-            found |= _along(line, s, episode.speed)
+            found |= _along(line, s, episode.speed, single["track_level"])
         if ahead:
             track, origin = batch.vehicles.track(i), batch.vehicles.origin[i]
             found |= _versines(track, origin + s, found["speed"], ahead)
@@ -135,20 +134,20 @@ def check_conditions(names: Sequence[str]) -> None:
             )
 
 
-def _along(line: Line, s: Array, speed: float) -> dict[str, Array]:
-    """What a line itself says at distances s (m)."""
+def _along(line: Line, s: Array, speed: float, level: float) -> dict[str, Array]:
+    """What a line itself says at distances s (m), given the episode's speed (m/s) and track level."""
     found: dict[str, Array] = {"curvature": np.abs(line.curvature.at(s))}
-    if line.speed_squared is not None:
-        found["speed"] = np.sqrt(line.speed_squared.at(s))
-        places, lacking = cant_deficiency(line, line.speed_squared)
-        found["deficiency"] = np.abs(np.interp(s, places, lacking))
+    squared = line.speed_squared or Knots((0.0,), (speed**2,))
+    found["speed"] = np.sqrt(squared.at(s))
+    places, lacking = cant_deficiency(line, squared)
+    found["deficiency"] = np.abs(np.interp(s, places, lacking))
     for name in ("gauge", "friction"):
         knots = getattr(line, name)
         if knots is not None:
             found[name] = knots.at(s)
     if line.tracks:
         ends = np.array([piece.end for piece in line.tracks[:-1]])
-        levels = np.array([1.0 if piece.scale is None else piece.scale for piece in line.tracks])
+        levels = np.array([piece.level(level) for piece in line.tracks])
         found["track_level"] = levels[np.searchsorted(ends, s, side="right")]
     return found
 

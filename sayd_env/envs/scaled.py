@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box
 
+from sayd_env.config.errors import ConfigError
 from sayd_env.config.learner import InputConfig, load_learner
 from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.episode_batch import EpisodeBatch
@@ -83,10 +84,21 @@ class LearnersView:
 
     @staticmethod
     def commands(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
-        """Valve commands of actions, which are cut off at -1 and 1: a Gaussian policy's reach beyond."""
+        """Valve commands of actions, which are cut off at -1 and 1: a Gaussian policy's reach beyond.
+
+        Raises
+        ------
+        ConfigError
+            Other than finite numbers.
+        """
         values = number_array("action", actions, shape)
-        finite = np.where(np.isfinite(values), np.clip(values, -1.0, 1.0), np.nan)
-        commands: Array = 0.5 + 0.5 * finite
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            place = tuple(int(i) for i in bad[0])
+            raise ConfigError(
+                f"action: found {float(values[place])!r} at {list(place)}; expected finite numbers, -1 to 1"
+            )
+        commands: Array = 0.5 + 0.5 * np.clip(values, -1.0, 1.0)
         return commands
 
 

@@ -138,7 +138,7 @@ class VehicleBatch:
         self._noisy = any(vehicle.noise is not None for vehicle in vehicles)
         self._loops: dict[tuple[bool, ...], Any] = {}
         for i in range(count):
-            self._begin_trace(i)
+            self._begin(i)
 
     def __len__(self) -> int:
         return len(self._vehicles)
@@ -154,10 +154,11 @@ class VehicleBatch:
         for name in ON_BOARD:
             getattr(self, name).put(i, getattr(vehicle, name))
         self.status[i] = RUNNING
-        self._begin_trace(i)
+        self._begin(i)
 
-    def _begin_trace(self, i: int) -> None:
-        """What is known of a vehicle before its first period."""
+    def _begin(self, i: int) -> None:
+        """What is known of a vehicle before its first period: nothing of the one that was there before."""
+        self.signals[i] = self.features[i] = self.terms[i] = self.rewards[i] = 0.0
         self.trace[i] = 0.0
         self.trace[i, -1, POSITION] = self._vehicles[i].state.clock[1]
         self.trace[i, -1, SPEED] = self._vehicles[i].speed

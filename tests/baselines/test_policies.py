@@ -321,6 +321,21 @@ def test_changed_observations_are_refused(vehicle):
     vector.close()
 
 
+ENDS = np.float32(-1.0), np.float32(1.0)
+
+
+def test_changed_actions_are_refused(vehicle):
+    """0.3 of -1 to 1 would be 0.65; a wrapper that takes any number and cuts it off changes nothing."""
+    with pytest.raises(ConfigError, match="a wrapper changes the environment's actions"):
+        baselines.make("constant:0.3", gym.wrappers.RescaleAction(vehicle(), *ENDS))
+    vector = gym.vector.SyncVectorEnv([vehicle, vehicle])
+    with pytest.raises(ConfigError, match="a wrapper changes the environment's actions"):
+        baselines.make("constant:0.3", gym.wrappers.vector.RescaleAction(vector, *ENDS))
+    vector.close()
+    clipped = gym.wrappers.ClipAction(vehicle())
+    assert baselines.make("constant:0.3", clipped).interface is clipped.unwrapped.interface
+
+
 class Scaled(gym.vector.VectorObservationWrapper):
     """Twice the observations."""
 

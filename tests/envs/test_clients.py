@@ -6,6 +6,7 @@ import copy
 import gc
 import importlib
 import json
+import math
 import pickle
 import subprocess
 import sys
@@ -208,9 +209,10 @@ def test_closing_what_was_never_made(kind: Any) -> None:
 def test_refused_actions_are_gymnasiums_own_error(kind: Any, value: float, quick: str) -> None:
     env = kind(quick)
     env.reset(seed=1)
-    with pytest.raises(InvalidAction, match=r"action: found .* expected finite .*ClipAction") as caught:
+    with pytest.raises(InvalidAction, match=r"action: found .* expected finite") as caught:
         env.step(half(env) * 0 + value)
     assert isinstance(caught.value, ConfigError)
+    assert ("ClipAction" in str(caught.value)) is not math.isnan(value)  # nothing cuts off what is no number
 
 
 def test_clip_action_lets_all_pass(quick: str) -> None:

@@ -20,6 +20,7 @@ from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import SIGNALS
 from sayd_env.config.track import SpectrumConfig, read_track
 from sayd_env.envs.draw import STREAMS, Episode, draw_episode, episode_scenario
+from sayd_env.envs.keywords import configured
 from sayd_env.physics.track.realisation import realise
 
 NOMINAL = load_environment("nominal")
@@ -459,3 +460,31 @@ def test_a_tolerance_that_the_scenario_does_not_have_is_refused():
     config = load_environment("nominal", [f"randomisation.tolerances={{joints: {group}}}"])
     with pytest.raises(ConfigError, match="did you mean 'arm_joint'"):
         episode_scenario(BASE, draw_episode(config, 0, 0))
+
+
+def test_a_number_that_settings_set_is_not_scaled_by_a_tolerance() -> None:
+    """The other numbers of its group, and those of a part that is named as a whole, are."""
+
+    def scenarios(*settings: str) -> list[Scenario]:
+        config, base = configured("randomized", settings=list(settings))
+        episodes = [draw_episode(config, seed, 0, base=base) for seed in range(6)]
+        return [episode_scenario(base, episode) for episode in episodes]
+
+    moduli = {each.damper.oil.bulk_modulus for each in scenarios("damper.oil.bulk_modulus=1.0e9")}
+    assert moduli == {1.0e9}
+    mounts = scenarios("damper.bogie_mount.stiffness=20e6")
+    assert {each.damper.bogie_mount.stiffness for each in mounts} == {20e6}
+    assert len({each.damper.carbody_mount.stiffness for each in mounts}) > 1
+    assert len({each.damper.oil.bulk_modulus for each in scenarios("damper=sayd")}) > 1
+
+
+def test_new_wheels_by_settings_leave_profiles_that_do_not_wear_in_the_draw() -> None:
+    """LMA has 1 of 5 of the weights, whether an option or settings say that wheels are new."""
+    config, base = configured("randomized", settings=["wear=0"])
+    drawn = [draw_episode(config, seed, 0, base=base).profile for seed in range(400)]
+    assert drawn == [draw_episode(config, seed, 0, {"wear": 0.0}).profile for seed in range(400)]
+    assert 0.14 < drawn.count("lma") / 400 < 0.26
+    config, base = configured("nominal", settings=["wheel=lma"])
+    assert draw_episode(config, 0, 0, base=base).wear == 0.0
+    with pytest.raises(ConfigError, match=r"wear: found 0.5; wheel profile 'lma' does not say"):
+        draw_episode(config, 0, 0, {"wear": 0.5}, base)

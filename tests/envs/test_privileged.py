@@ -85,3 +85,37 @@ def test_the_versines_to_come_lie_ahead() -> None:
     one, three = conditions()[0]
     assert one == 0.0
     assert three > 1e-4
+
+
+def test_a_level_that_is_not_drawn_is_the_tracks_own() -> None:
+    """And a piece of a line that says none has the episode's."""
+    batch = on_track("track.irregularity.scale=0.7")
+    conditions = Conditions(batch, ["track_level"])
+    conditions.begin([0])
+    assert conditions()[0, 0] == 0.7
+    rough = {"name": "rough", "length": 400.0, "track_scale": 0.9}
+    line = {"description": "", "sections": [rough, {"name": "plain", "length": 4000.0}]}
+    for scale, expected in ((None, 0.7), (0.5, 0.5)):
+        fixed = {"line": line, "speed_kmh": 300.0} | ({} if scale is None else {"track_scale": scale})
+        batch.reset([0], [draw_episode(batch.config, 0, 0, fixed)], whole_track=False)
+        conditions.begin([0])
+        assert conditions()[0, 0] == 0.9
+        for _ in range(round(450.0 / (300.0 / 3.6) / batch.config.control_period)):
+            batch.step(np.zeros((1, 2)))
+        assert conditions()[0, 0] == expected
+
+
+def test_the_deficiency_is_that_of_the_episodes_speed_where_the_line_has_none() -> None:
+    """V^2 kappa b / g - cant, EN 14363: 106 mm at 350 km/h in a curve of 7 km with 100 mm."""
+    batch = on_track("track=smooth")
+    curve = {"name": "curve", "length": 4000.0, "radius": 7000.0, "turn": "left", "cant": 0.1}
+    plain = {"name": "plain", "length": 50.0}
+    line = {"description": "", "sections": [plain, curve | {"transition": 150.0}]}
+    fixed = {"line": line, "speed_kmh": 350.0}
+    batch.reset([0], [draw_episode(batch.config, 0, 0, fixed)], whole_track=False)
+    conditions = Conditions(batch, ["deficiency", "speed"])
+    conditions.begin([0])
+    for _ in range(300):
+        batch.step(np.zeros((1, 2)))
+    expected = (350.0 / 3.6) ** 2 / 7000.0 * 1.5 / 9.81 - 0.1
+    assert conditions()[0] == pytest.approx([expected, 350.0 / 3.6], rel=1e-3)

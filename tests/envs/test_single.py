@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -256,3 +257,13 @@ def test_nothing_but_numbers_gets_out(quick: str) -> None:
     assert all(np.all(np.isfinite(value)) for value in numbers)
     observation, _ = env.reset()
     assert np.all(np.isfinite(observation))
+
+
+def test_without_a_run_in_an_episode_knows_nothing_of_the_one_before(quick: str, tmp_path: Path) -> None:
+    path = tmp_path / "at_once.yaml"
+    path.write_text(f"base: {quick}\nrun_in: 0.0\n")
+    env = SaydEnv(str(path), observation="history", history=3)
+    first, _ = env.reset(seed=1)
+    run(env, 10)
+    again, _ = env.reset(seed=1)
+    np.testing.assert_array_equal(again, first)

@@ -123,6 +123,11 @@ def test_states_of_other_environments_are_refused(quick: str, quick_faults: str)
         other.set_state(env.get_state())
     with pytest.raises(ConfigError, match="1 vehicles; expected 2"):
         SaydVectorEnv(quick, num_envs=2).set_state(env.get_state())
+    for changed in ({"reward": (0.0, 100.0)}, {"settings": ["friction=0.2"]}):
+        with pytest.raises(ConfigError, match=r"another environment; .*settings and reward"):
+            SaydEnv(quick, **changed).set_state(env.get_state())
+    with pytest.raises(ConfigError, match=r'without the sliding RMS that info="full" gives'):
+        SaydEnv(quick, info="full").set_state(env.get_state())
     for kind in (SaydEnv, SaydVectorEnv):
         for bad in ({}, None, env.get_state().vehicles):
             with pytest.raises(ConfigError, match=r"state: found .*; expected what get_state has returned"):
