@@ -56,7 +56,13 @@ Parameters: TypeAlias = dict[str, inspect.Parameter]
 
 
 def command(
-    group: str, example: str, *, name: str = "", runs: bool = False, without: Collection[str] = ()
+    group: str,
+    example: str,
+    *,
+    name: str = "",
+    runs: bool = False,
+    without: Collection[str] = (),
+    makes: str = "",
 ) -> Callable[[Body], Body]:
     """Make a function a command.
 
@@ -74,6 +80,8 @@ def command(
         It makes many runs: an executor makes them, and finished ones are kept in the result's directory.
     without : collection of str
         Common options, or those of a group, that it cannot use.
+    makes : str
+        The file for which it is there, which it writes with ``--json``, too.
     """
 
     def register(body: Body) -> Body:
@@ -90,7 +98,8 @@ def command(
         common: list[type[Group]] = [RunOptions] * runs + [OutputOptions]
         offered = _offered(own, common, without)
         if "out" in offered and offered["out"].annotation == Out:
-            text = out_text(called, quick="quick" in offered)
+            apart = f", but for the {makes}" if makes else ""
+            text = out_text(called, quick="quick" in offered, apart=apart)
             offered["out"] = offered["out"].replace(
                 annotation=Annotated[Path | None, output("--out DIR", text)]
             )

@@ -197,7 +197,7 @@ def tune_training(
     )
 
 
-@command(GROUP, "results/train-ppo-s0 --onnx --out my-policy", without=("wide",))
+@command(GROUP, "results/train-ppo-s0 --onnx --out my-policy", without=("wide",), makes="export")
 def export(
     foreign: options.ForeignOptions,
     choice: options.VehicleOptions,
@@ -240,7 +240,7 @@ def export(
         raise ConfigError(f"--fmu {fmu}: {'of which policy?' if source is None else f'leave out {source}'}")
     if fmu != "vehicle" and (speed is not None or seed is not None):
         raise ConfigError(f"--fmu {fmu}: has no track; leave out --speed and --seed")
-    if choice.damper is None:
+    if choice.damper is None and choice.config is None:
         choice.damper = "sayd"
     chosen = choice.load()
     damper = chosen.damper

@@ -178,7 +178,9 @@ class OutputOptions(Group):
 
 def gauge_text(text: str) -> str:
     """A gauge that is typed: mm, or a track's name or path, which is read later."""
-    if re.fullmatch(r"[-+.\d].*|nan|inf(inity)?", text.strip(), re.IGNORECASE) and "/" not in text:
+    from sayd_env.config.loader import is_path  # noqa: PLC0415 - keeps --help fast
+
+    if re.fullmatch(r"[-+.\d].*|nan|inf(inity)?", text.strip(), re.IGNORECASE) and not is_path(text):
         GAUGE(text)
     return text
 
@@ -206,8 +208,8 @@ class ScenarioOptions(Group):
     )
     damper: str | None = scenario(
         "--damper NAME|FILE",
-        "Yaw dampers: passive, sayd, a YAML file, or a measured curve or valve map (.csv, .txt). If --config "
-        "has the kind, its numbers stay.",
+        "Yaw dampers: passive, sayd, a YAML file, or a measured curve or valve map (.csv, .txt). passive and "
+        "sayd leave the numbers of --config where it has the kind.",
         autocompletion=one_of(kind="damper"),
     )
     config: Config = None
@@ -292,7 +294,9 @@ class ScenarioOptions(Group):
                 ) from None
             return read_track(self.gauge).gauge
 
-    def sweep(self, runs: int, most: int = 10_000) -> tuple[list[Variant], list[Scenario]]:
+    def sweep(
+        self, runs: int, most: int = 10_000, default: str | None = None
+    ) -> tuple[list[Variant], list[Scenario]]:
         """Configurations by the values of ``--set``, each with its scenario.
 
         Parameters
@@ -301,6 +305,8 @@ class ScenarioOptions(Group):
             Runs of each.
         most : int
             Runs of all together: some hours on two cores.
+        default : str, optional
+            As for `read`.
 
         Raises
         ------
@@ -310,9 +316,11 @@ class ScenarioOptions(Group):
         from sayd_env.config.sweep import variants  # noqa: PLC0415 - keeps --help fast
 
         given = {name: getattr(self, name) for name in ("wear", "friction", "rail", "track", "damper")}
+        given |= {"track.gauge": self.gauge, "wheel": None if self.profile in WEAR_OF else self.profile}
+        given["wear"] = given["wear"] or (self.profile if self.profile in WEAR_OF else None)
         taken = [name for name, value in given.items() if value is not None]
         found = variants(self.assignments, runs, taken=taken, most=most)
-        return found, [self._with(variant).load() for variant in found]
+        return found, [self._with(variant).load(default) for variant in found]
 
     def _with(self, variant: Variant) -> ScenarioOptions:
         """The same with the assignments of one configuration."""
@@ -320,7 +328,7 @@ class ScenarioOptions(Group):
         other.assignments = list(variant.assignments)
         return other
 
-    def load(self) -> Scenario:
+    def load(self, default: str | None = None) -> Scenario:
         """Read the scenario."""
         raise NotImplementedError
 
@@ -379,7 +387,7 @@ class GridOptions(ScenarioOptions):
         autocompletion=one_of("mppt1", "mppt2", "low-force"),
     )
 
-    def load(self) -> Scenario:
+    def load(self, default: str | None = None) -> Scenario:
         """Scenario of the first wear and friction."""
         from sayd_env.config.errors import ConfigError  # noqa: PLC0415 - keeps --help fast
         from sayd_env.config.reward import with_reward  # noqa: PLC0415
@@ -390,7 +398,11 @@ class GridOptions(ScenarioOptions):
             raise ConfigError(
                 f"--reward {self.reward}: sets the weights, as --set {min(twice)} does; give one"
             )
-        found = self.read(self.wear[0] if self.wear else None, self.friction[0] if self.friction else None)
+        for flag in ("wear", "friction"):
+            if getattr(self, flag) and flag in keys:
+                raise ConfigError(f"--{flag}: sets what --set {flag} does; give one")
+        wear, friction = (values[0] if values else None for values in (self.wear, self.friction))
+        found = self.read(wear, friction, default)
         return found if self.reward is None else with_reward(found, self.reward)
 
 

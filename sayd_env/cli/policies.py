@@ -75,7 +75,7 @@ def evaluate(
     specs = policy_specs(policies or (), foreign.reader(setup, policies))
     wear, friction = grid.wear or (), grid.friction or ()
     runs = seeds * max(1, len(specs)) * len(grid.speeds or SPEEDS) * max(1, len(wear)) * max(1, len(friction))
-    variants, scenarios = grid.sweep(runs)
+    variants, scenarios = grid.sweep(runs, default=setup.study)
     speeds, where = grid.speeds or SPEEDS, {}
     if line is not None:
         content = line_content(line)
@@ -141,7 +141,14 @@ def map_(
 
     if conditions and not constants:
         raise ConfigError("--conditions: are those of the best constant commands; leave out --no-constants")
-    chosen, setup = grid.load(), load_environment(grid.environment)
+    setup = load_environment(grid.environment)
+    chosen = grid.load(setup.study)
+    keys = [item.partition("=")[0].strip() for item in grid.assignments or ()]
+    for key in ("wear", "friction"):
+        if key in keys:
+            raise ConfigError(f"--set {key}: has no effect; --{key} is an axis of the map")
+    if grid.profile in options.WEAR_OF:
+        raise ConfigError(f"--profile {grid.profile}: has no effect; --wear is an axis of the map")
     given = {"wear": grid.wear, "friction": grid.friction, "speeds": grid.speeds}
     changes: dict[str, Any] = {key: tuple(values) for key, values in given.items() if values}
     where = replace(study.QUICK if quick else study.MapGrid(), **changes)
@@ -185,8 +192,8 @@ def hindsight(
 
     settings = load_hindsight("hindsight" if config is None else config, assignments or ())
     settings = settings.shortened() if quick else settings
-    reader = foreign.reader(load_environment(settings.environment), policies)
-    specs = policy_specs(policies or settings.policies, reader)
+    chosen = policies or settings.policies
+    specs = policy_specs(chosen, foreign.reader(load_environment(settings.environment), chosen))
     return Plan(lambda run: study(settings, specs, context=run), settings, settings.seeds[0])
 
 
@@ -229,9 +236,8 @@ def bound(
     settings = load_bound("bound" if config is None else config, assignments or ())
     settings = settings if conditions is None else settings.of(load_conditions(conditions))
     settings = settings.shortened() if quick else settings
-    specs = policy_specs(
-        policies or settings.policies, foreign.reader(load_environment(settings.environment), policies)
-    )
+    chosen = policies or settings.policies
+    specs = policy_specs(chosen, foreign.reader(load_environment(settings.environment), chosen))
     return Plan(
         lambda run: study(settings, specs, convergence=convergence, context=run),
         settings,
@@ -267,9 +273,8 @@ def robustness(
 
     settings = load_robustness("robustness" if config is None else config, assignments or ())
     settings = settings.shortened() if quick else settings
-    specs = policy_specs(
-        policies or settings.policies, foreign.reader(load_environment(settings.environment), policies)
-    )
+    chosen = policies or settings.policies
+    specs = policy_specs(chosen, foreign.reader(load_environment(settings.environment), chosen))
     return Plan(lambda run: study(settings, specs, context=run), settings, settings.seeds[0])
 
 
@@ -323,7 +328,9 @@ def compare(
     )
 
 
-@command(GROUP, "--policies passive,mppt1 --speed 400 -o ride.gif", without=("damper", "wide"))
+@command(
+    GROUP, "--policies passive,mppt1 --speed 400 -o ride.gif", without=("damper", "wide"), makes="picture"
+)
 def render(
     choice: options.VehicleOptions,
     foreign: options.ForeignOptions,

@@ -22,7 +22,7 @@ MOST_FILES = 100
 """Of a sweep: each has tens of megabytes."""
 
 
-@command(GROUP, "--policy mppt2 --seconds 20 --signals Y,Q -o run.csv")
+@command(GROUP, "--policy mppt2 --seconds 20 --signals Y,Q -o run.csv", makes="recording")
 def simulate(
     choice: options.VehicleOptions,
     foreign: options.ForeignOptions,
@@ -75,7 +75,7 @@ def simulate(
     target = study.chosen_target(file, kind, out or RESULTS / "simulate")
     ResultDirectory(target.file.parent)  # cannot be written to? Say so before the work
     setup = load_environment(environment)
-    variants, scenarios = choice.sweep(1, MOST_FILES)
+    variants, scenarios = choice.sweep(1, MOST_FILES, setup.study)
     reader = foreign.reader(setup, None if who is None else [who])
     spec = None if who is None else policy_spec(who, reader)
     metric = (300.0 if speed is None else speed) / KMH

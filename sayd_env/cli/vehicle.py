@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
 from sayd_env.cli.options import argument, option
+from sayd_env.cli.output import command_text
 from sayd_env.cli.parsers import SPEED, ListOf, Names, Number, Numbers, name, positive
 from sayd_env.config.units import KMH
 
@@ -49,7 +50,8 @@ def critical_speed(
     laws = creep_laws or ()
     study.check_laws(laws, "--creep-laws")
     spec, numbers = None if who is None else policy_spec(who), range(seed, seed + seeds)
-    runs = seeds * len(speeds or study.default_speeds(1.0)) * (1 + len(laws))
+    grid = speeds or max(map(study.default_speeds, (0.0, 1.0)), key=len)
+    runs = seeds * len(grid) * (1 + len(laws))
     variants, scenarios = scenario.sweep(runs)
 
     def one(chosen: Scenario, run: RunContext) -> study.CriticalSpeedResult:
@@ -113,6 +115,8 @@ def reproduce(
         raise ConfigError(f"--allow {unknown[0]}: unknown row; expected {', '.join(ROWS)}")
     check_laws(laws, "--creep-laws")
     chosen, plan = scenario.load(), load_reproduction()
+    if any(item.partition("=")[0].strip() == "wear" for item in scenario.assignments or ()):
+        raise ConfigError("--set wear: has no effect; the rows are about new and worn wheels, wear 0 and 1")
     count = seeds or (plan.quick_seeds if quick else len(plan.seeds))
     numbers = plan.first_seeds(count) if seed is None else tuple(range(seed, seed + count))
     damper, specs = load_sayd(sayd), row_policies(controllers or (), plan.fixed)
@@ -159,14 +163,16 @@ def calibrate(
     a folder of parts, configs, as the packaged ones are.
     """
     from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.software import git_state  # noqa: PLC0415
     from sayd_env.config.storage import write_file  # noqa: PLC0415
     from sayd_env.studies.tuning.calibrate import calibrate as study  # noqa: PLC0415
 
     settings = load_calibration("calibration" if config is None else config, tuple(assignments or ()))
+    typed = command_text()
 
     def store(result: CalibrationResult, output: Output) -> None:
         if output.directory is not None:
-            for name, text in result.files().items():
+            for name, text in result.files(typed, git_state()[0] or "unknown").items():
                 write_file(output.directory.path / "configs" / name, text.encode())
 
     return Plan(

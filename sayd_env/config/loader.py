@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 import unicodedata
 from collections.abc import Callable, Hashable, Iterable
@@ -179,9 +180,14 @@ def read_text(path: Path, what: str = "file", largest: int = 64 * MIB) -> str:
         It cannot be read, is larger or is no text.
     """
     try:
-        return read_bytes(path, what, largest).decode("utf-8")
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: is not a text file") from None
+        content = read_bytes(path, what, largest)
+        marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        return content.decode("utf-16" if marked else "utf-8")
+    except UnicodeDecodeError as error:
+        if b"\0" in content:
+            raise ConfigError(f"{path}: is not a text file") from None
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ConfigError(f"{path}: line {line}: is not in UTF-8; save the file as such") from None
 
 
 YAML = (".yaml", ".yml")

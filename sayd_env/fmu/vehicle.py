@@ -10,7 +10,7 @@ from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import DAMPERS, MOUNTS, POINTS
-from sayd_env.config.units import Array
+from sayd_env.config.units import KMH, Array
 from sayd_env.fmu.variable import INPUT, OUTPUT, PARAMETER, TIME, Variable
 from sayd_env.physics import sayd
 from sayd_env.physics.layout import longitudinal_rows
@@ -25,6 +25,9 @@ _OWN = (
     ("acting_current", "1", "Current that its spool's place corresponds to", sayd.CURRENT),
     ("force", "N", "F_1, its tension on the bogie's side", sayd.FORCE_1),
 )
+
+LARGEST_SEED = 2**31 - 1
+"""FMI's Integer, which is an xs:int, ends there."""
 
 
 def vehicle_variables(scenario: Scenario, speed: float, seed: int) -> tuple[Variable, ...]:
@@ -42,7 +45,8 @@ def vehicle_variables(scenario: Scenario, speed: float, seed: int) -> tuple[Vari
     Raises
     ------
     ConfigError
-        Passive dampers: they have no command, and cannot be left to another tool.
+        Passive dampers: they have no command, and cannot be left to another tool. A speed beyond the
+        vehicle's, a seed beyond a unit's numbers.
     """
     damper = scenario.damper
     if not isinstance(damper, SaydDamperConfig):
@@ -51,6 +55,13 @@ def vehicle_variables(scenario: Scenario, speed: float, seed: int) -> tuple[Vari
             "forces can come from outside)"
         )
     low, high = scenario.vehicle.speed_range
+    if not low <= speed <= high:
+        raise ConfigError(
+            f"--speed: found {speed * KMH:g} km/h; vehicle '{scenario.vehicle.name}' runs at "
+            f"{low * KMH:g} to {high * KMH:g}"
+        )
+    if seed > LARGEST_SEED:
+        raise ConfigError(f"--seed: found {seed}; a unit's whole numbers end at {LARGEST_SEED}")
     tank = damper.oil.tank_pressure
     inputs = [
         *((f"current.{d}", "1", "Command of the vehicle's own damper", damper.current) for d in DAMPERS),

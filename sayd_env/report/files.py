@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 RECORD, PAGE = "result.json", "report.html"
+SUFFIXES = (".csv", ".png", ".html")
+"""Of the files beside the record."""
 
 
 class Result(Protocol):
@@ -100,8 +103,13 @@ class ResultDirectory:
         contents |= {f"{name}.png": each.png for name, each in drawings.items()}
         if isinstance(result, Paged):
             contents[PAGE] = page_html(result.page(), drawings, document).encode()
-        contents[RECORD] = json_text(document).encode()
-        return self.write(contents)
+        former = self._former_files()
+        contents[RECORD] = json_text({**document, "files": [*contents, RECORD]}).encode()
+        written = self.write(contents)
+        for name in former - contents.keys():
+            with suppress(OSError):
+                (self.path / name).unlink()
+        return written
 
     def write(self, contents: Mapping[str, bytes]) -> list[Path]:
         """Write several files at once, see `save`.
@@ -118,12 +126,22 @@ class ResultDirectory:
 
     def former_command(self) -> str | None:
         """What was typed for the result that lies here; None where there is none that can be read."""
+        command = self._former().get("command")
+        return command if isinstance(command, str) else None
+
+    def _former(self) -> dict[str, Any]:
+        """Content of the ``result.json`` that lies here."""
         try:
             found = json.loads((self.path / RECORD).read_bytes())
         except (OSError, ValueError):
-            return None
-        command = found.get("command") if isinstance(found, dict) else None
-        return command if isinstance(command, str) else None
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def _former_files(self) -> set[str]:
+        """Files of the result that lies here; those that a new one does not have would pass for its own."""
+        listed = self._former().get("files")
+        names = {name for name in listed if isinstance(name, str)} if isinstance(listed, list) else set()
+        return {name for name in names if Path(name).name == name and Path(name).suffix in SUFFIXES}
 
     def _refuse_folders(self, names: Iterable[str]) -> None:
         for name in names:

@@ -14,7 +14,7 @@ from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.fault import Fault
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
-from sayd_env.envs.draw import draw_episode
+from sayd_env.envs.draw import Episode, draw_episode
 from sayd_env.envs.episode_batch import EpisodeBatch
 from sayd_env.envs.rollout import Rollout, assessed_steps, roll_out
 from sayd_env.envs.trace import TRACE
@@ -38,14 +38,14 @@ class Run:
     """Valve command of the run-in."""
     line: Line | None = None
     """What lies along the way; None: nothing. The speed is that at its start."""
-    faults: tuple[Fault, ...] = ()
-    """What fails on the way."""
+    faults: tuple[Fault, ...] | None = None
+    """What fails on the way; None: what the environment draws."""
 
     def inputs(self) -> Sequence[Any]:
         """What the run depends on; the on-line filter is seen by policies, and J is taken by it."""
         numbers = (round(self.speed, 9), self.seed, self.initial_current)
         inputs = self.scenario, self.environment, self.policy.identity(), load_online(), numbers, self.line
-        return *inputs, [fault.model_dump(mode="json") for fault in self.faults]
+        return *inputs, self.faults and [fault.model_dump(mode="json") for fault in self.faults]
 
     def companions(self) -> Hashable:
         """Runs of one batch share everything but speed, seed and faults."""
@@ -78,18 +78,17 @@ def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, keep: Sequence[
     config = first.policy.environment(first.environment)
     motion = max(keep, default=0) >= TRACE
     batch = EpisodeBatch(config, len(runs), scenario=first.scenario, num_threads=1, motion=motion)
-    episodes = [
-        replace(
-            draw_episode(
-                config, run.seed, 0, {"speed_kmh": run.speed * KMH, "initial_current": run.initial_current}
-            ),
-            line=None if run.line is None or run.line.plain else run.line,
-            faults=run.faults,
-        )
-        for run in runs
-    ]
+    episodes = [_episode(config, run) for run in runs]
     steps = [batch.steps if episode else assessed_steps(config, first.scenario, run.speed) for run in runs]
     return roll_out(batch, first.policy.make(batch), episodes, steps, keep=keep)
+
+
+def _episode(config: EnvironmentConfig, run: Run) -> Episode:
+    """A run's episode, in an environment that draws neither vehicles' conditions nor lines."""
+    options = {"speed_kmh": run.speed * KMH, "initial_current": run.initial_current}
+    drawn = draw_episode(config, run.seed, 0, options)
+    line = None if run.line is None or run.line.plain else run.line
+    return replace(drawn, line=line, faults=drawn.faults if run.faults is None else run.faults)
 
 
 def own_policy(scenario: Scenario) -> PolicySpec:
@@ -134,8 +133,10 @@ def policy_runs(
     ------
     ConfigError
         A duplicate policy, or one that does not fit the scenario's dampers; a speed outside the
-        vehicle's range.
+        vehicle's range; an environment along lines, which would be left out.
     """
+    if environment.line is not None or environment.lines is not None:
+        raise ConfigError("environment: goes along lines of its own; expected one without, or a line by name")
     each = [*policies]
     refuse_duplicates(each)
     for policy in each:

@@ -150,7 +150,8 @@ class CriticalSpeedResult:
 
     def plots(self) -> dict[str, Plot]:
         """Counterparts of figure 10 (trends over speed) and figure 8 (a) (time history)."""
-        return {"critical_speed": self._draw_trends, "time_history": self._draw_histories}
+        histories = {"time_history": self._draw_histories} if self.histories else {}
+        return {"critical_speed": self._draw_trends, **histories}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the trends over speed and the critical speed."""
@@ -169,13 +170,13 @@ class CriticalSpeedResult:
         return columns, [{"criterion": name, "verdict": self.verdict(name)} for name in self.criteria]
 
     def _trends(self) -> list[dict[str, Any]]:
-        """Values by `TRENDS`: the largest of the wheelsets at each speed."""
-        acceleration, force = (each.medians() / each.limit for each in self.criteria.values())
+        """Values by `TRENDS`: medians over the seeds of each run's largest wheelset, as the limits judge."""
+        judged = [values for each in self.criteria.values() for values in (each.medians(), each.limit)]
+        acceleration, acceleration_limit, force, force_limit = judged
         frequency = self._median("frequency")
         columns = (
             *(self.sweep.speeds * KMH, frequency.min(axis=1), frequency.max(axis=1)),
-            *(self._median("acceleration").max(axis=1), acceleration),
-            *(self._median("track_shift").max(axis=1), force),
+            *(acceleration, acceleration / acceleration_limit, force, force / force_limit),
         )
         names = [column.name for column in TRENDS]
         return [dict(zip(names, row, strict=True)) for row in np.column_stack(columns).tolist()]
@@ -405,8 +406,9 @@ def _found(
         required = [(name, speed, 0.0) for speed in speeds]
         runs = controlled_runs(scenario, environment, seeds, required, context, {name: policy})
         found = runs.sweep(name)
-        first = Run(policy, scenario, environment, speeds[0], seeds[0])
-        shown = tuple(_quiet(context).records(recorded_controlled, [first], AccelerationHistory))
+        whole = np.isfinite(found.acceleration[:, 0]).all(axis=1)  # no derailment
+        slowest = [Run(policy, scenario, environment, v, seeds[0]) for v in found.speeds[whole][:1].tolist()]
+        shown = tuple(_quiet(context).records(recorded_controlled, slowest, AccelerationHistory))
     model = VehicleModel(scenario)
     return CriticalSpeedResult(scenario, found, model_limits(model), wheelset_names(model), shown)
 

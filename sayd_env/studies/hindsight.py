@@ -285,7 +285,7 @@ class _Study:
     """Runs along the lines: each once, whoever asks for it."""
 
     def __init__(self, config: HindsightConfig, context: RunContext) -> None:
-        self._config, self._context = config, context
+        self._config, self._context, self._rounds = config, context, 0
         self._environment = load_environment(config.environment)
         self._scenario = load_scenario(config.study)
         self.lines = dict(_lines(config, self._scenario))
@@ -372,7 +372,9 @@ class _Study:
                 [policy], self._scenario, self.lines[name], [speed], seeds, self._environment
             )
         ]
-        records = iter(self._context.records(along_lines, runs, LineRecord, "along lines"))
+        self._rounds += 1
+        what = f"along lines, round {self._rounds}"
+        records = iter(self._context.records(along_lines, runs, LineRecord, what))
         found: dict[str, dict[str, list[LineRecord]]] = {}
         for name, policy in which:
             found.setdefault(name, {})[policy.title] = [next(records) for _ in seeds]

@@ -53,6 +53,10 @@ class Place(NamedTuple):
     """Where the line begins."""
 
 
+PLACE = {"wear": "wear", "friction": "scenario_friction", "speed_kmh": "first_speed_kmh"}
+"""What the sections of several places call them: along the way friction and speed are others."""
+
+
 @dataclass(frozen=True)
 class SectionRow:
     """One run on one section, or on the whole line; ratios are to the limits of EN 14363."""
@@ -177,7 +181,7 @@ class LineResult:
             "line": self.name,
             "rows": [vars(row) for row in self.rows],
             "medians": self.medians,
-            "sections": json_rows(SECTIONS, self._sections(self.places[0])),
+            "sections": json_rows(self._section_columns, self._all_sections()),
         }
 
     def tables(self) -> dict[str, Table]:
@@ -187,7 +191,7 @@ class LineResult:
         return {
             "runs": csv_table(columns, [vars(row) for row in self.rows]),
             "medians": csv_table(medians, self.medians),
-            "sections": csv_table(SECTIONS, self._sections(self.places[0])),
+            "sections": csv_table(self._section_columns, self._all_sections()),
             "seconds": self._seconds(),
         }
 
@@ -264,6 +268,19 @@ class LineResult:
         trip = self.line(place)
         gauge, friction = self.scenario.track.gauge, place.friction
         return [_described(trip, k, gauge, friction) for k in range(len(trip.line.sections))]
+
+    @property
+    def _section_columns(self) -> Sequence[Column]:
+        """Of the sections of all places: which place, where there are several."""
+        several = len(self.places) > 1
+        return [*(Column(PLACE[name]) for name in Place._fields if several), *SECTIONS]
+
+    def _all_sections(self) -> list[dict[str, Any]]:
+        return [
+            {PLACE[name]: value for name, value in place._asdict().items()} | section
+            for place in self.places
+            for section in self._sections(place)
+        ]
 
     def _seconds(self) -> Table:
         header = ("policy", "wear", "friction", "speed_kmh", "seed", "distance_m", "command_mean")

@@ -17,6 +17,7 @@ from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import Column, Table, csv_table, print_table
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, panels, reference_line
 from sayd_env.runs.context import Progress, silent
+from sayd_env.stability import Crossing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,11 +51,23 @@ class ModesResult:
     critical_range: tuple[float, float]
     """Range in which it was looked for, m/s."""
 
+    @property
+    def crossing(self) -> Crossing:
+        """Whether the critical speed lies in the range; below it, `critical_speed` is its end."""
+        if self.critical_speed is None:
+            return Crossing.NOT_REACHED
+        return Crossing.BELOW_GRID if self.critical_speed == self.critical_range[0] else Crossing.FOUND
+
+    def _critical_kmh(self) -> float | None:
+        found = self.critical_speed if self.crossing is Crossing.FOUND else None
+        return None if found is None else found * KMH
+
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``--json``."""
         return {
             "amplitude_mm": self.amplitude * 1e3,
-            "linear_critical_speed_kmh": None if self.critical_speed is None else self.critical_speed * KMH,
+            "linear_critical_speed_kmh": self._critical_kmh(),
+            "status": self.crossing.name.lower(),
             "critical_speed_range_kmh": [speed * KMH for speed in self.critical_range],
             "modes": self._rows(),
         }
@@ -87,8 +100,9 @@ class ModesResult:
             wide=wide,
         )
         low, high = (speed * KMH for speed in self.critical_range)
-        found = "none" if self.critical_speed is None else f"{self.critical_speed * KMH:.1f} km/h"
-        if self.critical_speed == self.critical_range[0]:
+        critical = self._critical_kmh()
+        found = "none" if critical is None else f"{critical:.1f} km/h"
+        if self.crossing is Crossing.BELOW_GRID:
             found = f"below {low:.0f} km/h"
         console.print(
             f"linear critical speed at {self.amplitude * 1e3:g} mm: {found} "
@@ -142,8 +156,9 @@ class ModesResult:
             named = label(self.locus.names[b])
             right.plot(speeds, self.locus.damping_ratio[:, b], label=named, **cycled(i).plain)
         reference_line(right, 0.0)
-        if self.critical_speed is not None:
-            limit_line(right, self.critical_speed * KMH, "linear critical speed", vertical=True)
+        critical = self._critical_kmh()
+        if critical is not None:
+            limit_line(right, critical, "linear critical speed", vertical=True)
         right.set(xlabel="speed (km/h)", ylabel="damping ratio (-)", title="least damped modes")
         legend_below(figure, right)
 

@@ -14,7 +14,7 @@ from sayd_env.config import ConfigError, nearest
 from sayd_env.config.explain import shown
 from sayd_env.config.layers import Kind, layered
 from sayd_env.config.loader import packaged_names, packaged_text
-from sayd_env.config.storage import reported
+from sayd_env.config.storage import reported, write_file
 from sayd_env.report.columns import Table
 from sayd_env.report.figures import Plot
 
@@ -87,6 +87,7 @@ TEMPLATES: Mapping[str, Template] = {
             "sayd critical-speed --config {file} --speeds 280:400:40 --seeds 2",
             "sayd evaluate --config {file} --policies passive,mppt2 --speeds 300 --seeds 2",
         ),
+        special={"manchester": ("sayd critical-speed --config {file} --speeds 180:300:20 --seeds 2",)},
         others=("estimates", "manchester", "nominal"),
     ),
 }
@@ -172,8 +173,8 @@ def new(kind: str, name: str, start: str | None = None, folder: Path | None = No
     _create(file, text)
     uses = template.uses
     if template.special:
-        which = layered(Kind(template.folder or kind), str(file)).data.get("kind")
-        uses = template.special.get(str(which), uses)
+        own = layered(Kind(template.folder or kind), str(file)).data.get("kind")
+        uses = template.special.get(start or "", template.special.get(str(own), uses))
     next_ = tuple(use.format(file=file.name) for use in uses)
     return NewResult(kind, file, source, next_, _CALIBRATED.get(start or template.start))
 
@@ -201,7 +202,11 @@ def _create(file: Path, text: str) -> None:
     """Write a file that is not there yet."""
     with reported(file):
         try:
-            with file.open("x", encoding="utf-8", newline="\n") as stream:
-                stream.write(text)
+            file.open("x").close()
         except FileExistsError:
             raise ConfigError(f"{file}: is there already; nothing is overwritten") from None
+    try:
+        write_file(file, text.encode())
+    except BaseException:
+        file.unlink(missing_ok=True)
+        raise

@@ -140,6 +140,18 @@ def test_bad_speeds_are_refused_before_any_work(command: str, speeds: str, messa
             ["--reward", "mppt1", "--set", "cost.force_weight=0.1,0.3"],
             "--reward mppt1: sets the weights, as --set cost.force_weight does; give one",
         ),
+        (["--wear", "0.3", "--set", "wear=0.9"], "--wear: sets what --set wear does; give one"),
+        (
+            ["--friction", "0.3", "--set", "friction=0.4"],
+            "--friction: sets what --set friction does; give one",
+        ),
+        (
+            ["--profile", "lma", "--set", "wheel=s1002,lma"],
+            "--set wheel: has several values here",
+        ),
+        (["--gauge", "1435", "--set", "track.gauge=1.43,1.44"], "--set track.gauge: has several values here"),
+        (["--environment", "line"], "environment: goes along lines of its own; expected one without"),
+        (["--gauge", "2024.yaml"], "2024.yaml: no such"),
         (["--set", "track.gauge=1.6"], "check gauge and back-to-back distance"),
         (["--set", "vehicle.bodies.carbody.mass=-1"], "vehicle.bodies.carbody.mass: found -1; expected"),
     ],
@@ -171,6 +183,24 @@ def test_bad_pictures_are_refused(arguments: list[str], message: str, refused: R
 def test_bad_maps_are_refused_before_any_work(arguments: list[str], message: str, refused: Refused):
     assert message in refused("map", *SHORT, "--quick", *arguments, "--out", "here")
     assert not Path("here").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("map", "--set", "wear=0.5"), "--set wear: has no effect; --wear is an axis of the map"),
+        (("map", "--set", "friction=0.5"), "--set friction: has no effect; --friction is an axis of the map"),
+        (("map", "--profile", "worn"), "--profile worn: has no effect; --wear is an axis of the map"),
+        (
+            ("reproduce", "--set", "wear=0.5"),
+            "--set wear: has no effect; the rows are about new and",
+        ),
+    ],
+)
+def test_settings_that_a_study_makes_itself_are_refused(
+    arguments: tuple[str, ...], message: str, refused: Refused
+):
+    assert message in refused(*arguments)
 
 
 @pytest.mark.parametrize("periods", ["0.003", "0.01,0.003", "0.01,0.01"])

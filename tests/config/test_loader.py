@@ -196,11 +196,15 @@ def test_an_anchor_may_be_merged_and_overridden():
 
 def test_files_that_cannot_be_read(tmp_path: Path):
     (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
+    (tmp_path / "western.yaml").write_bytes("a: 1\n# Dämpfer\n".encode("cp1252"))
+    (tmp_path / "utf16.yaml").write_text("# Dämpfer", encoding="utf-16")
+    assert read_text(tmp_path / "utf16.yaml") == "# Dämpfer"
     os.mkfifo(tmp_path / "pipe.yaml")
     for path, expected in (
         (tmp_path / "nowhere.yaml", "no such file"),
         (tmp_path, "is a directory, expected a file"),
         (tmp_path / "binary.yaml", "is not a text file"),
+        (tmp_path / "western.yaml", "line 2: is not in UTF-8; save the file as such"),
         (tmp_path / "pipe.yaml", "is a device or a pipe, expected a file"),
         (Path("/dev/zero"), "is a device or a pipe, expected a file"),
         (tmp_path / "binary.yaml" / "below.yaml", "cannot be read (Not a directory)"),

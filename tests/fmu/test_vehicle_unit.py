@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
+from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import DAMPERS
@@ -131,3 +132,28 @@ def test_outside_forces_act_on_bogie_and_carbody(scenario: Scenario) -> None:
 def test_passive_dampers_are_refused() -> None:
     with pytest.raises(ConfigError, match="--damper sayd"):
         vehicle_variables(load_scenario("estimates"), SPEED, 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--speed", "5000"], r"--speed: found 5000 km/h; vehicle 'emu' runs at 28.8 to 504"),
+        (["--seed", "3000000000"], r"--seed: found 3000000000; a unit's whole numbers end at 2147483647"),
+    ],
+)
+def test_what_no_unit_can_hold_is_refused(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", "--fmu", "vehicle", "--out", str(tmp_path / "unit"), *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_configuration_s_passive_dampers_are_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "passive.yaml"
+    path.write_text("damper: passive\n")
+    for kind in ("vehicle", "damper"):
+        out = ["--out", str(tmp_path / "unit")]
+        assert main(["export", "--fmu", kind, "--config", str(path), *out]) == 2
+        assert "--damper sayd" in capsys.readouterr().err

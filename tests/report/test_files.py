@@ -87,6 +87,25 @@ def test_a_result_is_saved_with_tables_plots_and_provenance(tmp_path: Path):
     assert files[1].read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
 
 
+def test_files_of_the_former_result_do_not_stay_beside_a_new_one(tmp_path: Path):
+    """Those that somebody else has put there do."""
+
+    class Bare(Sine):
+        def plots(self) -> Mapping[str, Callable[[Figure], None]]:
+            return {}
+
+    directory = ResultDirectory(tmp_path)
+    directory.save(RESULT, document(RESULT, None, 7))
+    assert json.loads((tmp_path / "result.json").read_text())["files"] == [
+        "sine.csv",
+        "sine.png",
+        "result.json",
+    ]
+    (tmp_path / "mine.png").touch()
+    directory.save(Bare(RESULT.values), document(RESULT, None, 7))
+    assert {path.name for path in tmp_path.iterdir()} == {"sine.csv", "result.json", "mine.png"}
+
+
 def test_a_page_gets_the_stored_pictures_and_the_record(tmp_path: Path, read_page: Callable[[str], Any]):
     class Paged(Sine):
         def page(self) -> Page:

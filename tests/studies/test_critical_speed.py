@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from sayd_env.runs.executors import ExecutorChoice
 from sayd_env.runs.passive import PassiveRun, Sweep, assessed, sweep
 from sayd_env.runs.policies import policy_spec
 from sayd_env.stability import Limits
+from sayd_env.studies import critical_speed
 from sayd_env.studies.critical_speed import (
     CriticalSpeedResult,
     default_speeds,
@@ -158,6 +160,34 @@ def test_where_the_vehicle_derails_the_limit_is_exceeded(result: Make):
     derailed.sweep.acceleration[KMH.index(395.0) :] = np.inf
     speed = derailed.as_dict()["by_criterion"]["acceleration"]["critical_speed_kmh"]
     assert 370.0 < speed < 371.0
+
+
+def test_the_printed_value_is_the_one_that_is_judged(result: Make):
+    """Wheelsets of single runs differ: the median of the largest is no largest median."""
+    made = result([330.0] * 3, [360.0] * 3)
+    made.sweep.acceleration[0] = np.diag([5.6, 5.6, 5.6, 5.6])[:3]
+    row = made._trends()[0]
+    assert row["acceleration_rms"] == 5.6
+    assert row["acceleration_ratio"] == pytest.approx(5.6 / made.limits.acceleration)
+
+
+def test_a_history_is_that_of_the_slowest_run_without_a_derailment(
+    short_scenario: Scenario, monkeypatch: pytest.MonkeyPatch
+):
+    policy = policy_spec("constant:0")
+    whole = controlled_runs
+
+    def derailed(*args: Any) -> Any:
+        runs = whole(*args)
+        for run in runs.runs:
+            run.acceleration[:] = np.inf if run.speed not in shown else run.acceleration
+        return runs
+
+    monkeypatch.setattr(critical_speed, "controlled_runs", derailed)
+    for shown in ([100.0], []):
+        found = find_critical_speed(short_scenario, [80.0, 100.0], [3], policy=policy)
+        assert [history.speed for history in found.histories] == shown
+        assert ("time_history" in found.plots()) == bool(shown)
 
 
 def test_progress_counts_every_run_once(short_scenario: Scenario):

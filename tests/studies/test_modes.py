@@ -76,6 +76,15 @@ def test_bad_input_is_refused(arguments: list[str], message: str, capsys: pytest
     assert message in capsys.readouterr().err
 
 
+def test_an_unstable_vehicle_has_no_critical_speed_in_the_range(capsys: pytest.CaptureFixture[str]) -> None:
+    """The end of the search is none: without yaw dampers, on soft springs, it lies below."""
+    soft = "vehicle.elements.primary_spring.stiffness=[1e5, 1e5, 1e6]"
+    weak = ["--set", soft, "--set", "vehicle.elements.arm_joint.stiffness=[1e4, 1e4, 1e4]"]
+    assert main(["modes", "--speeds", "300", "--json", *weak]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["linear_critical_speed_kmh"], found["status"]) == (None, "below_grid")
+
+
 def test_default_speeds_end_where_the_vehicle_does(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["modes", "--json", "--set", "vehicle=manchester", "--set", "wear=0.0"]) == 0
     result = json.loads(capsys.readouterr().out)

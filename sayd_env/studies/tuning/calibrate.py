@@ -126,10 +126,17 @@ class CalibrationResult:
         """Calibrated value of each parameter of a stage, in its unit."""
         return self._stages()[stage].values(self.best(stage).place)
 
-    def files(self) -> dict[str, str]:
-        """Parts with the calibrated numbers, as `configs/` holds them, by their paths there."""
+    def files(self, command: str, commit: str) -> dict[str, str]:
+        """Parts with the calibrated numbers, as `configs/` holds them, by their paths there.
+
+        Parameters
+        ----------
+        command, commit : str
+            How to repeat it.
+        """
         about = {
-            "command": f"sayd calibrate --seed {self.seed}",
+            "command": command,
+            "commit": commit,
             "track_seeds": f"{self.config.first_seed} to {self.config.first_seed + self._seeds() - 1}",
             "evaluations": sum(len(trials) for trials in self.trials.values()),
         }
@@ -615,7 +622,14 @@ def _sensitivity(
         for _, places in lines
     ]
     resting = [run for run in required_runs() if run in RESTING]
-    valves = semi_active.measured(pairs, resting, settings.seeds, settings.length)
+    valves = _each(
+        pairs,
+        lambda part: [
+            ({}, valve_positions(m))
+            for m in semi_active.measured(part, resting, settings.seeds, settings.length)
+        ],
+        ({}, {}),
+    )
     progress.end()
     measures = [m for _, m in outcomes] + [{}] * (len(lines) - of_vehicle)
     return [
@@ -625,7 +639,9 @@ def _sensitivity(
             "unit": parameter.unit if parameter else "",
             **dict.fromkeys(QUANTITIES),
             **{key: value for key, value in found.items() if key in QUANTITIES},
-            **valve_positions(m),
+            **positions,
         }
-        for (parameter, _), (vehicle, own), found, m in zip(lines, pairs, measures, valves, strict=True)
+        for (parameter, _), (vehicle, own), found, (_, positions) in zip(
+            lines, pairs, measures, valves, strict=True
+        )
     ]

@@ -228,7 +228,7 @@ def search(
         for value in ends:
             with_settings(base, {name: value})
     with reserved(folder, "searches"):
-        _check_folder(folder, settings, seed)
+        _check_folder(folder, settings, seed, base)
         run = _Search(base, settings, folder, executor or ExecutorChoice(), progress, seed)
         run.run()
         trials = run.repeated(run.trials())
@@ -254,9 +254,12 @@ def _shortened(settings: SearchConfig) -> list[str]:
     return [f"total_steps={steps}", f"seed={settings.training_seed}", "evaluation.references=[]"]
 
 
-def _check_folder(folder: Path, settings: SearchConfig, seed: int) -> None:
-    """Refuse to go on with another search."""
+def _check_folder(folder: Path, settings: SearchConfig, seed: int, base: TrainConfig) -> None:
+    """Refuse to go on with another search, or with one of a training or an environment that has changed."""
+    from sayd_env.agents.training import environment_digest  # noqa: PLC0415 - imports torch
+
     asked = {"seed": seed} | settings.model_dump(mode="json")
+    asked |= {"base": base.model_dump(mode="json"), "environment": environment_digest(base)}
     text = yaml.safe_dump(asked, sort_keys=False, allow_unicode=True)
     path = folder / SETTINGS
     if path.exists():
