@@ -85,8 +85,10 @@ def _check_wrappers(source: Any, inner: Any) -> None:
     """
     for kind, names in _SPACES.items():
         name = next((name for name in names if hasattr(inner, name)), None)
-        own = getattr(inner, name) if name else None
-        seen = getattr(source, name, own) if name else None
+        if name is None:
+            continue
+        own: Any = getattr(inner, name)
+        seen: Any = getattr(source, name, own)
         if seen != own and (kind == "observations" or np.isfinite([seen.low, seen.high]).all()):
             raise ConfigError(_CHANGED.format(kind))
     while source is not inner and source is not None:
