@@ -14,7 +14,6 @@ from sayd_env.config.loader import nearest
 
 VEHICLE = Kind("vehicle", data=("elements.*.curve.file",))
 
-Vector = tuple[Number, Number, Number]
 NotNegative = Annotated[float, Field(ge=0, strict=True)]
 
 # What no vehicle has, by a wide margin, is a number in another unit: t for kg, MN/m for N/m, mm for m.
