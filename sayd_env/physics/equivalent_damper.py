@@ -35,7 +35,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from sayd_env.config import ConfigError, StudyError
-from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.damper import SaydDamperConfig, TableThrottle
 from sayd_env.config.units import Array
 from sayd_env.physics import sayd
 from sayd_env.physics.rig import steady_sayd_states
@@ -132,7 +132,6 @@ def equivalent_slope(curve: Array, speed: float) -> float:
     return float(2.0 * np.mean(force * sine) / amplitude)
 
 
-@lru_cache(maxsize=64)
 def equivalent_sayd(config: SaydDamperConfig, stroke: Stroke | None) -> EquivalentSayd:
     """Linearise a semi-active damper.
 
@@ -152,6 +151,11 @@ def equivalent_sayd(config: SaydDamperConfig, stroke: Stroke | None) -> Equivale
     DataError
         A throttle table that cannot be used.
     """
+    measured = isinstance(config.throttle, TableThrottle)  # its file may change
+    return _linearised(config, stroke) if measured else _kept(config, stroke)
+
+
+def _linearised(config: SaydDamperConfig, stroke: Stroke | None) -> EquivalentSayd:
     if stroke is None:
         return _locked(config)
     current = config.current if stroke.current is None else stroke.current
@@ -185,6 +189,9 @@ def equivalent_sayd(config: SaydDamperConfig, stroke: Stroke | None) -> Equivale
         drop=abs(found.drop),
         force=config.cylinder.area * float((change / unit).real),
     )
+
+
+_kept = lru_cache(maxsize=64)(_linearised)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from sayd_env.config import StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
 from sayd_env.config.units import KMH, Array, ComplexArray
+from sayd_env.measured.dampers import force_velocity
 from sayd_env.physics import plant as at
 from sayd_env.physics.contact import creep, geometry
 from sayd_env.physics.contact.geometry import ContactTable, linearised
@@ -307,7 +308,7 @@ def equivalent_plant(
         return plant
     yaw = len(model.multibody.yaw_dampers)  # the first of all dampers
     force = plant.damper_force.copy()
-    force[:, :yaw] = equivalent_slope(np.array(law.curve), stroke.speed) * plant.damper_velocity[:, :yaw]
+    force[:, :yaw] = equivalent_slope(force_velocity(law), stroke.speed) * plant.damper_velocity[:, :yaw]
     return plant._replace(damper_force=force)
 
 

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from scipy.signal import savgol_filter
 
 from sayd_env.config import ConfigError, DataError
+from sayd_env.config.files import read_bytes
 from sayd_env.config.limits import WORN_OUT
 from sayd_env.config.profile import (
     JOINT_TOLERANCE_MM,
@@ -26,7 +27,7 @@ from sayd_env.config.profile import (
     WheelProfileConfig,
 )
 from sayd_env.config.units import Array
-from sayd_env.measured.profile_files import Kind
+from sayd_env.measured.profile_files import LARGEST, Kind
 from sayd_env.measured.profiles import read_profile_file
 
 SAMPLING = 5e-5
@@ -72,6 +73,21 @@ class Profile:
     half_distance: float = 0.0
     gauge_depth: float = 0.0
     notes: tuple[str, ...] = ()
+
+
+def file_contents(config: WheelProfileConfig | RailProfileConfig) -> tuple[bytes, ...]:
+    """Contents of the measured files that a profile names, by which what is made of it may be kept.
+
+    Raises
+    ------
+    ConfigError
+        One cannot be read.
+    """
+    shapes = [config.shape]
+    if isinstance(config, WheelProfileConfig) and isinstance(config.wear, MeasuredWear):
+        shapes.append(config.wear.shape)
+    files = [Path(shape.file) for shape in shapes if shape.file is not None]
+    return tuple(read_bytes(file, "profile file", LARGEST) for file in files)
 
 
 def wheel_profile(config: WheelProfileConfig, wear: float = 0.0) -> Profile:

@@ -28,7 +28,7 @@ from sayd_env.physics.layout import Arrangement
 from sayd_env.physics.line import CENTRE_ROWS, LineTable, body_arrays
 from sayd_env.physics.multibody import ForceElement, Multibody, assemble
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, State, Work
-from sayd_env.physics.profiles import Profile, blended, rail_profile, wheel_profile
+from sayd_env.physics.profiles import Profile, blended, file_contents, rail_profile, wheel_profile
 from sayd_env.physics.rows import Column, Rows, sparse_rows
 from sayd_env.physics.step import advance
 from sayd_env.physics.track.realisation import TrackRealisation, realise
@@ -622,7 +622,6 @@ Side: TypeAlias = tuple[WheelProfileConfig, RailProfileConfig]
 """Wheel and rail profile of a side."""
 
 
-@lru_cache(maxsize=256)
 def _contact_table(
     own: Side,
     other: Side | None,
@@ -633,12 +632,33 @@ def _contact_table(
     load: float,
 ) -> ContactTable:
     """Contact table of a side beside another one, or one like it; many vehicles of a study share it."""
+    files = tuple(file_contents(profile) for side in (own, other) if side for profile in side)
+    return _table_of(own, other, wear, gauge, contact, radius, load, files)
+
+
+@lru_cache(maxsize=256)
+def _table_of(
+    own: Side,
+    other: Side | None,
+    wear: float,
+    gauge: float,
+    contact: ContactConfig,
+    radius: float,
+    load: float,
+    files: tuple[tuple[bytes, ...], ...],
+) -> ContactTable:
+    del files  # a measured file may have changed under its name
     pair, *further = [(wheel_profile(side[0], wear), _rail(side[1])) for side in (own, other) if side]
     return cached_contact_table(*pair, gauge, contact, radius, load, *further)
 
 
-@lru_cache(maxsize=8)
 def _rail(config: RailProfileConfig) -> Profile:
+    return _rail_of(config, file_contents(config))
+
+
+@lru_cache(maxsize=8)
+def _rail_of(config: RailProfileConfig, files: tuple[bytes, ...]) -> Profile:
+    del files  # as above
     return rail_profile(config)
 
 

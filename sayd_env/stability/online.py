@@ -24,16 +24,13 @@ from sayd_env.config.control import OnlineConfig
 from sayd_env.config.units import Array, Integers
 from sayd_env.physics.kernel import kernel
 from sayd_env.physics.ragged import Cube, IndexMatrix, Matrix
-from sayd_env.stability.signals import band_sections
+from sayd_env.stability.signals import ROUNDING, band_sections
 
 CHUNK = 16
 """Block means that the spectrum takes at once, their phases from a table; a multiple of four."""
 
 SLOWEST = 1.0
 """Lowest speed (m/s): 500 m then take more than eight minutes."""
-
-ROUNDING = 1e-20
-"""A peak below this share of the squared mean is what rounding leaves of a constant signal."""
 
 RECENT, HISTORY, STARTED, KEPT, MEANS = range(5)
 """Columns of `BandState.place`."""

@@ -16,6 +16,9 @@ from sayd_env.config import DataError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.units import Array
 
+ROUNDING = 1e-20
+"""A spectrum below this share of the mean square is what rounding leaves of a constant signal."""
+
 
 def distance_run(speed: float | Array, sample_rate: float, n: int) -> Array:
     """Distance of each sample from the first.
@@ -85,7 +88,8 @@ def dominant_frequency(
         Less than one segment.
     """
     frequencies, spectra = averaged_spectra(signals, sample_rate, distance, settings, span)
-    return np.array([_highest_peak(frequencies, spectrum) for spectrum in spectra])
+    least = ROUNDING * np.mean(np.square(signals), axis=0)
+    return np.array([_highest_peak(frequencies, *each) for each in zip(spectra, least.tolist(), strict=True)])
 
 
 def averaged_spectra(
@@ -247,8 +251,8 @@ def _transform(n: int, band: tuple[float, float], count: int, sample_rate: float
     return ZoomFFT(n, band, m=count, fs=sample_rate, endpoint=True), window * (np.sqrt(2) / window.sum())
 
 
-def _highest_peak(frequencies: Array, spectrum: Array) -> float:
-    if spectrum.max() <= 0:
+def _highest_peak(frequencies: Array, spectrum: Array, least: float) -> float:
+    if spectrum.sum() <= least:
         return float("nan")
     inner = spectrum[1:-1]
     peaks = np.flatnonzero((inner > spectrum[:-2]) & (inner >= spectrum[2:])) + 1

@@ -16,8 +16,10 @@ from sayd_env.config.profile import (
     load_rail,
     load_wheel,
 )
+from sayd_env.config.scenario import load_scenario
 from sayd_env.measured.profiles import read_profile_file
 from sayd_env.physics.profiles import SAMPLING, gauge_point, rail_profile, wheel_profile
+from sayd_env.physics.simulator import VehicleModel
 
 RAILS = ("60e1", "60e1_30", "cn60", "en15302_rail_a")
 WHEELS = tuple(name for name in packaged_names("profile") if name not in RAILS)
@@ -124,6 +126,19 @@ def test_measured_worn_end_of_the_blend(tmp_path: Path) -> None:
         expected = (1.0 - wear) * reference.z + wear * worn
         expected = expected - np.interp(0.0, reference.y, expected)
         np.testing.assert_allclose(z[tread], expected[tread], atol=2e-6)
+
+
+def test_a_file_that_is_edited_makes_another_table(tmp_path: Path) -> None:
+    """In one process as well, where tables are kept: a tread worn flat by 0.5 mm rolls on another radius."""
+    reference, path = wheel_profile(load_wheel("s1002")), tmp_path / "wheel.csv"
+    scenario, found = None, []
+    for depth in (0.0, 5e-4):
+        z = reference.z - depth * np.exp(-((reference.y / 12e-3) ** 2))
+        points = np.column_stack([reference.y, z])[::6] * 1e3
+        np.savetxt(path, points, delimiter=",", header="y_mm, z_mm")
+        scenario = scenario or load_scenario("estimates", [f"wheel={path}", "wear=0.0"])
+        found.append(VehicleModel(scenario).table.delta_r)
+    assert np.abs(found[0] - found[1]).max() > 1e-4
 
 
 def test_smoothing_removes_noise_but_keeps_the_curve() -> None:

@@ -205,8 +205,11 @@ def test_varying_speed_moves_the_windows_with_the_distance() -> None:
     assert rms[np.abs(position - 2000).argmin(), 0] == pytest.approx(half, rel=2e-3)
 
 
-def test_constant_channel_has_no_frequency_and_no_rms() -> None:
-    result = assess(np.full((60_000, 1), 3.0), RATE, 100.0, SETTINGS)
+@pytest.mark.parametrize("value", [1.0, 3.0, 9.81, -1234.567])
+def test_constant_channel_has_no_frequency_and_no_rms(value: float) -> None:
+    """What rounding leaves when its mean is taken away is no harmonic."""
+    result = assess(np.full((60_000, 1), value), RATE, 100.0, SETTINGS)
+    assert np.isnan(result.dominant_frequency[0])
     assert result.maximum[0] == pytest.approx(0, abs=1e-9)
     zero = assess(np.zeros((60_000, 1)), RATE, 100.0, SETTINGS)
     assert np.isnan(zero.dominant_frequency[0])

@@ -74,3 +74,14 @@ def test_semi_active_dampers_at_rest_and_one_track(capsys: pytest.CaptureFixture
 def test_bad_input_is_refused(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["linearise", *POINT[:6], *arguments]) == 2
     assert message in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_a_curve_from_a_file_is_the_same_points(tmp_path: Path) -> None:
+    points = [[0.0, 0.0], [0.01, 6000.0], [0.1, 9000.0]]
+    rows = [f"{1e3 * v:g},{1e-3 * f:g}" for v, f in points]
+    (tmp_path / "curve.csv").write_text("\n".join(["velocity_mm_s,force_kN", *rows]), encoding="utf-8")
+    for name, curve in (("file", f"{{file: {tmp_path / 'curve.csv'}}}"), ("points", str(points))):
+        out = ["--set", f"damper.curve={curve}", "--out", str(tmp_path / name), "--json"]
+        assert main(["linearise", *POINT, *out]) == 0
+    one, other = (np.load(tmp_path / name / "state_space.npz")["A"] for name in ("file", "points"))
+    np.testing.assert_allclose(one, other, rtol=1e-9)
