@@ -212,7 +212,8 @@ class _Parsed(NamedTuple):
 def _parsed(contents: Contents, place: int) -> _Parsed:
     column = contents.columns[place]
     name, unit = name_and_unit(column.header)
-    if column.unit and len(unit) == 1 and column.header.endswith(f"_{unit}") and column.unit != unit:
+    numbered = column.header.endswith(f"_{unit}") and len(unit) == 1 and not unit.islower()
+    if column.unit and numbered and column.unit != unit:
         name, unit = column.header.strip(), ""  # acc_1 is a number and bus_A a letter, not a ratio and ampere
     if column.unit and unit and unit_of(column.unit) != unit_of(unit):
         raise DataError(

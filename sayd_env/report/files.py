@@ -82,7 +82,7 @@ class ResultDirectory:
             raise ConfigError(f"--out {path}: cannot be written ({reason or error})") from None
         self._refuse_folders([RECORD])
 
-    def save(self, result: Result, document: Mapping[str, Any]) -> list[Path]:
+    def save(self, result: Result, document: dict[str, Any]) -> list[Path]:
         """Write tables, plots, a page if there is one, and ``result.json``; return their paths in this order.
 
         Parameters
@@ -90,7 +90,7 @@ class ResultDirectory:
         result : Result
             The study's result.
         document : mapping
-            Content of ``result.json``, see `document`.
+            Content of ``result.json``, see `document`, but for the names of the files.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class ResultDirectory:
         if isinstance(result, Paged):
             contents[PAGE] = page_html(result.page(), drawings, document).encode()
         former = self._former_files()
-        contents[RECORD] = json_text({**document, "files": [*contents, RECORD]}).encode()
+        contents[RECORD] = json_text(document | {"files": [*contents, RECORD]}).encode()
         written = self.write(contents)
         for name in former - contents.keys():
             with suppress(OSError):

@@ -151,6 +151,18 @@ def test_units_become_si(tmp_path: Path, header: str, factor: float, quantity: Q
     np.testing.assert_allclose(recording.signals[:, 0], STABLE * factor, rtol=1e-7)
 
 
+@pytest.mark.parametrize("name", ["acc_1", "bogie_A", "a_Rahmen_V"])
+def test_a_number_or_letter_at_the_end_of_a_name_is_no_unit_beside_a_row_of_units(
+    tmp_path: Path, name: str
+) -> None:
+    path = write(tmp_path / "a.csv", f"t;{name}", [TIME, STABLE], ";")
+    header, *rows = path.read_text(encoding="utf-8").splitlines()
+    path.write_text("\n".join([header, "s;m/s^2", *rows]), encoding="utf-8")
+    recording = read_recording(path, SETTINGS, speed=SPEED)
+    assert [channel.name for channel in recording.channels] == [name]
+    assert recording.channels[0].quantity is Quantity.ACCELERATION
+
+
 def test_comments_tabs_and_chosen_columns(tmp_path: Path) -> None:
     columns = [TIME, SPEED + 0 * TIME, 20 + 0 * TIME, STABLE]
     path = write(tmp_path / "a.csv", "time_s\tspeed_m_s\toil_degc\tbogie_m_s2", columns, "\t")
