@@ -122,7 +122,9 @@ class VehicleModel:
         s, load = self.scenario, table_load(self.multibody.wheel_load)
         own, other = self._sides[side], self._sides[1 - side]
         further = None if own == other else other
-        return _contact_table(own, further, s.wear, s.track.gauge, s.contact, s.vehicle.wheel_radius, load)
+        files = tuple(file_contents(profile) for profile in (*own, *(further or ())))
+        radius = s.vehicle.wheel_radius
+        return _contact_table(own, further, s.wear, s.track.gauge, s.contact, radius, load, files)
 
     @property
     def creep_table(self) -> Array:
@@ -622,22 +624,8 @@ Side: TypeAlias = tuple[WheelProfileConfig, RailProfileConfig]
 """Wheel and rail profile of a side."""
 
 
-def _contact_table(
-    own: Side,
-    other: Side | None,
-    wear: float,
-    gauge: float,
-    contact: ContactConfig,
-    radius: float,
-    load: float,
-) -> ContactTable:
-    """Contact table of a side beside another one, or one like it; many vehicles of a study share it."""
-    files = tuple(file_contents(profile) for side in (own, other) if side for profile in side)
-    return _table_of(own, other, wear, gauge, contact, radius, load, files)
-
-
 @lru_cache(maxsize=256)
-def _table_of(
+def _contact_table(
     own: Side,
     other: Side | None,
     wear: float,
@@ -647,6 +635,7 @@ def _table_of(
     load: float,
     files: tuple[tuple[bytes, ...], ...],
 ) -> ContactTable:
+    """Contact table of a side beside another one, or one like it; many vehicles of a study share it."""
     del files  # a measured file may have changed under its name
     pair, *further = [(wheel_profile(side[0], wear), _rail(side[1])) for side in (own, other) if side]
     return cached_contact_table(*pair, gauge, contact, radius, load, *further)
