@@ -316,9 +316,10 @@ class ScenarioOptions(Group):
         from sayd_env.config.sweep import variants  # noqa: PLC0415 - keeps --help fast
 
         given = {name: getattr(self, name) for name in ("wear", "friction", "rail", "track", "damper")}
-        given |= {"track.gauge": self.gauge, "wheel": None if self.profile in WEAR_OF else self.profile}
-        given["wear"] = given["wear"] or (self.profile if self.profile in WEAR_OF else None)
-        taken = [name for name, value in given.items() if value is not None]
+        given |= {"track.gauge": self.gauge, "wheel": self.profile}
+        taken = {name for name, value in given.items() if value is not None}
+        if self.profile in WEAR_OF:  # the scenario's own wheels
+            taken = taken - {"wheel"} | {"wear"}
         found = variants(self.assignments, runs, taken=taken, most=most)
         return found, [self._with(variant).load(default) for variant in found]
 

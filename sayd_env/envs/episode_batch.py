@@ -454,7 +454,7 @@ class EpisodeBatch:
         """
         if len(states) != self.count:
             raise ConfigError(f"state: found one of {len(states)} vehicles; expected {self.count}")
-        if any(not self._made(state) for state in states):
+        if any(not self._is_own(state) for state in states):
             raise ConfigError(
                 "state: found one of another environment; expected one of equal configuration, settings and "
                 "reward"
@@ -471,7 +471,7 @@ class EpisodeBatch:
             self._history[i] = state.history
         self._faulty = any(schedule is not None for schedule in self._faults)
 
-    def _made(self, state: EpisodeState) -> bool:
+    def _is_own(self, state: EpisodeState) -> bool:
         """Whether a state is one of this environment; a batch's own share their configuration with it."""
         pairs = (state.config, self.config), (state.scenario, self.scenario)
         return all(theirs is own or theirs == own for theirs, own in pairs)

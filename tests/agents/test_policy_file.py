@@ -7,6 +7,7 @@ import pickle
 import tracemalloc
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import pytest
 
 from sayd_env.agents.config import InputConfig, NetworkConfig, OutputConfig
 from sayd_env.agents.encoding import VehicleEncoding
+from sayd_env.agents.onnx_policy import read_onnx
 from sayd_env.agents.policy_file import (
     StoredPolicy,
     describe,
@@ -452,3 +454,13 @@ def test_onnxruntime_gives_the_commands_of_both_bogies(output: OutputConfig, tmp
     assert found.shape == expected.shape == (25, 2)
     assert np.ptp(found) > 0.3
     np.testing.assert_allclose(found, expected, atol=1e-6, rtol=0)
+    # Its forces are those of a piston; another one is refused, which the other file takes as it is.
+    model, damper = read_onnx(tmp_path / "policy.onnx"), interface.damper
+    np.testing.assert_array_equal(model.bound(interface).predict(seen)[0], found)
+    wide = damper.model_copy(
+        update={"cylinder": damper.cylinder.model_copy(update={"area": 1.3 * damper.cylinder.area})}
+    )
+    other = replace(interface, damper=wide)
+    with pytest.raises(ConfigError, match=r"forces of a piston of 0.00186 m2, found one of"):
+        model.bound(other)
+    policy.bound(other)

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
@@ -21,10 +22,12 @@ import yaml
 SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
+from stable_baselines3.common.buffers import NStepReplayBuffer  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.monitor import Monitor  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv  # noqa: E402
 
+from sayd_env.agents import learner  # noqa: E402
 from sayd_env.agents.config import TrainConfig, load_train  # noqa: E402
 from sayd_env.agents.learner import load_model, make_model  # noqa: E402
 from sayd_env.agents.learning_env import environment_keywords, make_learning_env  # noqa: E402
@@ -435,6 +438,27 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
             train(config, tmp_path / "run", resume=True)
     assert steps_on_disk(tmp_path / "run") == kept
     assert train(config, tmp_path / "run", resume=True).steps == 200
+
+
+def test_no_return_reaches_from_before_a_resume_into_the_episodes_after_it(tmp_path: Path) -> None:
+    """Of three steps: rewards of 1 before and of 100 after give 3, 2, 1 at the last rows and no 102."""
+
+    def buffer() -> Any:
+        box = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
+        return NStepReplayBuffer(20, box, box, n_envs=1, n_steps=3, gamma=1.0)
+
+    def fill(found: Any, reward: float) -> None:
+        one = np.zeros((1, 1), np.float32)
+        for _ in range(5):
+            found.add(one, one, one, np.array([reward]), np.array([False]), [{}])
+
+    before, after = buffer(), buffer()
+    fill(before, 1.0)
+    learner._save_replay(tmp_path / "replay.npz", before)
+    learner._load_replay(tmp_path / "replay.npz", after)
+    fill(after, 100.0)
+    returns = after._get_samples(np.arange(8)).rewards.ravel()
+    assert returns.tolist() == [3.0, 3.0, 3.0, 2.0, 1.0, 300.0, 300.0, 300.0]
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip("optuna", reason="needs the extra 'train'")
 
@@ -94,6 +95,21 @@ def test_an_interrupted_search_goes_on_with_what_was_under_way(
     assert second.configs[0] == first.configs[5]
     with pytest.raises(ConfigError, match="holds another search"):
         study.search("ppo", settings(trials=13), tmp_path / "s")
+
+
+def test_a_search_of_a_training_that_was_edited_does_not_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its trials would be those of one training, and the file that it writes another's."""
+    monkeypatch.setattr(study, "train", Trainings())
+    own = tmp_path / "own.yaml"
+    for clip_range in (0.2, 0.4):
+        content = load_train("ppo", [f"learning.clip_range={clip_range}"]).model_dump(mode="json")
+        own.write_text(yaml.safe_dump(content))
+        if clip_range == 0.2:
+            study.search("ppo", settings(training=str(own)), tmp_path / "s")
+    with pytest.raises(ConfigError, match="holds another search"):
+        study.search("ppo", settings(training=str(own)), tmp_path / "s")
 
 
 def test_a_training_that_fails_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
