@@ -145,9 +145,9 @@ def test_bad_speeds_are_refused_before_any_work(command: str, speeds: str, messa
             ["--friction", "0.3", "--set", "friction=0.4"],
             "--friction: sets what --set friction does; give one",
         ),
+        (["--profile", "new", "--set", "wear=0.5,1"], "--set wear: has several values here"),
+        (["--wear", "0", "--set", "wear=0.5,1"], "--set wear: has several values here"),
         (
-            (["--profile", "new", "--set", "wear=0.5,1"], "--set wear: has several values here"),
-            (["--wear", "0", "--set", "wear=0.5,1"], "--set wear: has several values here"),
             ["--profile", "lma", "--set", "wheel=s1002,lma"],
             "--set wheel: has several values here",
         ),
