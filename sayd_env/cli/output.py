@@ -77,8 +77,7 @@ class Output:
             if former not in (None, command_text()):
                 self.say(f"{self.directory.path}: replaces the result of '{former}'")
         if self.as_json:
-            names = {"files": [path.name for path in files]} if files else {}
-            sys.stdout.write(json_text(content | names))
+            sys.stdout.write(json_text(content | {"written": [path.name for path in files]}))
 
     def say(self, text: str) -> None:
         """Print a line as it is."""

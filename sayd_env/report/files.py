@@ -90,7 +90,7 @@ class ResultDirectory:
         result : Result
             The study's result.
         document : mapping
-            Content of ``result.json``, see `document`, but for the names of the files.
+            Content of ``result.json``, see `document`; the names of the files are filled in.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class ResultDirectory:
         if isinstance(result, Paged):
             contents[PAGE] = page_html(result.page(), drawings, document).encode()
         former = self._former_files()
-        contents[RECORD] = json_text(document | {"files": [*contents, RECORD]}).encode()
+        contents[RECORD] = json_text(document | {"written": [*contents, RECORD]}).encode()
         written = self.write(contents)
         for name in former - contents.keys():
             with suppress(OSError):
@@ -139,7 +139,7 @@ class ResultDirectory:
 
     def _former_files(self) -> set[str]:
         """Files of the result that lies here; those that a new one does not have would pass for its own."""
-        listed = self._former().get("files")
+        listed = self._former().get("written")
         names = {name for name in listed if isinstance(name, str)} if isinstance(listed, list) else set()
         return {name for name in names if Path(name).name == name and Path(name).suffix in SUFFIXES}
 
@@ -172,13 +172,15 @@ def document(
     -------
     dict
         The result's keys and ``command``, ``created``, ``seed``, ``config``, ``versions``, ``git_commit``
-        (null outside a checkout) and ``git_modified`` (whether tracked files differ from that commit).
+        (null outside a checkout), ``git_modified`` (whether tracked files differ from that commit) and ``written``
+        (names of the files, see `ResultDirectory.save`).
     """
     about = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": seed,
         "config": config,
         **provenance(command),
+        "written": [],
     }
     content = result.as_dict()
     if clash := sorted(set(content) & set(about)):

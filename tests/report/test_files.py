@@ -96,7 +96,7 @@ def test_files_of_the_former_result_do_not_stay_beside_a_new_one(tmp_path: Path)
 
     directory = ResultDirectory(tmp_path)
     directory.save(RESULT, document(RESULT, None, 7))
-    assert json.loads((tmp_path / "result.json").read_text())["files"] == [
+    assert json.loads((tmp_path / "result.json").read_text())["written"] == [
         "sine.csv",
         "sine.png",
         "result.json",
@@ -122,9 +122,9 @@ def test_a_page_gets_the_stored_pictures_and_the_record(tmp_path: Path, read_pag
 def test_keys_of_the_record_cannot_be_overwritten_by_a_result():
     class Clash(Sine):
         def as_dict(self) -> dict[str, Any]:
-            return {"seed": 1}
+            return {"seed": 1, "written": 2}
 
-    with pytest.raises(ValueError, match="seed"):
+    with pytest.raises(ValueError, match="'seed', 'written'"):
         document(Clash(np.zeros(1)), None, None)
 
 
