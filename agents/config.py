@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from itertools import product
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -14,12 +15,14 @@ from sayd_env.config.base import Number
 from sayd_env.config.control import SpeedScheduleConfig, load_controller
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.learner import WIDEST, InputConfig
+from sayd_env.config.loader import is_path
 from sayd_env.config.reward import RewardName
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 """A whole number of 1 or more."""
 View = Literal["vehicle", "bogie"]
 """What one network sees and commands."""
+TRAIN = Kind("train", names=("environment.name", "environment.beside.*.name", "output.schedule"))
 MAY_CHANGE = {"total_steps"}
 """Keys that a run may have otherwise when it is taken up again."""
 
@@ -184,6 +187,12 @@ class SacConfig(Model):
         -1, description="Steps after which this function is drawn anew; -1: never", strict=True, ge=-1
     )
 
+    @model_validator(mode="after")
+    def _says_nothing_idle(self) -> SacConfig:
+        if self.sde_sample_freq != -1 and not self.use_sde:
+            raise ValueError("sde_sample_freq: has no effect without use_sde")
+        return self
+
 
 MEANS = {"mean": "J", "geometric": "J_geometric"}
 """Columns of a run's evaluations with the means of J over the scenarios."""
@@ -209,6 +218,13 @@ class EvaluationConfig(Model):
         "and smooth conditions count alike",
     )
     references: tuple[str, ...] = Field((), description="Policies that are evaluated once, to compare with")
+
+    @field_validator("speeds_kmh", "wear", "seeds", "beside_seeds", "references")
+    @classmethod
+    def _distinct(cls, found: tuple[Any, ...]) -> tuple[Any, ...]:
+        if len(set(found)) < len(found):
+            raise ValueError("names something twice; it would count twice")
+        return found
 
     @property
     def cases(self) -> list[dict[str, Any]]:
@@ -315,6 +331,15 @@ class TrainConfig(Model):
         return self
 
     @model_validator(mode="after")
+    def _tells_environments_apart(self) -> TrainConfig:
+        names = [Path(each.name).stem for each in self.environment.beside]
+        if len(set(names)) < len(names):
+            raise ValueError(f"environment.beside: two are named '{max(names, key=names.count)}'")
+        if self.evaluation.beside_seeds and not names:
+            raise ValueError("evaluation.beside_seeds: has no effect without environment.beside")
+        return self
+
+    @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
         learning = self.learning
         if isinstance(learning, PpoConfig) and self.update_steps % learning.batch_size:
@@ -349,7 +374,16 @@ def load_train(name: str = "ppo", overrides: Iterable[str] = ()) -> TrainConfig:
     ConfigError
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
-    return read_layered(TrainConfig, Kind("train"), name, overrides)
+    config = read_layered(TrainConfig, TRAIN, name, overrides)
+    environment = config.environment
+    beside = tuple(each.model_copy(update={"name": _wherever(each.name)}) for each in environment.beside)
+    changes = {"name": _wherever(environment.name), "beside": beside}
+    return config.model_copy(update={"environment": environment.model_copy(update=changes)})
+
+
+def _wherever(name_or_path: str) -> str:
+    """A path that leads to the file from every directory, as where a run goes on; a name unchanged."""
+    return str(Path(name_or_path).resolve()) if is_path(name_or_path) else name_or_path
 
 
 def refuse_changes(begun: TrainConfig, found: TrainConfig, where: str) -> None:

@@ -60,6 +60,7 @@ def make_model(config: TrainConfig, env: EncodedVecEnv) -> Any:
         network |= {"net_arch": {"pi": hidden, "qf": hidden}, "clip_mean": 0.0}
         settings["ent_coef"] = f"auto_{config.learning.ent_coef_init!r}"
         model = SAC(SacPolicy, env, policy_kwargs=network, **settings, **common)
+    model.train = uninterrupted()(model.train)  # what is kept at a step is not half of its update
     model.estimating = None if config.estimate is None else EstimatorTrainer(model, config.estimate)
     return model
 

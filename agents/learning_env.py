@@ -15,8 +15,11 @@ from sayd_env.agents.bogie_encoding import make_encoding
 from sayd_env.agents.config import BesideConfig, TrainConfig
 from sayd_env.agents.encoding import Encoding
 from sayd_env.agents.sb3_vec import SaydVecEnv, Step
+from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.errors import ConfigError
 from sayd_env.config.learner import InputConfig
 from sayd_env.config.units import Array, Array32, Flags
+from sayd_env.envs.interface import Interface
 from sayd_env.envs.privileged import Conditions, check_conditions
 from sayd_env.envs.scaled import Scaling, ordinary_costs
 
@@ -262,6 +265,15 @@ class Privileged:
         return np.repeat(self._scaling(np.concatenate([part() for part in self._parts])), units, axis=0)
 
 
+def _check_dampers(interfaces: Sequence[Interface]) -> None:
+    """Refuse dampers that no command moves, and others than those by which commands are encoded."""
+    for interface in interfaces:
+        if not isinstance(interface.damper, SaydDamperConfig):
+            raise ConfigError("a training needs semi-active dampers; found passive ones in its environments")
+        if interface.damper != interfaces[0].damper:
+            raise ConfigError("the environments of a training have different dampers; expected the same")
+
+
 def environment_keywords(config: TrainConfig, beside: BesideConfig | None = None) -> dict[str, Any]:
     """Keywords of the environment in which a policy learns, or of one beside it."""
     settings = config.environment
@@ -299,6 +311,7 @@ def make_learning_env(config: TrainConfig) -> tuple[EncodedVecEnv, Encoding]:
         ]
     )
     interface = vehicles.parts[0].interface
+    _check_dampers([part.interface for part in vehicles.parts])
     encoding = make_encoding(interface, config.view, config.inputs, config.clip, config.output, config.memory)
     for part in vehicles.parts:
         part.vector.keeps_run_in = encoding.memory is not None

@@ -182,6 +182,10 @@ class RememberingRunner(OnnxRunner):
             raise ConfigError(
                 f"{self._where}: remembers {self._remembered} numbers in a state of {self._width}"
             )
+        if interface.history < 2:
+            raise ConfigError(
+                f"{self._where}: remembers observations; it needs observation=history of 2 or more"
+            )
 
     def state_after(self, run_in: RunIn) -> Array:
         """State at step 0 after a run-in."""

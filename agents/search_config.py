@@ -100,4 +100,4 @@ def load_search(name: str, overrides: Iterable[str] = ()) -> SearchConfig:
     ConfigError
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
-    return read_layered(SearchConfig, Kind("search"), name, overrides)
+    return read_layered(SearchConfig, Kind("search", names=("training",)), name, overrides)

@@ -244,6 +244,7 @@ class _Run:
             self.model.logger.record(f"evaluation/{name}", row[name])
         judged = row[MEANS[self.config.evaluation.criterion]]
         if judged < self.best:
+            self.keep()  # a run that is killed goes on from here, and not from before its best policy
             save_policy(self.folder / BEST, self._policy(row["J"], judged))
             self.best = judged
         self.evaluations.save()

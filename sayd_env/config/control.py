@@ -16,7 +16,7 @@ from sayd_env.config.layers import Kind, layered, read_layered
 from sayd_env.config.loader import is_path, validate
 from sayd_env.config.reward import MeanName
 
-CONTROL = Kind("control")
+CONTROL = Kind("control", names=("study",))
 
 
 class OnlineConfig(Model):

@@ -8,7 +8,7 @@ key: value with dotted keys. A part of a study may stand there by name, by path 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -148,7 +148,8 @@ def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     if any(isinstance(own.get(key), dict) for key in kind.parts):
         below = _with_parts(kind, below)
     set_here = tuple(Origin(path, source) for path in _paths(own))
-    draft = Draft(_merged(below.data, own), source, below.origins + set_here)
+    referring = {place.removesuffix(".name") for place in kind.names}
+    draft = Draft(_merged(below.data, own, referring), source, below.origins + set_here)
     if numbers is None:
         return draft
     if not isinstance(numbers, dict):
@@ -332,12 +333,15 @@ def _alone(key: str, own: Mapping[str, Any], below: Mapping[str, Any]) -> bool:
     )
 
 
-def _merged(below: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Overlay nested sections."""
+def _merged(
+    below: Mapping[str, Any], own: Mapping[str, Any], referring: Collection[str] = ()
+) -> dict[str, Any]:
+    """Overlay nested sections; those of `referring` have a name that is another file's, not their own."""
     result = dict(below)
     for key, value in own.items():
         under = below.get(key)
-        nested = isinstance(value, dict) and isinstance(under, dict) and not _alone(key, value, under)
+        sections = isinstance(value, dict) and isinstance(under, dict)
+        nested = sections and (key in referring or not _alone(key, value, under))  # type: ignore[arg-type]
         result[key] = _merged(under, value) if nested else value  # type: ignore[arg-type]
     return result
 

@@ -163,10 +163,11 @@ def _versines(
     squares = np.square(values[1] - 0.5 * (values[0] + values[2]))
     total = np.concatenate([[0.0], np.cumsum(squares)])
     first = np.floor((x - x[0]) / FINE).astype(np.intp)
+    known = np.searchsorted(places, track.length - HALF_CHORD, side="right")
     found = {}
     for name, seconds in ahead.items():
         count = np.maximum(np.ceil(speed * seconds / FINE), 1.0).astype(np.intp)
-        end = np.minimum(first + count, len(squares))
+        end = np.minimum(first + count, np.maximum(known, first + 1))
         found[name] = np.sqrt((total[end] - total[first]) / (end - first))
     return found
 

@@ -163,7 +163,7 @@ def roll_out(
     rewards, terms = np.zeros((most, count)), np.zeros((most, count, TERMS))
     intervening = getattr(policy, "intervening", None)  # of a safe fallback
     intervened = None if intervening is None else np.zeros((most, count, BOGIES), dtype=np.bool_)
-    log = np.empty((count, samples, LOG))
+    log = np.zeros((count, samples, LOG))  # a run may end within its first period
     length = np.array(steps)
     observation = batch.observations()
     state, start = first_state(policy, batch)

@@ -15,6 +15,7 @@ from sayd_env.agents import pretrained
 from sayd_env.config import ConfigError, nearest, packaged_names, validate
 from sayd_env.config.control import (
     ConstantConfig,
+    LqgConfig,
     PassiveControlConfig,
     controller_of,
     load_controller,
@@ -24,7 +25,7 @@ from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.explain import shown
 from sayd_env.config.safe import load_safe
-from sayd_env.config.scenario import Scenario
+from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.envs.episode_batch import environment_scenario, make_interface
 from sayd_env.envs.interface import Interface
 from sayd_env.envs.registration import VERSION
@@ -129,10 +130,12 @@ class PolicySpec:
     def _identity(self) -> Any:
         if self.stored is not None:
             return {"content": self.stored.identity()}
-        parameters = load_controller(self.name, self.parameters).model_dump(
-            mode="json", exclude={"provenance"}
-        )
-        return {"controller": controller_of(self.name), "parameters": parameters}
+        controller = load_controller(self.name, self.parameters)
+        parameters = controller.model_dump(mode="json", exclude={"provenance"})
+        found = {"controller": controller_of(self.name), "parameters": parameters}
+        if isinstance(controller, LqgConfig):
+            found["designed_on"] = load_scenario(controller.study).model_dump(mode="json")
+        return found
 
     def make(self, env: Any) -> Any:
         """Make the policy for an environment, a batch or an `Interface`.

@@ -22,6 +22,7 @@ import yaml
 SB3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
+from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.buffers import NStepReplayBuffer  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.monitor import Monitor  # noqa: E402
@@ -200,6 +201,9 @@ def test_a_run_is_exported(
         (["ppo", "--seeds", "2", "--workers", "3"], "--seeds: leave out --workers"),
         (["ppo", "--parallel", "2"], "--parallel: belongs to --seeds"),
         (["ppo", "--set", "critic=[frction]"], "critic: 'frction' is not among privileged"),
+        (["sac", "--set", "learning.sde_sample_freq=4"], "sde_sample_freq: has no effect without use_sde"),
+        (["ppo", "--set", "evaluation.seeds=[500, 500]"], "names something twice; it would count twice"),
+        (["ppo", "--set", "environment.beside=[]"], "evaluation.beside_seeds: has no effect without"),
         (["ppo", "--set", "output.hold=0"], "output.hold"),
         (["ppo", "--set", "environment.name=nomnal"], "did you mean 'nominal'?"),
         (["ppo", "--set", "total_steps=1000"], "makes no update: the first one comes after 6400 steps"),
@@ -263,6 +267,32 @@ def test_rewards_and_last_observations_are_encoded(tmp_path: Path) -> None:
         assert np.mean(rewards[2:4]) == pytest.approx(
             config.reward_scale * float(reward) / period / cost, rel=1e-5
         )
+
+
+@pytest.mark.parametrize(
+    ("damper", "message"),
+    [("damper: passive", "needs semi-active dampers"), ("study: own.yaml", "have different dampers")],
+)
+def test_vehicles_that_no_command_moves_are_refused(damper: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text("base: nominal\ndamper: other.yaml\n")
+    (tmp_path / "other.yaml").write_text("base: sayd\nset:\n  throttle.ratio: 50.0\n")
+    beside = tmp_path / "beside.yaml"
+    beside.write_text(f"{RUN_IN}{damper}\n")
+    along = f"environment.beside=[{{name: {beside}, vehicles: 1, episode_s: 0.6}}]"
+    with pytest.raises(ConfigError, match=message):
+        make_learning_env(load_train("ppo", [*settings("ppo", tmp_path), *PLAIN, along]))
+
+
+def test_paths_in_a_training_are_relative_to_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where it changes nothing but the environment; a run finds them from every directory."""
+    (tmp_path / "own.yaml").write_text(RUN_IN)
+    (tmp_path / "mine.yaml").write_text("base: ppo\nenvironment:\n  name: own.yaml\n")
+    monkeypatch.chdir(tmp_path.parent)
+    found, packaged = load_train(f"{tmp_path.name}/mine.yaml"), load_train("ppo")
+    assert found.environment.name == str(tmp_path / "own.yaml")
+    assert found.environment.model_copy(update={"name": packaged.environment.name}) == packaged.environment
 
 
 def test_no_period_costs_more_than_the_worst(tmp_path: Path) -> None:
@@ -399,8 +429,51 @@ def test_ctrl_c_saves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sayd_env.agents.training.REPORT_SECONDS", 0.0)
     with pytest.raises(Interrupted, match="saved at step 56 of 200; go on with --resume"):
         train(config, tmp_path / "run", progress=interrupt)
-    assert steps_on_disk(tmp_path / "run") == [56]
+    assert steps_on_disk(tmp_path / "run")[-1] == 56
     assert train(config, tmp_path / "run", resume=True).steps == 200
+
+
+def test_an_update_is_not_interrupted_halfway(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is kept at a step would be half of its update; whoever goes on would update again on top."""
+    config = load_train("ppo", [*settings("ppo", tmp_path), *PLAIN])
+    update, ends = PPO.train, list[int]()
+
+    def interrupted(model: PPO) -> None:
+        signal.raise_signal(signal.SIGINT)
+        update(model)
+        ends.append(model.num_timesteps)
+
+    monkeypatch.setattr(PPO, "train", interrupted)
+    with pytest.raises(Interrupted, match="saved at step"):
+        train(config, tmp_path / "run")
+    assert len(ends) == 1
+
+
+def test_a_run_that_was_killed_goes_on_from_its_best_policy(tmp_path: Path) -> None:
+    """The rows behind the last checkpoint go, so the best policy must not lie behind it."""
+    config = load_train("sac", [*settings("sac", tmp_path), "checkpoint.every=1000", "evaluation.every=40"])
+    costs = iter([9.0] * len(config.evaluation.references) + [0.03, 0.02, 0.025])
+
+    class Kill(BaseException):
+        """As a signal that nobody can catch."""
+
+    def evaluated(_: Any) -> Any:
+        cost = next(costs, None)
+        if cost is None:
+            raise Kill
+        return np.full(_scenarios(config), cost)
+
+    with pytest.raises(Kill):
+        learn(config, tmp_path / "run", evaluated)
+    trained = learn(config, tmp_path / "run", lambda _: np.full(_scenarios(config), 0.04), resume=True)
+    made = read_policy(tmp_path / "run" / "best.npz").description.made
+    assert made["judged"] == trained.best == pytest.approx(0.02)
+    (best,) = [row for row in trained.evaluations if row["J"] == pytest.approx(0.02)]
+    assert best["steps"] == made["steps"]
+
+
+def _scenarios(config: TrainConfig) -> int:
+    return len(config.evaluation.cases)
 
 
 @pytest.mark.parametrize("which", [1, 2], ids=["in the middle", "the last"])

@@ -77,6 +77,15 @@ def test_the_versines_to_come_are_those_of_a_sine() -> None:
     assert conditions()[0, 0] == pytest.approx(expected, rel=0.02)  # no whole number of waves
 
 
+def test_the_versines_at_the_end_of_an_episode_are_of_the_track_that_is_known() -> None:
+    """It ends 150 m behind the episode, before the next three seconds do."""
+    batch = on_track("track=sine")
+    conditions = Conditions(batch, ["versine_3s"])
+    conditions.begin([0])
+    along = conditions._along[0][:, 0]
+    assert along[-1] == pytest.approx(along[0], rel=0.05)  # zeros behind the end would make 0.65 of it
+
+
 def test_the_versines_to_come_lie_ahead() -> None:
     """A defect two seconds ahead is within three seconds and not within one."""
     batch = on_track("track=defect", "track.irregularity.position=295")

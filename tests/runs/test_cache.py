@@ -238,6 +238,17 @@ def test_what_makes_runs_on_another_floor_counts_with_it(monkeypatch: pytest.Mon
     assert context._keys(recorded, specs) != before
 
 
+def test_what_a_regulator_was_designed_on_counts(tmp_path: Path):
+    """Also a file that its study names."""
+    (tmp_path / "own.yaml").write_text("base: nominal\nvehicle: heavy.yaml\n")
+    (tmp_path / "lqg.yaml").write_text("base: lqg\nstudy: own.yaml\n")
+    identities = []
+    for mass in (40e3, 50e3):
+        (tmp_path / "heavy.yaml").write_text(f"base: emu\nset:\n  bodies.carbody.mass: {mass}\n")
+        identities.append(policy_spec(str(tmp_path / "lqg.yaml")).identity())
+    assert identities[0] != identities[1]
+
+
 def test_the_same_sources_elsewhere_have_the_same_fingerprint(copies: dict[str, Path]):
     assert fingerprint_of(list(copies.values())) == source_fingerprint()
 

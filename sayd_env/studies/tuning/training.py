@@ -343,11 +343,12 @@ class _Search:
         """One trial, with so many before it."""
         found = {name: self._suggest(trial, name, each) for name, each in self.settings.ranges.items()}
         config, steps = with_settings(self.base, found), self.settings.total_steps
+        every = config.evaluation.every
         folder = self.folder / TRIALS / f"{trial.number:04d}"
         shutil.rmtree(folder, ignore_errors=True)
 
         def stop_rule(step: int, cost: float) -> bool:
-            trial.report(cost, step)
+            trial.report(cost, step // every * every)  # trials are compared at the same step
             return bool(trial.should_prune())
 
         def report(done: float, total: float, what: str = "") -> None:
