@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,6 +18,9 @@ from sayd_env.config.storage import ENDINGS
 INPUT_ERROR = 2
 FAILURE = 1
 INTERRUPTED = 130
+PATIENCE = 5.0
+"""Seconds in which an interrupted process may clean up undisturbed."""
+_interrupted_at: list[float] = []
 
 
 def start() -> NoReturn:
@@ -41,11 +45,15 @@ def _endings() -> list[signal.Signals]:
     return [each for each in ENDINGS if signal.getsignal(each) is not signal.SIG_IGN]
 
 
-def _interrupt(*_: object) -> NoReturn:
-    # One is enough: another one, as `timeout` and impatience send it, would break into what cleans up.
-    for each in _endings():
-        signal.signal(each, signal.SIG_IGN)
-    raise KeyboardInterrupt
+def _interrupt(*_: object) -> None:
+    # One is enough: another one, as `timeout` and impatience send it, would break into what cleans up. But
+    # where Python swallowed the first (in a finaliser), or cleaning up hangs, a later one ends the process.
+    now = time.monotonic()
+    if not _interrupted_at:
+        _interrupted_at.append(now)
+        raise KeyboardInterrupt
+    if now > _interrupted_at[0] + PATIENCE:
+        os._exit(INTERRUPTED)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

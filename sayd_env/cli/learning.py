@@ -233,9 +233,9 @@ def export(
     if onnx:
         raise ConfigError(f"--fmu {fmu}: leave out --onnx")
     _refuse(foreign.given(), f"--fmu {fmu}: leave out")
-    if fmu == "damper":
+    if fmu != "vehicle":
         others = {name: value for name, value in choice.given().items() if name not in OF_A_DAMPER}
-        _refuse(others, "--fmu damper: has no vehicle; leave out")
+        _refuse(others, f"--fmu {fmu}: has no vehicle; leave out")
     if (source is None) == (fmu == "controller"):
         raise ConfigError(f"--fmu {fmu}: {'of which policy?' if source is None else f'leave out {source}'}")
     if fmu != "vehicle" and (speed is not None or seed is not None):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 from pydantic import Field
 
@@ -67,6 +69,19 @@ class Scenario(Part):
     cost: CostConfig
     assessment: AssessmentConfig
     description: str = Field("", description="What this scenario is")
+
+    def content(self) -> dict[str, Any]:
+        """What a file of its own holds; measured files stay where they are and are found from any folder."""
+        found: dict[str, Any] = _found_from_anywhere(self.model_dump(mode="json"))
+        return found
+
+
+def _found_from_anywhere(value: Any, key: str = "") -> Any:
+    if isinstance(value, dict):
+        return {name: _found_from_anywhere(each, name) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_found_from_anywhere(each) for each in value]
+    return str(Path(value).resolve()) if key in ("file", "path") and isinstance(value, str) else value
 
 
 def load_scenario(

@@ -123,7 +123,7 @@ def vehicle_unit(scenario: Scenario, speed: float, seed: int) -> Unit:
         f"Rail vehicle '{scenario.vehicle.name}' with '{scenario.damper.name}' yaw dampers",
         vehicle_variables(scenario, speed, seed),
         1e-3,
-        {"kind": "vehicle", "scenario": _content(scenario)},
+        {"kind": "vehicle", "scenario": scenario.content()},
     )
 
 
@@ -151,22 +151,9 @@ def controller_unit(policy: str, scenario: Scenario) -> Unit:
         f"Controller '{policy}' of the dampers of a vehicle, one step of {made.period:g} s",
         made.variables,
         made.period,
-        {"kind": "controller", "scenario": _content(scenario), **content},
+        {"kind": "controller", "scenario": scenario.content(), **content},
         files,
     )
-
-
-def _content(scenario: Scenario) -> Any:
-    """A scenario's numbers; measured files stay where they are and are found from any folder."""
-
-    def placed(value: Any, key: str = "") -> Any:
-        if isinstance(value, dict):
-            return {name: placed(each, name) for name, each in value.items()}
-        if isinstance(value, list):
-            return [placed(each) for each in value]
-        return str(Path(value).resolve()) if key == "file" and isinstance(value, str) else value
-
-    return placed(scenario.model_dump(mode="json"))
 
 
 def _process_unit(

@@ -173,7 +173,7 @@ def document(
     dict
         The result's keys and ``command``, ``created``, ``seed``, ``config``, ``versions``, ``git_commit``
         (null outside a checkout), ``git_modified`` (whether tracked files differ from that commit) and
-        ``written`` (names of the files, see `ResultDirectory.save`).
+        ``written`` (names of its tables, pictures, page and record, see `ResultDirectory.save`).
     """
     about = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

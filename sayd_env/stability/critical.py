@@ -17,9 +17,9 @@ class Crossing(enum.Enum):
 
     FOUND = "found"
     """The limit is exceeded within the grid: the critical speed is interpolated."""
-    NOT_REACHED = "not reached"
+    NOT_REACHED = "not_reached"
     """The limit holds at every speed: the critical speed lies above the grid."""
-    BELOW_GRID = "below grid"
+    BELOW_GRID = "below_grid"
     """The limit is exceeded at the lowest speed already: the critical speed lies below the grid."""
 
 

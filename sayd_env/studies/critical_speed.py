@@ -126,7 +126,7 @@ class CriticalSpeedResult:
             "by_criterion": {
                 name: {
                     "critical_speed_kmh": None if c.speed is None else c.speed * KMH,
-                    "status": c.crossing.name.lower(),
+                    "status": c.crossing.value,
                     "over_seeds_kmh": self.criteria[name].over_seeds_kmh(),
                     "sensitive_to_grid": self._sensitive(name),
                 }
@@ -139,7 +139,7 @@ class CriticalSpeedResult:
         """Every run, one line for each wheelset, and the critical speeds by creep law."""
         laws = {} if self.laws is None else {"creep_laws": self.laws.table()}
         found = [
-            (name, None if c.speed is None else c.speed * KMH, c.crossing.name.lower())
+            (name, None if c.speed is None else c.speed * KMH, c.crossing.value)
             for name, c in self.crossing().items()
         ]
         return {
@@ -302,7 +302,7 @@ class CreepLawComparison:
                 "creep_law": law,
                 "criterion": name,
                 "critical_speed_kmh": None if found.speed is None else found.speed * KMH,
-                "status": found.crossing.name.lower(),
+                "status": found.crossing.value,
                 "verdict": result.verdict(name),
             }
             for law, result in self.results.items()

@@ -110,7 +110,7 @@ class HindsightResult:
         for rule in self.rules:
             ratios = [line.costs[rule] / line.costs[HINDSIGHT] for line in self.lines]
             sections = np.concatenate([line.J[rule] / line.J[HINDSIGHT] for line in self.lines])
-            derailed = sum(line.derailed.get(rule, 0) for line in self.lines)
+            derailed = sum(line.derailed[rule] for line in self.lines)
             found.append(Gap(rule, _mean_ratio(ratios), max(ratios) - 1.0, _mean_ratio(sections), derailed))
         return found
 
@@ -147,7 +147,7 @@ class HindsightResult:
     def tables(self) -> dict[str, Table]:
         """Gaps; J by line and rule; J by line, section and command."""
         by_line = [
-            {"line": line.name, "rule": rule, "J": line.costs[rule], "derailed": line.derailed.get(rule, 0)}
+            {"line": line.name, "rule": rule, "J": line.costs[rule], "derailed": line.derailed[rule]}
             for line in self.lines
             for rule in self.rules
         ]
@@ -273,9 +273,10 @@ def hindsight(
         schedule = schedule_spec(chosen, ends, HINDSIGHT)
         records = study.run(name, [schedule, *policies])
         costs = {each: study.mean(name, of) for each, of in records.items()}
-        derailed = {each: sum(r.ending is not None for r in of) for each, of in records.items()}
+        derailed = {each: ended_early(of) for each, of in records.items()}
         best = min(found[name], key=lambda current, name=name: study.cost(name, current))  # type: ignore[misc]
         costs |= {SINGLE: found[name][best], FOR_ALL: found[name][single]}
+        derailed |= {SINGLE: study.derailed(name, best), FOR_ALL: study.derailed(name, single)}
         sections = tuple(section.name for section in study.lines[name].sections)
         lines.append(OnLine(name, sections, study.time(name), found[name], tuple(chosen), costs, derailed))
     return HindsightResult(config, tuple(lines), single, tuple(specs))
@@ -320,6 +321,10 @@ class _Study:
     def cost(self, name: str, current: float) -> float:
         """J of a constant command on a line."""
         return _whole(self._by_section(name, current), self.time(name))
+
+    def derailed(self, name: str, current: float) -> int:
+        """Runs of a constant command on a line that ended early."""
+        return ended_early(self._records[name][current])
 
     def mean_log(self, current: float) -> float:
         """Mean over the lines of the logarithm of J of a constant command."""
@@ -392,6 +397,11 @@ def _lines(config: HindsightConfig, scenario: Scenario) -> Iterable[tuple[str, L
         line = draw_episode(environment, seed, 0).line
         assert isinstance(line, Line)  # it has been drawn
         yield f"drawn {seed}", line
+
+
+def ended_early(records: Iterable[LineRecord]) -> int:
+    """How many runs ended before the line."""
+    return sum(each.ending is not None for each in records)
 
 
 def best_by_section(costs: Mapping[float, Array]) -> list[float]:

@@ -95,8 +95,9 @@ _RATIOS = (*RATIOS, "quotient_ratio", "mean_shift_ratio")
 VALUES = ("J", "J_acceleration", "J_force", "J_curve", *_RATIOS, "unloading")
 _PICTURE_WORDS = (
     "Above: speed, curve and cant, gauge and friction along the line, the value of a dashed line on the "
-    "right. Below: command, J and sliding RMS values over their limits, one line for each policy, on the "
-    "first track. Every second section is shaded."
+    "right. Below: command, J and sliding values over their limits, one line for each policy, on the first "
+    "track; the acceleration's RMS is that of the on-line filter, which knows no section, while the table "
+    "has that by EN 14363. Every second section is shaded."
 )
 _LIMIT: dict[str, Any] = {"best": True, **LIMITED}
 COLUMNS = (
@@ -307,7 +308,7 @@ class LineResult:
             if _place(run) == place and run.seed == seed:
                 _draw_run(axes[3:], run, record)
         for axis, name in zip(
-            axes[3:], ("command (-)", "J", "sliding RMS of\nacceleration", "Y/Q, 2 m", "ΣY, 2 m"), strict=True
+            axes[3:], ("command (-)", "J", "on-line RMS of\nacceleration", "Y/Q, 2 m", "ΣY, 2 m"), strict=True
         ):
             axis.set_ylabel(name if name in ("command (-)", "J") else f"{name}\nover limit")
         axes[3].set_ylim(-0.05, 1.05)

@@ -67,7 +67,7 @@ class ModesResult:
         return {
             "amplitude_mm": self.amplitude * 1e3,
             "linear_critical_speed_kmh": self._critical_kmh(),
-            "status": self.crossing.name.lower(),
+            "status": self.crossing.value,
             "critical_speed_range_kmh": [speed * KMH for speed in self.critical_range],
             "modes": self._rows(),
         }

@@ -72,8 +72,14 @@ class SweepResult:
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the overviews of all results as one table."""
-        rows = [{**row, **each.swept} for each, result in self._each() for row in result.overview()[1]]
-        columns = [column for column in self.results[0].overview()[0] if column.name not in self.keys]
+        overviews = [result.overview() for result in self.results]
+        every = {column.name: column for columns, _ in overviews for column in columns}
+        columns = [column for name, column in every.items() if name not in self.keys]
+        rows = [
+            {**dict.fromkeys(every), **row, **each.swept}
+            for each, (_, found) in zip(self.variants, overviews, strict=True)
+            for row in found
+        ]
         about = f"{len(self.variants)} configurations"
         print_table(console, about, [*(Column(key, key) for key in self.keys), *columns], rows, wide=wide)
 

@@ -22,6 +22,7 @@ PROGRAM = """
 import sys, time
 from typing import Annotated
 import typer
+from sayd_env import cli
 from sayd_env.cli import app, options, start
 from sayd_env.cli.command import Plan, command
 from sayd_env.config import ConfigError, StudyError
@@ -52,6 +53,14 @@ def probe(what: Annotated[str, typer.Argument()], vehicle: options.VehicleOption
             finally:
                 print("cleaning up", flush=True)
                 time.sleep(0.5)
+        if what == "deaf":  # as where a finaliser swallows the interrupt
+            cli.PATIENCE = 0.1
+            for word in ("ready", "on and on"):
+                try:
+                    print(word, flush=True)
+                    time.sleep(60)
+                except KeyboardInterrupt:
+                    time.sleep(0.2)
         context.progress(1, 2, "half")
         return Result()
     return Plan(study, {"speeds": speeds}, 3)
@@ -184,6 +193,17 @@ def test_an_interrupted_run_says_so_and_leaves_no_result(kind: signal.Signals, t
     assert process.returncode == 130
     assert errors == "sayd: interrupted; no result was written\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_program_that_swallowed_an_interrupt_ends_by_the_next_one():
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "probe", "deaf"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        for word in ("ready\n", "on and on\n"):
+            assert process.stdout.readline() == word
+            process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) == 130
 
 
 def test_a_reader_that_leaves_early_causes_no_complaint():

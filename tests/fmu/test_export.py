@@ -34,6 +34,7 @@ def test_command_writes_a_vehicle(tmp_path: Path, capsys: pytest.CaptureFixture[
         (("--fmu", "vehicle", "--damper", "passive"), "needs semi-active dampers"),
         (("--fmu", "damper", "--speed", "300"), "has no track"),
         (("--fmu", "damper", "--track", "china"), "has no vehicle; leave out --track"),
+        (("mppt2", "--fmu", "controller", "--wear", "0.5"), "has no vehicle; leave out --wear"),
         (("x.zip", "--fmu", "controller", "--trust-pickles"), "leave out --trust-pickles"),
         (("--fmu", "damper", "ppo"), "leave out ppo"),
         (("--fmu", "controller"), "of which policy?"),

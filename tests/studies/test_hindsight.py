@@ -47,7 +47,7 @@ def test_gaps_are_geometric_means() -> None:
         J = {HINDSIGHT: np.array([0.1, 0.2]), SINGLE: factor * np.array([0.1, 0.2])}
         J |= {FOR_ALL: J[SINGLE], "mppt2": J[SINGLE]}
         constants = {0.0: J[SINGLE], 1.0: np.array([0.5, 0.15])}
-        return OnLine(name, ("a", "b"), time, constants, (0.0, 1.0), J, {})
+        return OnLine(name, ("a", "b"), time, constants, (0.0, 1.0), J, dict.fromkeys(J, 0))
 
     config = load_hindsight()
     result = HindsightResult(config, (made("first", 1.1), made("second", 1.6)), 0.0, ("mppt2",))

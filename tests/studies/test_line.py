@@ -80,6 +80,27 @@ def result(short_scenario: Scenario) -> LineResult:
     return evaluate_line(short_scenario, lined(CURVE), [SPEED], [3, 4], policies=policies, name="test")
 
 
+def test_a_straight_as_long_as_a_segment_of_the_spectrum_is_assessed() -> None:
+    """At a speed at which its 500 m are no whole number of samples, with more track around for the filter."""
+    sections = [
+        {"name": "approach", "length": 500.0},
+        {
+            "name": "curve",
+            "length": 300.0,
+            "radius": 9000.0,
+            "turn": "left",
+            "cant": 0.05,
+            "transition": 100.0,
+        },
+    ]
+    scenario = load_scenario("nominal", ["assessment.run_in=500"])
+    constant = [policy_spec("constant:0.3")]
+    found = evaluate_line(scenario, lined({"sections": sections}), [287.0 / 3.6], [3], policies=constant)
+    ratios = {row["section"]: row["acceleration_ratio"] for row in found.medians}
+    assert 0.0 < ratios["approach"] < 1.0
+    assert math.isnan(ratios["curve"])
+
+
 def test_a_section_is_described_where_it_is_tightest(tmp_path: Path, short_scenario: Scenario) -> None:
     """The curve of R = 800 m in the middle of a measured section; what follows a curve is straight."""
     path = tmp_path / "curve.csv"

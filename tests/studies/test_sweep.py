@@ -36,7 +36,10 @@ class Plain:
         return {"nothing": lambda figure: None}
 
     def overview(self) -> Any:
-        return [Column("friction", "friction"), Column("product", "product")], [self.as_dict()]
+        """Worn wheels have a column more."""
+        more = {"worn": 1.0} if self.scenario.wear else {}
+        columns = [Column("friction", "friction"), Column("product", "product")]
+        return [*columns, *(Column(name, name) for name in more)], [self.as_dict() | more]
 
     def summary(self, console: Console, wide: bool = False) -> None:
         console.print("alone")
@@ -70,8 +73,9 @@ def test_swept_keys_are_columns_in_console_csv_and_json(short_scenario: Scenario
     text = io.StringIO()
     result.summary(Console(file=text, width=80))
     lines = [line.split() for line in text.getvalue().splitlines()]
-    assert ["wear", "friction", "product"] in lines
-    assert ["1", "0.2", "0.2"] in lines
+    assert ["wear", "friction", "product", "worn"] in lines
+    assert ["0", "0.2", "0", "-"] in lines
+    assert ["1", "0.2", "0.2", "1"] in lines
     assert list(result.plots()) == [f"nothing_{k}" for k in range(1, 5)]
     assert done == [(k, 4, f"wear={w}, friction={f}") for k, (w, f) in enumerate(ALL, start=1)]
 

@@ -39,7 +39,7 @@ def measure_starts(
     results: dict[str, list[tuple[float, float]]] = {"first": [], "later": []}
     with tempfile.TemporaryDirectory(prefix="sayd-bench-") as folder:
         config = Path(folder) / "scenario.yaml"
-        config.write_text(json.dumps(scenario.model_dump(mode="json")))
+        config.write_text(json.dumps(scenario.content()))
         arguments = ["evaluate", "--config", str(config), *_SHORT, "--speeds", f"{speed * KMH:.6g}"]
         starts = [("first", k) for k in range(effort.first_starts)] + [("later", 0)] * effort.later_starts
         for name, k in starts:

@@ -13,6 +13,7 @@ from sayd_env.report.columns import LIMITED, Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot
 from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
 from sayd_env.runs.metrics import RATIOS
+from sayd_env.stability.critical import Crossing
 from sayd_env.studies.comparison.figures import draw
 from sayd_env.studies.comparison.grid import OFFLINE, OWN, TOGETHER, Variant
 from sayd_env.studies.comparison.result import MATRIX, Comparison
@@ -289,7 +290,7 @@ def _stabilities(result: Comparison) -> list[dict[str, Any]]:
 def _critical(found: Stability, grid: tuple[float, ...]) -> str:
     if found.critical_speed_kmh is not None:
         return f"{found.critical_speed_kmh:.0f}"
-    return f"> {grid[-1]:g}" if found.status == "not reached" else f"< {grid[0]:g}"
+    return f"> {grid[-1]:g}" if found.status == Crossing.NOT_REACHED.value else f"< {grid[0]:g}"
 
 
 def _numbers(name: str, estimate: Estimate) -> dict[str, float]:

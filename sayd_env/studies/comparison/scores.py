@@ -187,7 +187,7 @@ class Stability:
     critical_speed_kmh: float | None
     """None above or below the speeds that were run."""
     status: str
-    """``found``, ``not reached`` or ``below grid``."""
+    """Value of a `Crossing`."""
     by_criterion: Mapping[str, float | None]
     speeds_kmh: tuple[float, ...]
     """Speeds up to `STABLE_TO` that were run."""

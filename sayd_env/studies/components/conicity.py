@@ -171,7 +171,7 @@ class ConicityResult:
         print_table(console, self.title, CURVE, rows, wide=wide)
         console.print(
             "rigid: touching points of the profiles. regularised: mean over the patch under "
-            f"{self.table.load / _MILLI:g} kN a wheel;\na simulation uses the regularised contact."
+            f"{self.table.load / _MILLI:g} kN a wheel, as a simulation has it."
         )
 
 

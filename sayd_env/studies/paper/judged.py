@@ -61,7 +61,7 @@ class Judged:
                         "wheels": wheels,
                         "criterion": name,
                         "critical_speed_kmh": None if crossing.speed is None else crossing.speed * KMH,
-                        "status": crossing.crossing.name.lower(),
+                        "status": crossing.crossing.value,
                         "over_seeds": criterion.over_seeds_text(),
                         "seeds_10_kmh": low,
                         "seeds_90_kmh": high,

@@ -82,11 +82,11 @@ def test_a_factor_on_every_condition_has_no_spread():
     assert (found.value, found.low, found.high) == pytest.approx((0.2, 0.2, 0.2))
 
 
-STABLE = Stability(None, "not reached", {}, (340.0, 400.0), {"acceleration": 0.4}, 0.5)
+STABLE = Stability(None, "not_reached", {}, (340.0, 400.0), {"acceleration": 0.4}, 0.5)
 
 
 CRITICAL = Stability(390.0, "found", {}, (340.0, 400.0), {"acceleration": 1.1}, 1.2)
-UNKNOWN = Stability(None, "not reached", {}, (340.0, 370.0), {"acceleration": 0.4}, 0.5)
+UNKNOWN = Stability(None, "not_reached", {}, (340.0, 370.0), {"acceleration": 0.4}, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -136,6 +136,6 @@ def test_stability_is_judged_by_medians_up_to_400_km_h():
     assert found.ratios == {"acceleration": 0.8, "track_shift_force": 0.1}
     assert found.largest_run == 3.0
     assert found.stable
-    below = Stability(None, "below grid", {}, (340.0,), {"acceleration": 2.0, "track_shift_force": 0.1}, 2.0)
+    below = Stability(None, "below_grid", {}, (340.0,), {"acceleration": 2.0, "track_shift_force": 0.1}, 2.0)
     both = least_stable([found, below])
-    assert (both.critical_speed_kmh, both.status, both.stable) == (None, "below grid", False)
+    assert (both.critical_speed_kmh, both.status, both.stable) == (None, "below_grid", False)
