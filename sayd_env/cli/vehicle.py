@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -291,6 +292,7 @@ def assess(
     from sayd_env.studies.assess import Train, assess_file  # noqa: PLC0415
 
     given = tuple(assignments or ())
+    _refuse_idle(item.partition("=")[0].strip() for item in given)
     scenario = load_scenario(config, given)
     # The default vehicle is the paper's, and nobody's train.
     known = config is not None or any(item.strip().startswith("vehicle") for item in given)
@@ -313,6 +315,21 @@ def assess(
         ),
         lambda result: result.settings,
     )
+
+
+def _refuse_idle(keys: Iterable[str]) -> None:
+    """Refuse settings that say nothing of a recording."""
+    instead = {
+        "assessment.run_in": "--run-in leaves out the start",
+        "assessment.length": "all of a recording is assessed",
+        "assessment.sample_rate": "--sample-rate stands above the times in the file",
+    }
+    from sayd_env.config import ConfigError  # noqa: PLC0415 - keeps --help fast
+
+    for key in keys:
+        if key in instead or key.partition(".")[0] not in ("vehicle", "assessment"):
+            why = instead.get(key, "only vehicle and assessment are used")
+            raise ConfigError(f"--set {key}: has no effect on a recording: {why}")
 
 
 @command(COMPONENTS, "--profile lmb10", without=("damper", "friction"))

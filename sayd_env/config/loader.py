@@ -45,11 +45,19 @@ MOST_VALUES = 50_000
 """Values in it, counted wherever an alias repeats them."""
 MOST_LEVELS = 50
 """Levels of nesting in it."""
-_MERGE = "tag:yaml.org,2002:merge"
+_MERGE, _INTEGER, _FLOAT = (f"tag:yaml.org,2002:{kind}" for kind in ("merge", "int", "float"))
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses duplicate keys and reads 1e5 as a number (YAML 1.2, unlike PyYAML's 1.1)."""
+    """Safe YAML that refuses duplicate keys and reads numbers as YAML 1.2 does: 1e5, and 0500 as 500.
+
+    The underscores of 1.1 stay, 250_000; its octal and sexagesimal numbers, 8:20, do not.
+    """
+
+    yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML's own
+        first: [(tag, form) for tag, form in found if tag not in (_INTEGER, _FLOAT)]
+        for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         merged = 0
@@ -78,11 +86,24 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
+def _whole(loader: _Loader, node: yaml.ScalarNode) -> int:
+    text = str(loader.construct_scalar(node)).replace("_", "")
+    return int(text, 0) if text.lstrip("-+")[:2].lower() in ("0x", "0o") else int(text)
+
+
+_DIGITS = r"[0-9](?:_?[0-9])*"
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(?:\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    _INTEGER, re.compile(rf"^(?:[-+]?{_DIGITS}|0x[0-9a-fA-F]+|0o[0-7]+)$"), list("-+0123456789")
+)
+_Loader.add_implicit_resolver(
+    _FLOAT,
+    re.compile(
+        rf"^(?:[-+]?(?:{_DIGITS}\.(?:{_DIGITS})?|\.{_DIGITS})(?:[eE][-+]?[0-9]+)?|[-+]?{_DIGITS}[eE][-+]?[0-9]+"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
+    ),
     list("-+0123456789."),
 )
+_Loader.add_constructor(_INTEGER, _whole)
 
 
 def parse_yaml(text: str, source: str) -> Any:
@@ -399,7 +420,7 @@ def _list_index(node: list[Any], key: str, where: str, item: str) -> int:
     names = [str(entry.get("name")) for entry in node if isinstance(entry, dict) and "name" in entry]
     if key in names:
         return next(i for i, entry in enumerate(node) if isinstance(entry, dict) and entry.get("name") == key)
-    if key.isdigit() and int(key) < len(node):
+    if key.isascii() and key.isdigit() and int(key) < len(node):
         return int(key)
     raise ConfigError(
         f"{item}: no entry '{where}'{nearest(key, names)}; use a number below {len(node)}"

@@ -25,6 +25,9 @@ JOINT_TOLERANCE_MM = 0.02
 _WIDEST = 500.0  # mm; no profile reaches further from its origin
 _FLATTEST = 1e6  # mm; an arc of a larger radius is a line
 
+_LEAST_SMOOTHING = 1.5e-4
+"""Of the five samples that a cubic smooths (m)."""
+
 
 class Line(Model):
     """Straight zone: z = offset + slope * y."""
@@ -102,6 +105,8 @@ class Shape(Model):
             raise ValueError(f"give exactly one of zones, points, file; found {', '.join(given) or 'none'}")
         if self.unit is not None and self.file is None:
             raise ValueError(f"unit is that of a file; {given[0]} are in mm")
+        if 0.0 < self.smoothing < _LEAST_SMOOTHING:
+            raise ValueError(f"smoothing: nothing is smoothed over less than {1e3 * _LEAST_SMOOTHING:g} mm")
         for before, after in zip(self.zones or (), (self.zones or ())[1:], strict=False):
             if abs(before.end - after.start) > 1e-9:
                 raise ValueError(

@@ -28,6 +28,7 @@ _MARKS = (
 # Most lines that are looked at to find out how the others are written.
 _SAMPLE = 500
 # Excel writes the separator into the first line, and a cell of a header may go over several lines.
+_CLOCK_FORM = re.compile(r"h{1,2}:m{1,2}:s{1,2}(?:[.,]\w+)?", re.IGNORECASE)
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)
 _LONGEST_CELL, _LONGEST_HEAD = 5, 200
 _HOLLOW = re.compile(r"[ \t]*[;,|][ \t;,|]*|[ \t]*\t[ \t]*")
@@ -278,7 +279,12 @@ def _header_cells(line: Line, separator: str, usual: int, source: str) -> list[s
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    return all(unit_of(cell) is not None for cell in cells if cell)
+    return all(unit_of(cell) is not None or is_clock_form(cell) for cell in cells if cell)
+
+
+def is_clock_form(unit: str) -> bool:
+    """Whether what stands for a unit is the form of times of day, such as hh:mm:ss.sss."""
+    return _CLOCK_FORM.fullmatch(unit.strip(" []()")) is not None
 
 
 def find_separator(lines: Sequence[Line]) -> str:

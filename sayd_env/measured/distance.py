@@ -211,7 +211,7 @@ def _examples(names: Collection[str]) -> str:
 def _identified(text: TextTable, column: int, where: str) -> tuple[str, Variant | None]:
     """What a column is."""
     label, unit = labelled(text, column)
-    if label in ("km", "m") and not unit:
+    if label in ("km", "m") and (not unit or _is_length(unit)):
         label = _POSITION
     name = _OTHER_NAMES.get(label, label)
     if name in IRREGULARITIES:
@@ -229,6 +229,11 @@ def _identified(text: TextTable, column: int, where: str) -> tuple[str, Variant 
         f"{where}: unknown {text.titled(column)}{nearest(text.names[column], allowed.split(', '))}; "
         f"allowed: {allowed}; or name it under ignore"
     )
+
+
+def _is_length(unit: str) -> bool:
+    known = unit_of(unit)
+    return known is not None and known.quantity == "length"
 
 
 def _refuse_part(label: str, where: str) -> None:
@@ -268,7 +273,10 @@ def _variant(channel: str, way: str, where: str) -> Variant | None:
             )
         known = unit_of(unit)
         assert known is not None
-        return Variant(channel, "chord", known.factor * float(length.replace("_", ".")))
+        chord = known.factor * float(length.replace("_", "."))
+        if chord <= 0.0:
+            raise DataError(f"{where}: found a chord of {length} {unit}; expected a length above 0")
+        return Variant(channel, "chord", chord)
     if found := _DOMAIN.fullmatch(way):
         return Variant(channel, "domain", domain=f"D{found['domain']}")
     if way in _SPACE_CURVE:
@@ -326,7 +334,7 @@ def _check_positions(table: DistanceTable) -> None:
         raise DataError(f"{table.where(i)}: {table.place(i)} {problem}; positions must ascend{hint}")
     usual, length = float(np.median(spacing)), float(table.x[-1] - table.x[0])
     column = f"{table.head}: column '{table.position.header}'"
-    if usual < _CLOSEST:
+    if usual < _CLOSEST * (1.0 - 1e-6):  # centimetres as they are written
         raise DataError(
             f"{column}: rows are {usual:g} m apart, at least {_CLOSEST:g} m makes sense (is the unit km?)"
         )

@@ -26,7 +26,9 @@ import numpy as np
 from sayd_env.config.errors import ConfigError, DataError, SaydError
 from sayd_env.config.files import MIB, read_bytes
 from sayd_env.config.units import Array
+from sayd_env.measured.dialect import is_clock_form
 from sayd_env.measured.table import MISSING, TextTable, read_text_table
+from sayd_env.measured.units import name_and_unit
 
 LARGEST = 4096 * MIB
 """Most that a file of a measuring system may have; only the columns that are used are read of it."""
@@ -166,7 +168,8 @@ def _text(path: Path) -> Iterator[Contents]:
             " expected a recording of at least 500 m"
         )
     units = table.head.units or ("",) * len(table.names)
-    clocks = [k for k in range(len(table.names)) if not units[k] and _is_clock(table, k)]
+    names = [_without_form(name) for name in table.names]
+    clocks = [k for k, unit in enumerate(units) if (not unit or is_clock_form(unit)) and _is_clock(table, k)]
 
     def values(places: Sequence[int]) -> list[Array]:
         plain = [k for k in places if k not in clocks]
@@ -180,12 +183,18 @@ def _text(path: Path) -> Iterator[Contents]:
         table.source,
         tuple(
             FileColumn(name, "s" if k in clocks else unit, len(table))
-            for k, (name, unit) in enumerate(zip(table.names, units, strict=True))
+            for k, (name, unit) in enumerate(zip(names, units, strict=True))
         ),
         values,
         lambda place, row: table.where(row, place),
         notes=[*([] if table.encoding == "UTF-8" else [f"The text is {table.encoding}."]), *table.notes],
     )
+
+
+def _without_form(header: str) -> str:
+    """The name of a column without the form of its times of day: ``time [hh:mm:ss.sss]``."""
+    name, unit = name_and_unit(header)
+    return name if is_clock_form(unit) else header
 
 
 def _is_clock(table: TextTable, column: int) -> bool:
@@ -238,20 +247,25 @@ def _mdf(path: Path) -> Iterator[Contents]:
 
         def values(place: int) -> Array:
             group, index, _, _ = found[place]
-            got = file.get(group=group, index=index, ignore_invalidation_bits=False)
-            # Samples that the system has marked as invalid are none.
+            # Samples that the system has marked as invalid are none; the library would leave them out.
+            got = file.get(group=group, index=index, ignore_invalidation_bits=True)
             lost = getattr(got, "invalidation_bits", None)
             numbers = _numeric(path, got.name, got.samples)
             return numbers if lost is None else np.where(np.asarray(lost, dtype=bool), np.nan, numbers)
 
         names = _distinct([(str(group + 1), channel.name) for group, _, channel, _ in found])
         columns = tuple(
-            FileColumn(names[place], str(channel.unit or ""), count, time=_times_of(signal, place))
-            for place, (_, _, channel, count) in enumerate(found)
+            FileColumn(names[place], _mdf_unit(file, group, index), count, time=_times_of(signal, place))
+            for place, (group, index, _, count) in enumerate(found)
         )
         yield _of_channels(path, columns, values)
     finally:
         file.close()
+
+
+def _mdf_unit(file: Any, group: int, index: int) -> str:
+    """Unit of a channel; that of version 3 stands in its conversion."""
+    return str(file.get_channel_unit(group=group, index=index) or "")
 
 
 def _times_of(signal: Callable[[int], Any], place: int) -> Callable[[], Array]:
@@ -263,17 +277,21 @@ def _tdms(path: Path) -> Iterator[Contents]:
     with import_module("nptdms").TdmsFile.open(path) as file:
         found = [channel for group in file.groups() for channel in group.channels()]
         names = _distinct([(channel.group_name, channel.name) for channel in found])
-        columns = tuple(map(_tdms_column, names, found))
+        begun = [each.properties.get("wf_start_time") for each in found]
+        first = min((each for each in begun if each is not None), default=None)
+        late = [0.0 if each is None else float((each - first) / np.timedelta64(1, "s")) for each in begun]
+        columns = tuple(map(_tdms_column, names, found, late))
         yield _of_channels(path, columns, lambda k: _numeric(path, found[k].name, found[k][:]))
 
 
-def _tdms_column(name: str, channel: Any) -> FileColumn:
+def _tdms_column(name: str, channel: Any, late: float) -> FileColumn:
+    """A channel that begins so much later (s) than the first one of the file."""
     about: Mapping[str, Any] = channel.properties
     unit = str(about.get("unit_string") or about.get("NI_UnitDescription") or "")
     count, step = len(channel), float(about.get("wf_increment") or 0.0)
     if not step:
         return FileColumn(name, unit, count)
-    start = float(about.get("wf_start_offset") or 0.0)
+    start = late + float(about.get("wf_start_offset") or 0.0)
     return FileColumn(name, unit, count, time=lambda: start + step * np.arange(count, dtype=np.float64))
 
 
@@ -294,6 +312,8 @@ def _parquet(path: Path) -> Iterator[Contents]:
             got = file.read(columns=[name]).column(0)
             if not clocks[place]:
                 return _numeric(path, name, got.to_pandas().to_numpy())
+            if str(fields[place].type).startswith(("time32", "time64")):
+                return _since_first([str(each) for each in got.to_pylist()])
             ticks = got.to_pandas()
             return np.asarray((ticks - ticks.iloc[0]) / np.timedelta64(1, "s"), dtype=np.float64)
 

@@ -170,9 +170,9 @@ def read_measured_line(config: LineConfig, speed: float | None = None) -> Line:
         raise DataError(f"{table.source}: column 'rail': the line's two rails are missing, which YAML names")
     if "rail" not in table.columns and config.rails is not None and config.rails[0] is None:
         raise DataError(f"{table.head}: rails: have no effect without a column 'rail', between which it goes")
-    refuse_unused(table, config)
-    _check_signs(table)
+    refuse_unused(table, config, remarks=True)
     try:
+        _check_signs(table)
         line = checked(_line(table, config), speed)
     except ValueError as error:
         raise DataError(f"{table.source}: {error}") from None

@@ -328,7 +328,9 @@ def table_of(
         rows = rows[:-1]
     width = _width(rows, head, source)
     numbers = np.array([line.number for line in rows], dtype=np.int64)
-    body = "\n".join(line.text for line in rows)
+    # Blanks of all kinds are one: pandas does not know them all.
+    plain = head.separator == BLANKS and not any('"' in line.text for line in rows)
+    body = "\n".join(" ".join(line.text.split()) if plain else line.text for line in rows)
     return TextTable(source, head, numbers, width, encoding, body, notes)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
 
 from sayd_env.config.conditions import smooth_step
 from sayd_env.config.errors import DataError
@@ -29,14 +30,20 @@ _MOST_MEAN, _MEAN_LENGTH = 0.05, 100.0  # m
 # Laying and wear leave half of a track's rows within few millimetres of its nominal gauge. What departs
 # further is another nominal, the gauge at another depth, or widened curves, which a column follows.
 _SAME_GAUGE = 0.006  # m
+USUAL_GAUGE = 1.435  # m
 # A hundredth of what tracks are measured to.
 _EQUAL_GAUGE = 1e-5  # m
 # What a chord shows of a wave at least for the wave to be restored: errors of measurement grow 17 times.
 _LEAST_SHOWN = 0.06
 # Beyond a band its waves die away up to lengths this many times as long, or as short.
 _FLANK = 1.25
+# Longest wave of the longitudinal level in D3 (EN 13848-1).
+_LONGEST_LEVEL = 150.0  # m
 # Length over which a file fades in and out, over its longest wave: sharper, waves of the band leak out of it.
 _FADE = 2.0
+# Of a file that is denser than the samples: its shortest wave, over their distance; the order of the filter,
+# which runs forward and backward; waves that settle it at the ends; what rounding makes of equal distances.
+_SHORTEST_WAVE, _FOLD_ORDER, _PADDED_WAVES, _SAME_STEP = 2.5, 8, 10.0, 1e-6
 _NOMINAL = re.compile(r"nominal\s+(?:track\s+)?gauge\D{0,20}?(\d{3,4}(?:[.,]\d+)?)(?!\d)", re.IGNORECASE)
 
 
@@ -65,13 +72,20 @@ class MeasuredTrack:
     nominal_gauge: Array | None = None
 
     def at(self, x: Array) -> Array:
-        """Values at positions by a cubic spline, shape (m, 4); outside the file those at its ends.
+        """Values at even positions by a cubic spline, shape (m, 4); outside the file those at its ends.
 
-        Waves shorter than twice the distance of the positions asked for must not be in the file: they would
-        be folded into longer ones.
+        Waves shorter than 2.5 times the distance of the positions asked for are taken out of a denser file
+        first: they would be folded into longer ones.
         """
         inside = np.clip(x, self.x[0], self.x[-1])
-        return np.asarray(CubicSpline(self.x, self.values, axis=0)(inside), dtype=np.float64)
+        found, step = CubicSpline(self.x, self.values, axis=0), float(x[1] - x[0])
+        count = round(float(self.x[-1] - self.x[0]) / float(np.median(np.diff(self.x)))) + 1
+        even, spacing = np.linspace(self.x[0], self.x[-1], count, retstep=True)
+        if spacing < step * (1.0 - _SAME_STEP):
+            low_pass = butter(_FOLD_ORDER, 2.0 * spacing / (_SHORTEST_WAVE * step), output="sos")
+            padding = min(round(_PADDED_WAVES * _SHORTEST_WAVE * step / spacing), count - 1)
+            found = CubicSpline(even, sosfiltfilt(low_pass, found(even), axis=0, padlen=padding), axis=0)
+        return np.asarray(found(inside), dtype=np.float64)
 
 
 def read_measured(config: FileConfig) -> MeasuredTrack:
@@ -96,6 +110,7 @@ def read_measured(config: FileConfig) -> MeasuredTrack:
         space curve that is not asked for, or cannot give what is.
     """
     table = read_table(config.path, IRREGULARITIES, _MIN_ROWS, config.ignore)
+    refuse_unused(table, config)
     _check_gaps(table)
     columns: dict[str, list[tuple[Variant, DistanceColumn]]] = {channel: [] for channel in CHANNELS}
     for name, variant in table.variants.items():
@@ -144,8 +159,11 @@ def stated_gauge(table: DistanceTable, config: GeometryConfig) -> Array | None:
     return _nominal(table, config) if has_gauge or "nominal_gauge" in table.columns else None
 
 
-def refuse_unused(table: DistanceTable, config: GeometryConfig) -> None:
-    """Refuse what is stated of columns that a line's file lacks.
+def refuse_unused(table: DistanceTable, config: GeometryConfig, *, remarks: bool = False) -> None:
+    """Refuse what is stated of columns that a file lacks.
+
+    With `remarks`, in a line's file, also another gauge than the usual one above the header: where there is
+    no column of it the line would not run at it.
 
     Raises
     ------
@@ -158,11 +176,10 @@ def refuse_unused(table: DistanceTable, config: GeometryConfig) -> None:
         raise DataError(
             f"{table.head}: nominal_gauge: has no effect beside a column of it; leave one of them out"
         )
-    if (
-        "gauge" not in channels
-        and "nominal_gauge" not in table.columns
-        and _nominal(table, config) is not None
-    ):
+    lacking = "gauge" not in channels and "nominal_gauge" not in table.columns
+    remarked = _nominal(table, config) if lacking and remarks else None
+    other = remarked is not None and abs(remarked[0] - USUAL_GAUGE) > _EQUAL_GAUGE
+    if lacking and (config.nominal_gauge is not None or other):
         raise DataError(
             f"{table.source}: nominal gauge: has no effect without a column gauge; a line's own gauge is a "
             "column nominal_gauge_mm"
@@ -219,6 +236,8 @@ def _added(
     for column in used:
         _check_size(table, column, column.values)
     low, high = DOMAINS[config.domains[0]][0], DOMAINS[config.domains[-1]][1]
+    if columns[0][0].channel == "vertical":
+        high = min(high, _LONGEST_LEVEL)
     notes.append(
         f"{' + '.join(column.header for column in used)}: waves of {low:g} to {high:g} m, without all others"
     )

@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 from sayd_env.config.damper import TableThrottle
 from sayd_env.config.errors import DataError
 from sayd_env.config.units import Array
-from sayd_env.measured.dialect import decimal_mark, is_number
+from sayd_env.measured.dialect import decimal_mark
 from sayd_env.measured.rig_tables import (
     CURRENT,
     DROP,
@@ -36,6 +36,8 @@ _CLOSEST = 1.0  # Pa
 _MOST_NODES = 1000
 _CELL = re.compile(r"(?:[A-Za-z_ ]+[=:])?\s*(?P<number>[-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(?P<unit>\D*)")
 _ROUNDING = 1e-9
+# A share beyond it is a percentage.
+_FURTHEST_SHARE = 2.0
 
 
 @dataclass(frozen=True)
@@ -122,10 +124,12 @@ def _grid(table: TextTable, units: Mapping[Role, str | None]) -> tuple[Array, Ar
     cells = [match.groupdict() for name in table.names[1:] if (match := _CELL.fullmatch(name))]
     head = f"{table.source}: line {table.head.line}"
     mark = decimal_mark({cell["number"] for cell in cells}, lambda _: head)
-    texts = [cell["number"].replace(mark, ".") for cell in cells]
-    for text in texts:
-        if not is_number(text):
-            raise DataError(f"{head}: found '{text}'; expected a current")
+    currents = []
+    for cell in cells:
+        try:
+            currents.append(float(cell["number"].replace(mark, ".")))
+        except ValueError:
+            raise DataError(f"{head}: found '{cell['number']}'; expected a current") from None
     corner = table.names[0]
     stated = re.findall(r"[\[(]([^])]*)[])]", corner) or [
         unit for part in re.split(r"[\s\\|;,]+", corner) if (unit := name_and_unit(part)[1])
@@ -137,9 +141,9 @@ def _grid(table: TextTable, units: Mapping[Role, str | None]) -> tuple[Array, Ar
             raise DataError(f"{where}: found '{text}' as a unit; {allowed(_MAP)}")
     found = {role: _stated(where, role, stated, units[role]) for role in units}
     numbers = physical_numbers(table, range(len(table.names)))
-    if len(numbers) < 2 or len(texts) < 2:
+    if len(numbers) < 2 or len(currents) < 2:
         raise DataError(
-            f"{table.source}: found {len(numbers)} pressure drops and {len(texts)} currents; "
+            f"{table.source}: found {len(numbers)} pressure drops and {len(currents)} currents; "
             "at least 2 of each are needed"
         )
     drop, flow = numbers[:, 0] * found[DROP].factor, numbers[:, 1:].T * found[FLOW].factor
@@ -148,7 +152,7 @@ def _grid(table: TextTable, units: Mapping[Role, str | None]) -> tuple[Array, Ar
     check_size(table.source, FLOW, flow)
     if drop[0] > 0.0:  # nothing flows without a pressure drop
         drop, flow, rows = np.r_[0.0, drop], np.pad(flow, ((0, 0), (1, 0))), [where, *rows]
-    return np.array([float(text) for text in texts]), drop, flow, found[CURRENT], rows
+    return np.array(currents), drop, flow, found[CURRENT], rows
 
 
 def _stated(where: str, role: Role, stated: Sequence[str], given: str | None) -> Unit:
@@ -192,6 +196,11 @@ def _commands(table: TextTable, current: Array, unit: Unit, limits: tuple[float,
     where = f"{table.source}: line {table.head.line}"
     if unit.quantity == "ratio":
         closed, wide = limits or (0.0, 1.0 / unit.factor)
+        if limits is None and current.max() > _FURTHEST_SHARE * wide:
+            raise DataError(
+                f"{where}: found currents up to {current.max():g} {unit.name}, where {wide:g} is wide open; "
+                "expected shares, % or current_range"
+            )
     elif limits is None:
         raise DataError(
             f"{where}: currents in {unit.name} need current_range: their values of the valve closed and wide "

@@ -464,8 +464,11 @@ def _page(result: RecordingResult) -> Page:
         "sampling rate": f"{about['sample_rate_hz']:g} Hz",
     }
     names = [name for name in result.plots() if name.startswith("signals")]
+    about_signals, about_sliding = (text.format(s=settings) for text in (_SIGNALS, _SLIDING))
     signals = [
-        Picture(name, f"Measured and band-passed signals, {name}", [_SIGNALS] if name == names[-1] else [])
+        Picture(
+            name, f"Measured and band-passed signals, {name}", [about_signals] if name == names[-1] else []
+        )
         for name in names
     ]
     shown = {
@@ -488,7 +491,7 @@ def _page(result: RecordingResult) -> Page:
             Section("Recording", [Grid.facts(facts), *map(Text, result.recording.notes)]),
             Section(
                 "Sliding RMS and limits",
-                [Picture("sliding_rms", "Sliding RMS over the distance, with limits", [_SLIDING])],
+                [Picture("sliding_rms", "Sliding RMS over the distance, with limits", [about_sliding])],
             ),
             Section("Signals", signals),
             Section("Spectra", [Picture("spectra", "Spectra of the signals", [_SPECTRA])]),
@@ -500,14 +503,14 @@ def _page(result: RecordingResult) -> Page:
 
 
 _SLIDING = (
-    "RMS of the band-passed signals over 100 m, every 10 m, as section 3 of Wang et al. (2022) applies EN "
-    "14363. The limit of accelerations is (12 - m_b / 5) / 2 m/s² with the bogie's mass m_b in t, that of "
-    "track shift forces (10 + P / 3) / 2 kN with the axle load P in kN. A channel above its limit makes the "
-    "ride unstable."
+    "RMS of the band-passed signals over {s.window_length:g} m, every {s.window_step:g} m, as section 3 of "
+    "Wang et al. (2022) applies EN 14363. The limit of accelerations is (12 - m_b / 5) / 2 m/s² with the "
+    "bogie's mass m_b in t, that of track shift forces (10 + P / 3) / 2 kN with the axle load P in kN. A "
+    "channel above its limit makes the ride unstable."
 )
 _SIGNALS = (
-    "Each signal as it was measured, and behind a band-pass filter of 2 Hz to both sides of its dominant "
-    "frequency f0, run forward and backward. Of long recordings the extremes are drawn."
+    "Each signal as it was measured, and behind a band-pass filter of {s.band_half_width:g} Hz to both sides "
+    "of its dominant frequency f0, run forward and backward. Of long recordings the extremes are drawn."
 )
 _SPECTRA = (
     "RMS of harmonic components, averaged over sections that overlap by half. The highest peak is the "

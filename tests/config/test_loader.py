@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from importlib import resources
 from pathlib import Path
@@ -64,6 +65,25 @@ def message(text: str) -> str:
     with pytest.raises(ConfigError) as caught:
         check(text)
     return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("0500", 500),
+        ("250_000", 250_000),
+        ("0x1F", 31),
+        ("0o17", 15),
+        ("1e5", 1e5),
+        ("-.5", -0.5),
+        (".inf", math.inf),
+        ("8:20", "8:20"),
+        ("1:30.5", "1:30.5"),
+    ],
+)
+def test_numbers_are_those_of_yaml_1_2(text: str, value: object) -> None:
+    found = parse_yaml(text, "file.yaml")
+    assert (found, type(found)) == (value, type(value))
 
 
 def test_numbers_may_be_whole_and_may_have_an_exponent_without_a_point():

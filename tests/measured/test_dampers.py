@@ -166,6 +166,8 @@ def test_a_share_of_the_command_needs_no_range(tmp_path: Path) -> None:
         (MAP, r"currents in A need current_range: .* for example \[0.2, 1.4\]"),
         ("x,0,1\n0,0,0\n1e5,1e-5,1e-4\n", "line 1: first cell 'x': the unit of current is missing"),
         ("dp [bar] i [-] q,0,1\n0,0,0\n10,1,2\n", "the unit of flow is missing: .* or give flow_unit"),
+        ("dp [bar] i [-] q [l/min],0,50,100\n0,0,0,0\n9,1,2,3\n", "currents up to 100 .*expected shares, %"),
+        ("dp [bar] i [-] q [l/min];0;0.2.;1\n0;0;0;0\n9;1;2;3\n", "found '0.2.'; expected a current"),
         ("dp [bar] i [-] q [furlong],0,1\n0,0,0\n10,1,2\n", "found 'furlong' as a unit; allowed: A, mA"),
         ("dp [Pa] i [-] q [l/min],0,1\n0,0,0\n10,1,2\n", "drop reaches 0.0001 bar; .*is its unit right"),
         ("dp [bar] i [-] q [m3/s],0,1\n0,0,0\n10,1,2\n", "flow reaches 120000 l/min; .*is its unit right"),

@@ -253,6 +253,10 @@ def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
     assert str(caught.value).startswith(path)
 
 
+def test_a_remark_about_the_usual_gauge_is_one(tmp_path: Path) -> None:
+    assert load_line(write(tmp_path, "# track 1; nominal gauge 1435 mm\nx_m,friction\n0,0.3\n900,0.3\n"))
+
+
 @pytest.mark.parametrize(
     ("keys", "message"),
     [

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.io import savemat
 
+from sayd_env.cli import main
 from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.scenario import load_scenario
@@ -103,6 +104,29 @@ def test_the_page_has_verdict_pictures_sections_and_what_was_done(ride: Path) ->
         assert words in page
     assert page.count("<img") == 3
     assert page.count('class="marked"') == 1 + 3
+
+
+def test_the_page_states_the_settings_that_were_used(ride: Path) -> None:
+    changes = {"window_length": 50.0, "window_step": 25.0, "band_half_width": 1.0}
+    result = assess_file(ride, SETTINGS.model_copy(update=changes), TRAIN)
+    page = page_html(result.page(), dict.fromkeys(result.plots(), Drawing(b"picture", {})), {"config": {}})
+    assert "over 50 m, every 25 m" in page
+    assert "filter of 1 Hz to both sides" in page
+
+
+@pytest.mark.parametrize(
+    ("key", "why"),
+    [
+        ("assessment.run_in=10", "--run-in leaves out the start"),
+        ("assessment.length=600", "all of a recording is assessed"),
+        ("friction=0.2", "only vehicle and assessment are used"),
+    ],
+)
+def test_settings_that_say_nothing_of_a_recording_are_refused(
+    key: str, why: str, ride: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["assess", str(ride), "--bogie-mass", "5600", "--set", key]) == 2
+    assert why in capsys.readouterr().err
 
 
 def test_the_limit_asks_for_the_train(ride: Path) -> None:
@@ -318,6 +342,67 @@ def test_times_of_day(tmp_path: Path, style: str) -> None:
     rows = (f"{t};270;{a:.6f}" for t, a in zip(stamps, WAVE, strict=True))
     (tmp_path / "a.csv").write_text("\n".join(["time;speed [km/h];bogie [m/s2]", *rows]))
     check(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    "head", ["time [hh:mm:ss.sss];v [km/h];a [m/s2]", "time;v;a\nhh:mm:ss.sss;km/h;m/s2"]
+)
+def test_the_form_of_times_of_day_is_no_unit(tmp_path: Path, head: str) -> None:
+    stamps = [f"10:{int(t // 60):02d}:{t % 60:06.3f}" for t in LONG]
+    rows = (f"{t};270;{a:.6f}" for t, a in zip(stamps, WAVE, strict=True))
+    (tmp_path / "a.csv").write_text("\n".join([head, *rows]))
+    check(tmp_path / "a.csv")
+
+
+def test_blanks_of_all_kinds_stand_between_columns(tmp_path: Path) -> None:
+    rows = (f"{t:.3f}\u00a0 270 {a:.6f}" for t, a in zip(LONG, WAVE, strict=True))
+    (tmp_path / "a.txt").write_text("\n".join(["time_s speed_kmh bogie_m_s2", *rows]), encoding="utf-8")
+    check(tmp_path / "a.txt")
+
+
+def test_samples_that_an_mdf_marks_as_invalid_are_gaps(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    marks = np.zeros(LONG.size, dtype=bool)
+    marks[100:102] = True
+    spoilt = np.where(marks, 99.0, WAVE)
+    with asammdf.MDF() as file:
+        signal = asammdf.Signal(spoilt, LONG, name="bogie", unit="m/s^2", invalidation_bits=marks)
+        file.append([signal])
+        file.save(tmp_path / "a.mf4")
+    assert np.max(np.abs(check(tmp_path / "a.mf4", speed=SPEED).signals)) < 5.0
+
+
+def test_mdf_3_has_units(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="3.30") as file:
+        file.append([asammdf.Signal(WAVE, LONG, name="bogie", unit="m/s^2")])
+        file.save(tmp_path / "a.mdf")
+    check(tmp_path / "a.mdf", speed=SPEED)
+
+
+def test_groups_of_a_tdms_begin_at_their_own_times(tmp_path: Path) -> None:
+    """A speed of 70 + t m/s, in a group that begins 4 s before the signal's: 74 m/s there."""
+    nptdms = pytest.importorskip("nptdms")
+    first = np.datetime64("2022-01-01T00:00:00")
+    fast = {"wf_increment": 1 / RATE, "wf_start_time": first + np.timedelta64(4, "s"), "unit_string": "m/s^2"}
+    slow = {"wf_increment": 1.0, "wf_start_time": first, "unit_string": "m/s"}
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+        writer.write_segment(
+            [
+                nptdms.ChannelObject("fast", "bogie", WAVE, fast),
+                nptdms.ChannelObject("slow", "speed", 70.0 + np.arange(30.0), slow),
+            ]
+        )
+    recording = read_recording(tmp_path / "a.tdms", SETTINGS, columns=["bogie"])
+    assert np.ravel(recording.speed)[0] == pytest.approx(74.0, abs=0.01)
+
+
+def test_times_of_day_in_a_parquet_file(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    ticks = pyarrow.array((1e6 * (86_395 + LONG) % 86_400e6).astype(np.int64)).cast(pyarrow.time64("us"))
+    parquet.write_table(pyarrow.table({"time": ticks, "bogie_m_s2": WAVE}), tmp_path / "a.parquet")
+    check(tmp_path / "a.parquet", speed=SPEED)
 
 
 def mdf(path: Path, speed: np.ndarray, at: np.ndarray) -> None:

@@ -61,6 +61,32 @@ def test_units_channels_and_resampling(tmp_path: Path) -> None:
     assert not value[:, [1, 3]].any()
 
 
+def test_waves_of_a_dense_file_are_not_folded_into_longer_ones(tmp_path: Path) -> None:
+    """Rows every 20 mm with a wave of 260 mm, which samples every 250 mm would show as one of 6.5 m."""
+    x = np.arange(0.0, 300.0, 0.02)
+    values = 2.0 * np.sin(2 * np.pi * x / 20) + 0.3 * np.sin(2 * np.pi * x / 0.26)
+    config = FileConfig(type="file", path=str(columns(tmp_path, "x_m,alignment_mm", x, values)))
+    inside = np.linspace(60.0, 280.0, 1501)  # a run begins evenly
+    found = 1e3 * realise(config, 299.0, 0).evaluate(inside)[0][:, 0]
+    np.testing.assert_allclose(found, 2.0 * np.sin(2 * np.pi * inside / 20), atol=1e-3)
+
+
+def test_rows_of_centimetres_are_read(tmp_path: Path) -> None:
+    x = 0.01 * np.arange(3000)
+    assert read(columns(tmp_path, "x_m,alignment_mm", x, np.sin(x))).x[-1] == pytest.approx(29.99)
+
+
+def test_a_distance_named_by_its_unit_may_have_a_row_of_units(tmp_path: Path) -> None:
+    rows = (f"{1e-3 * a:.5f};{b:.6f}" for a, b in zip(X, wave(20), strict=True))
+    track = read(write(tmp_path, "km;alignment", "[km];[mm]", *rows))
+    np.testing.assert_allclose(track.x, X, atol=1e-9)
+
+
+def test_the_third_domain_of_the_longitudinal_level_ends_at_150_m(tmp_path: Path) -> None:
+    path = columns(tmp_path, "x_m,vertical_d3_mm", X, wave(90))
+    assert read(path, domains=("D3",)).notes == ("vertical_d3_mm: waves of 70 to 150 m, without all others",)
+
+
 def test_offset_and_ramps(tmp_path: Path) -> None:
     path = wave_file(tmp_path, 1000.0, 1060.0)
     config = FileConfig(type="file", path=str(path), offset=-900.0, ramp=10.0)
@@ -358,6 +384,10 @@ def test_columns_may_be_left_out_by_name(tmp_path: Path) -> None:
             "a chord of unknown length; name it 'vertical_10m_chord'",
         ),
         ("x_m,alignment_62ft_mco_mm", (X, wave(20)), {}, r"offsets from a chord of 18.8976 m"),
+        ("x_m,alignment_0m_chord_mm", (X, wave(20)), {}, "found a chord of 0 m; expected a length above 0"),
+        ("x_m,alignment_mm", (X, wave(20)), {"recover": (3.0, 25.0)}, "recover: has no effect"),
+        ("x_m,alignment_mm", (X, wave(20)), {"domains": ["D1"]}, "domains: have no effect"),
+        ("x_m,alignment_mm", (X, wave(20)), {"nominal_gauge": 1.432}, "has no effect without a column gauge"),
         ("x_m,alignment_space_curve_mm", (X, wave(20)), {}, "holds a space curve, .* give recover"),
         ("x_m,alignment_d1_mm", (X, wave(20)), {}, r"one domain of EN 13848-1 alone \(D1: 3 to 25 m\)"),
         ("x_m,alignment_d1_mm", (X, wave(20)), {"domains": ["D1", "D2"]}, "has none of D2 beside it"),
