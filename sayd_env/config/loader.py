@@ -86,15 +86,18 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
-def _whole(loader: _Loader, node: yaml.ScalarNode) -> int:
-    text = str(loader.construct_scalar(node)).replace("_", "")
-    return int(text, 0) if text.lstrip("-+")[:2].lower() in ("0x", "0o") else int(text)
-
-
 _DIGITS = r"[0-9](?:_?[0-9])*"
-_Loader.add_implicit_resolver(
-    _INTEGER, re.compile(rf"^(?:[-+]?{_DIGITS}|0x[0-9a-fA-F]+|0o[0-7]+)$"), list("-+0123456789")
-)
+_WHOLE = re.compile(rf"(?:[-+]?{_DIGITS}|0x[0-9a-fA-F]+|0o[0-7]+)$")
+
+
+def _whole(loader: _Loader, node: yaml.ScalarNode) -> int:
+    text = str(loader.construct_scalar(node))
+    if not _WHOLE.match(text):
+        raise TypeError(text)  # a tag says that it is a number
+    return int(text, 0) if text[:2] in ("0x", "0o") else int(text)
+
+
+_Loader.add_implicit_resolver(_INTEGER, _WHOLE, list("-+0123456789"))
 _Loader.add_implicit_resolver(
     _FLOAT,
     re.compile(

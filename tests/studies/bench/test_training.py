@@ -96,7 +96,7 @@ def test_the_packaged_trainings_are_measured(monkeypatch: pytest.MonkeyPatch, tm
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     (tmp_path / "quick.yaml").write_text("base: nominal\nrun_in: 20.0\n")
     small = [f"environment.name={tmp_path / 'quick.yaml'}", "environment.vehicles=2", "environment.threads=1"]
-    small += ["environment.beside=[]"]
+    small += ["environment.beside=[]", "evaluation.beside_seeds=[]"]
     of = {
         "ppo": ["learning.n_steps=16", "learning.batch_size=32", "learning.n_epochs=1"],
         "sac": ["learning.learning_starts=0", "learning.batch_size=8", "learning.buffer_size=200"],

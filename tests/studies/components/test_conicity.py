@@ -68,4 +68,4 @@ def test_says_which_contact_a_simulation_uses(result: ConicityResult) -> None:
     result.summary(console)
     text = console.export_text()
     assert "rigid: EN 15302" in text
-    assert "a simulation uses the regularised contact" in text
+    assert "regularised: mean over the patch under 75 kN a wheel, as a simulation has it." in text
