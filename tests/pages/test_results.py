@@ -172,7 +172,7 @@ def along_lines() -> HindsightResult:
         J = {HINDSIGHT: np.array([0.1, 0.2]), SINGLE: factor * np.array([0.1, 0.2])}
         J |= {FOR_ALL: J[SINGLE], "mppt2": 1.1 * J[SINGLE]}
         constants = {0.0: J[SINGLE], 1.0: np.array([0.5, 0.15])}
-        return OnLine(name, ("a", "b"), np.array([10.0, 30.0]), constants, (0.0, 1.0), J, {})
+        return OnLine(name, ("a", "b"), np.array([10.0, 30.0]), constants, (0.0, 1.0), J, dict.fromkeys(J, 0))
 
     return HindsightResult(load_hindsight(), (line("first", 1.1), line("second", 1.6)), 0.0, ("mppt2",))
 
