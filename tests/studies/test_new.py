@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shlex
 from pathlib import Path
 from typing import Any
@@ -138,6 +140,19 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["new", "vehicle", "x", "--from", "emv"]) == 2
     assert "--from 'emv': no such vehicle, did you mean 'emu'?; available: emu, " in capsys.readouterr().err
     assert not Path("x.yaml").exists()
+
+
+def test_a_full_disk_leaves_no_half_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "fsync", full)
+    assert main(["new", "line", "mine"]) != 0
+    assert "No space left on device" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_study_that_names_the_vehicle_beside_it(tmp_path: Path) -> None:

@@ -397,6 +397,8 @@ def test_the_command_says_what_it_found(
         residuals = np.array(list(content[name]["residuals"].values()))
         assert content[name]["cost"] == pytest.approx(np.sum((3 * np.arcsinh(residuals / 3)) ** 2))
     values = content["passive"]["parameters"]
+    made_by = (out / "configs" / "damper" / "passive.yaml").read_text()
+    assert f"command: sayd calibrate --config {study} --json --out {out}" in made_by
     stored = load_scenario("estimates", [f"damper={out}/configs/damper/passive.yaml"])
     assert isinstance(stored.damper, PassiveDamperConfig)
     assert stored.damper.series_stiffness == values["series stiffness"]
