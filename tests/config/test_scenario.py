@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -187,3 +188,22 @@ def test_creep_laws():
         assert load_scenario(None, [f"contact.creep_law={law}"]).contact.creep_law == law
     with pytest.raises(ConfigError, match=r"contact\.creep_law.*'kalker'"):
         load_scenario(None, ["contact.creep_law=kalker"])
+
+
+def test_the_content_of_a_scenario_finds_its_files_from_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a track and of a damper's curve, both named relative to where the program runs."""
+    (tmp_path / "there").mkdir()
+    monkeypatch.chdir(tmp_path)
+    rows = (f"{x},{0.1 * (x % 7)}\n" for x in range(900))
+    Path("geometry.csv").write_text("x_m,alignment_mm\n" + "".join(rows))
+    Path("curve.csv").write_text("v [mm/s],F [kN]\n0,0\n5,4\n100,12\n")
+    scenario = load_scenario("nominal", ["track=geometry.csv", "damper.curve={file: curve.csv}"])
+    content = scenario.content()
+    (tmp_path / "there" / "all.yaml").write_text(json.dumps(content))
+    monkeypatch.chdir(tmp_path / "there")
+    again = load_scenario("all.yaml")
+    assert again.content() == content
+    assert str(tmp_path / "geometry.csv") in json.dumps(again.content())
+    assert str(tmp_path / "curve.csv") in json.dumps(again.content())
