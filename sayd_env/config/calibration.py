@@ -48,11 +48,6 @@ class Search(Model):
     samples: int = quantity("-", "Points of a Latin hypercube that the first surfaces pass", ge=2)
     evaluations: int = quantity("-", "Number of evaluations, these points included", ge=2)
     radius: float = quantity("-", "Half the width of the box, as a share of the ranges", gt=0.0, le=1.0)
-    only: str = Field("", description="What the keys of the numbers that it moves begin with; all by default")
-
-    def moves(self, parameters: Sequence[Parameter]) -> tuple[int, ...]:
-        """Places of the numbers that it moves."""
-        return tuple(i for i, each in enumerate(parameters) if next(iter(each.keys)).startswith(self.only))
 
 
 class Stage(Model):
@@ -83,10 +78,8 @@ class Stage(Model):
     def _enough(self) -> Stage:
         if self.starts > 1 and len(self.searches) == 1:
             raise ValueError(f"starts: found {self.starts} with one search, which is the last; expected 1")
+        least = len(self.parameters) + 2
         for search in self.searches:
-            least = len(search.moves(self.parameters)) + 2
-            if least == 2:
-                raise ValueError(f"search '{search.name}': no parameter begins with '{search.only}'")
             if not least <= search.samples <= search.evaluations:
                 raise ValueError(
                     f"search '{search.name}': {search.samples} samples; surfaces over {least - 2} parameters "

@@ -325,10 +325,7 @@ def _searched(name: str, stage: Stage, evaluate: Evaluate, seed: int, progress: 
             progress.end(f", best cost {best_of(trials, what).cost:.2f}")
             return new
 
-        free = search.moves(stage.parameters)
-        best = _search(
-            search, place, free, lambda row: _columns(stage, free, row), tried, _random(seed, start)
-        )
+        best = _search(search, place, lambda row: _columns(stage, row), tried, _random(seed, start))
         if LOST in best.residuals.values():
             raise StudyError(f"calibration, {name}: no numbers within the ranges gave a finite run")
         return best
@@ -361,48 +358,42 @@ def _start(seed: int, start: int, count: int) -> Array:
     return np.random.default_rng(_random(seed, start)).random(count)
 
 
-def _columns(stage: Stage, free: Sequence[int], row: str) -> tuple[int, ...]:
-    """Of the free parameters those on which a row depends: not those of controllers that do not run in it."""
+def _columns(stage: Stage, row: str) -> tuple[int, ...]:
+    """Parameters on which a row depends: all but those of controllers that do not run in it."""
     others = [f"{CONTROL}{name}." for name, rows in ROWS_OF_CONTROLLERS.items() if row not in rows]
     return tuple(
-        k for k, i in enumerate(free) if not next(iter(stage.parameters[i].keys)).startswith(tuple(others))
+        i
+        for i, parameter in enumerate(stage.parameters)
+        if not next(iter(parameter.keys)).startswith(tuple(others))
     )
 
 
 def _search(
     search: Search,
     start: Array,
-    free: Sequence[int],
     columns: Callable[[str], tuple[int, ...]],
     tried: Callable[[Iterable[Array]], list[Trial]],
     seed: int | tuple[int, int],
 ) -> Trial:
-    """Search a box around a place by response surfaces, along the free axes; returns the best trial in it.
+    """Search a box around a place by response surfaces; returns the best trial in it.
 
     Radial basis functions smooth each residual over the places tried so far, in the parameters on which it
     depends. Where their sum of squares is least, the next places are tried: each by surfaces through other
     trials, drawn from all, so that the places spread where the surfaces are uncertain.
     """
     random = np.random.default_rng(seed)
-    axes = list(free)
-    low, high = (np.clip(start[axes] + side * search.radius, 0.0, 1.0) for side in (-1.0, 1.0))
-
-    def placed(point: Array) -> Array:
-        place = start.copy()
-        place[axes] = point
-        return place
-
-    cube = qmc.LatinHypercube(len(axes), rng=seed).random(search.samples - 1)
-    made = tried([start, *map(placed, qmc.scale(cube, low, high))])
+    count = len(start)
+    low, high = np.maximum(start - search.radius, 0.0), np.minimum(start + search.radius, 1.0)
+    cube = qmc.LatinHypercube(count, rng=seed).random(search.samples - 1)
+    made = tried([start, *qmc.scale(cube, low, high)])
     while len(made) < search.evaluations:
-        points = [_least(made, axes, columns, low, high, random, drawn=i > 0) for i in range(PLACES)]
-        made += tried(map(placed, points))
+        places = [_least(made, columns, low, high, random, drawn=i > 0) for i in range(PLACES)]
+        made += tried(places)
     return best_of(made)
 
 
 def _least(
     made: Sequence[Trial],
-    axes: list[int],
     columns: Callable[[str], tuple[int, ...]],
     low: Array,
     high: Array,
@@ -414,7 +405,7 @@ def _least(
     kept = max(len(low) + 2, round(KEPT * len(made))) if drawn else len(made)
     chosen = random.permutation(len(made))[:kept]
     trials = {made[i].place: damped(made[i]) for i in chosen}
-    places, residuals = np.array(list(trials))[:, axes], np.array(list(trials.values()))
+    places, residuals = np.array(list(trials)), np.array(list(trials.values()))
     rows: dict[tuple[int, ...], list[int]] = {}
     for i, row in enumerate(made[0].residuals):
         rows.setdefault(columns(row), []).append(i)
@@ -423,7 +414,6 @@ def _least(
             places[:, own], residuals[:, found], kernel="linear", smoothing=SMOOTHING, degree=1
         )
         for own, found in rows.items()
-        if own  # other rows stay as they are
     }
 
     def cost(at: Array) -> Array:

@@ -317,29 +317,6 @@ def test_a_search_starts_again_until_an_end_is_good(config: CalibrationConfig, g
     assert counts[-1] == (8 * starts + 4, 8 * starts + 4)
 
 
-def test_a_search_may_move_some_numbers_alone(config: CalibrationConfig):
-    """The others stay where the search before has ended."""
-    first, second = (next(iter(parameter.keys)) for parameter in config.passive.parameters)
-    wide = config.passive.searches[0].model_copy(update={"radius": 1.0, "evaluations": 8})
-    last = wide.model_copy(update={"name": "second alone", "only": second, "samples": 3, "evaluations": 6})
-    stage = config.passive.model_copy(update={"searches": (wide, last)})
-    assert last.moves(stage.parameters) == (1,)
-
-    def bowl(places: Sequence[module.Place], seeds: int, length: float) -> list[module.Outcome]:
-        return [({"P1": a - 0.2, "P2": b - 0.7}, {}) for a, b in places]
-
-    trials = module._searched("passive", stage, bowl, 0, module._Evaluations(lambda *_: None, 14))
-    before, alone = trials[:8], trials[8:]
-    best = min(before, key=lambda trial: trial.cost)
-    assert {trial.place[0] for trial in alone} == {best.place[0]}
-    assert min(abs(trial.place[1] - 0.7) for trial in alone) < 0.01
-    content = config.model_dump()
-    content["passive"]["searches"] = [wide.model_dump(), last.model_dump() | {"only": "nothing."}]
-    with pytest.raises(ValueError, match="search 'second alone': no parameter begins with 'nothing"):
-        CalibrationConfig.model_validate(content)
-    assert not first.startswith(second)
-
-
 def test_no_finite_run_at_all_is_a_failed_study(config: CalibrationConfig, monkeypatch: pytest.MonkeyPatch):
     def lost(*_: object, **__: object) -> None:
         raise StudyError("diverged")
