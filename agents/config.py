@@ -15,7 +15,7 @@ from sayd_env.config.base import Number
 from sayd_env.config.control import SpeedScheduleConfig, load_controller
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.learner import WIDEST, InputConfig
-from sayd_env.config.loader import is_path
+from sayd_env.config.loader import from_anywhere
 from sayd_env.config.reward import RewardName
 
 Count = Annotated[int, Field(strict=True, ge=1)]
@@ -33,6 +33,11 @@ class BesideConfig(Model):
     name: str = Field(min_length=1, description="Name of an environment, or a path to its YAML file")
     vehicles: int = Field(description="Vehicles side by side", strict=True, ge=1, le=4096)
     episode_s: float = quantity("s", "Time at which an episode is truncated", gt=0.0)
+
+    @property
+    def title(self) -> str:
+        """Its name in the columns of evaluations."""
+        return Path(self.name).stem
 
 
 class LearningEnvironmentConfig(Model):
@@ -332,7 +337,7 @@ class TrainConfig(Model):
 
     @model_validator(mode="after")
     def _tells_environments_apart(self) -> TrainConfig:
-        names = [Path(each.name).stem for each in self.environment.beside]
+        names = [each.title for each in self.environment.beside]
         if len(set(names)) < len(names):
             raise ValueError(f"environment.beside: two are named '{max(names, key=names.count)}'")
         if self.evaluation.beside_seeds and not names:
@@ -376,14 +381,10 @@ def load_train(name: str = "ppo", overrides: Iterable[str] = ()) -> TrainConfig:
     """
     config = read_layered(TrainConfig, TRAIN, name, overrides)
     environment = config.environment
-    beside = tuple(each.model_copy(update={"name": _wherever(each.name)}) for each in environment.beside)
-    changes = {"name": _wherever(environment.name), "beside": beside}
+    beside = tuple(each.model_copy(update={"name": from_anywhere(each.name)}) for each in environment.beside)
+    # A run that goes on elsewhere reads its configuration in its own folder.
+    changes = {"name": from_anywhere(environment.name), "beside": beside}
     return config.model_copy(update={"environment": environment.model_copy(update=changes)})
-
-
-def _wherever(name_or_path: str) -> str:
-    """A path that leads to the file from every directory, as where a run goes on; a name unchanged."""
-    return str(Path(name_or_path).resolve()) if is_path(name_or_path) else name_or_path
 
 
 def refuse_changes(begun: TrainConfig, found: TrainConfig, where: str) -> None:

@@ -276,7 +276,7 @@ class _Run:
         settings = self.config.evaluation
         names = [f"J_{c['speed_kmh']:g}_kmh_wear_{c['wear']:g}_seed_{c['seed']}" for c in settings.cases]
         for each in self.config.environment.beside:
-            names += [f"J_{Path(each.name).stem}_seed_{seed}" for seed in settings.beside_seeds]
+            names += [f"J_{each.title}_seed_{seed}" for seed in settings.beside_seeds]
         means = {
             MEANS["mean"]: mean_cost(costs, "arithmetic"),
             MEANS["geometric"]: mean_cost(costs, "geometric"),

@@ -24,6 +24,7 @@ from sayd_env.config.loader import (
     apply_overrides,
     assigned,
     beside,
+    from_anywhere,
     is_path,
     packaged_names,
     parse_yaml,
@@ -141,7 +142,7 @@ def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     own, folder = dict(section(content, source)), Path(source).parent
     _refuse_another_kind(kind, own, source)
     _refuse_other(kind, own, source)
-    below = _base(kind, own, source, (*users, _identity(name)))
+    below = _base(kind, own, source, (*users, from_anywhere(name)))
     numbers = own.pop("set", None)
     own = _placed(kind, own, folder)
     _check_parts(kind, own, source)
@@ -199,17 +200,13 @@ def _base(kind: Kind, own: dict[str, Any], source: str, users: tuple[str, ...]) 
             f"{source}: base: unknown {kind.folder} {shown(base)}{hint}; available: {', '.join(names)}, or a "
             "path to a YAML file"
         )
-    if _identity(base) in users:
+    if from_anywhere(base) in users:
         raise ConfigError(f"{source}: base: '{base}' refers back to this file")
     below = _overlaid(kind, base, users)
     kept = below.data.get("type")
     if "type" in own and kept not in (None, own["type"]):
         raise ConfigError(f"{source}: type: found {shown(own['type'])}; its base '{base}' is a {kept} one")
     return below
-
-
-def _identity(name_or_path: str) -> str:
-    return str(Path(name_or_path).resolve()) if is_path(name_or_path) else name_or_path
 
 
 def _refuse_another_kind(kind: Kind, own: dict[str, Any], source: str) -> None:

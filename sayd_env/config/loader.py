@@ -229,6 +229,11 @@ def beside(name_or_path: str, folder: Path) -> str:
     return str(folder / name_or_path) if is_path(name_or_path) else name_or_path
 
 
+def from_anywhere(name_or_path: str) -> str:
+    """A path that leads to the file from every directory; a name unchanged."""
+    return str(Path(name_or_path).resolve()) if is_path(name_or_path) else name_or_path
+
+
 def read_config(kind: str, name_or_path: str, files: str = "a YAML file") -> tuple[Any, str]:
     """Raw content of a configuration and where it came from.
 

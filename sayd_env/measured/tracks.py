@@ -30,7 +30,7 @@ _MOST_MEAN, _MEAN_LENGTH = 0.05, 100.0  # m
 # Laying and wear leave half of a track's rows within few millimetres of its nominal gauge. What departs
 # further is another nominal, the gauge at another depth, or widened curves, which a column follows.
 _SAME_GAUGE = 0.006  # m
-USUAL_GAUGE = 1.435  # m
+_USUAL_GAUGE = 1.435  # m
 # A hundredth of what tracks are measured to.
 _EQUAL_GAUGE = 1e-5  # m
 # What a chord shows of a wave at least for the wave to be restored: errors of measurement grow 17 times.
@@ -41,9 +41,10 @@ _FLANK = 1.25
 _LONGEST_LEVEL = 150.0  # m
 # Length over which a file fades in and out, over its longest wave: sharper, waves of the band leak out of it.
 _FADE = 2.0
-# Of a file that is denser than the samples: its shortest wave, over their distance; the order of the filter,
-# which runs forward and backward; waves that settle it at the ends; what rounding makes of equal distances.
-_SHORTEST_WAVE, _FOLD_ORDER, _PADDED_WAVES, _SAME_STEP = 2.5, 8, 10.0, 1e-6
+# A file is low-passed whose rows are closer than this share of the samples' distance: its shorter waves would
+# be folded into long ones. What is kept begins with a wave of so many times that distance; the filter, which
+# runs forward and backward, has this order and settles over so many such waves.
+_DENSE, _SHORTEST_WAVE, _FOLD_ORDER, _SETTLED_WAVES = 0.9, 2.5, 8, 10.0
 _NOMINAL = re.compile(r"nominal\s+(?:track\s+)?gauge\D{0,20}?(\d{3,4}(?:[.,]\d+)?)(?!\d)", re.IGNORECASE)
 
 
@@ -77,15 +78,15 @@ class MeasuredTrack:
         Waves shorter than 2.5 times the distance of the positions asked for are taken out of a denser file
         first: they would be folded into longer ones.
         """
-        inside = np.clip(x, self.x[0], self.x[-1])
         found, step = CubicSpline(self.x, self.values, axis=0), float(x[1] - x[0])
-        count = round(float(self.x[-1] - self.x[0]) / float(np.median(np.diff(self.x)))) + 1
-        even, spacing = np.linspace(self.x[0], self.x[-1], count, retstep=True)
-        if spacing < step * (1.0 - _SAME_STEP):
-            low_pass = butter(_FOLD_ORDER, 2.0 * spacing / (_SHORTEST_WAVE * step), output="sos")
-            padding = min(round(_PADDED_WAVES * _SHORTEST_WAVE * step / spacing), count - 1)
-            found = CubicSpline(even, sosfiltfilt(low_pass, found(even), axis=0, padlen=padding), axis=0)
-        return np.asarray(found(inside), dtype=np.float64)
+        usual, length = float(np.median(np.diff(self.x))), float(self.x[-1] - self.x[0])
+        if usual < _DENSE * step:
+            even, spacing = np.linspace(self.x[0], self.x[-1], round(length / usual) + 1, retstep=True)
+            shortest = _SHORTEST_WAVE * step
+            low_pass = butter(_FOLD_ORDER, 2.0 * spacing / shortest, output="sos")
+            settled = min(round(_SETTLED_WAVES * shortest / spacing), len(even) - 1)
+            found = CubicSpline(even, sosfiltfilt(low_pass, found(even), axis=0, padlen=settled), axis=0)
+        return np.asarray(found(np.clip(x, self.x[0], self.x[-1])), dtype=np.float64)
 
 
 def read_measured(config: FileConfig) -> MeasuredTrack:
@@ -178,7 +179,7 @@ def refuse_unused(table: DistanceTable, config: GeometryConfig, *, remarks: bool
         )
     lacking = "gauge" not in channels and "nominal_gauge" not in table.columns
     remarked = _nominal(table, config) if lacking and remarks else None
-    other = remarked is not None and abs(remarked[0] - USUAL_GAUGE) > _EQUAL_GAUGE
+    other = remarked is not None and abs(remarked[0] - _USUAL_GAUGE) > _EQUAL_GAUGE
     if lacking and (config.nominal_gauge is not None or other):
         raise DataError(
             f"{table.source}: nominal gauge: has no effect without a column gauge; a line's own gauge is a "

@@ -19,7 +19,7 @@ from sayd_env.config.units import Array
 ROUNDING = 1e-20
 """A spectrum below this share of the mean square is what rounding leaves of a constant signal."""
 
-_ROUNDING = 1e-5
+_LACKING = 1e-5
 """Share of a length that may lack: distances added up from speeds end so much before those of a line."""
 
 
@@ -233,7 +233,7 @@ def _starts(
     """Starts of all pieces of `length` (m) every `step` (m) that fit into the span."""
     first, last = span or (float(distance[0]), end_of(distance))
     count = int((last - first - length) / step + 1e-6) + 1
-    if last - first < length * (1 - _ROUNDING):
+    if last - first < length * (1 - _LACKING):
         raise DataError(f"the signal covers {last - first:.0f} m; one {what} needs {length:g} m")
     return np.asarray(first + step * np.arange(count), dtype=np.float64)
 

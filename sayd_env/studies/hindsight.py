@@ -273,7 +273,7 @@ def hindsight(
         schedule = schedule_spec(chosen, ends, HINDSIGHT)
         records = study.run(name, [schedule, *policies])
         costs = {each: study.mean(name, of) for each, of in records.items()}
-        derailed = {each: ended_early(of) for each, of in records.items()}
+        derailed = {each: _ended_early(of) for each, of in records.items()}
         best = min(found[name], key=lambda current, name=name: study.cost(name, current))  # type: ignore[misc]
         costs |= {SINGLE: found[name][best], FOR_ALL: found[name][single]}
         derailed |= {SINGLE: study.derailed(name, best), FOR_ALL: study.derailed(name, single)}
@@ -324,7 +324,7 @@ class _Study:
 
     def derailed(self, name: str, current: float) -> int:
         """Runs of a constant command on a line that ended early."""
-        return ended_early(self._records[name][current])
+        return _ended_early(self._records[name][current])
 
     def mean_log(self, current: float) -> float:
         """Mean over the lines of the logarithm of J of a constant command."""
@@ -399,7 +399,7 @@ def _lines(config: HindsightConfig, scenario: Scenario) -> Iterable[tuple[str, L
         yield f"drawn {seed}", line
 
 
-def ended_early(records: Iterable[LineRecord]) -> int:
+def _ended_early(records: Iterable[LineRecord]) -> int:
     """How many runs ended before the line."""
     return sum(each.ending is not None for each in records)
 
