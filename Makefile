@@ -35,7 +35,7 @@ run: $(VENV)/.installed
 
 test: $(VENV)/.installed $(VENV)/.learning
 	$(BIN)/python tests/warm_up.py
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=20 --ignore tests/pages $(PYTEST_OPTIONS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations=20 --ignore tests/pages $(PYTEST_OPTIONS)
 
 # The site, in build/site: warnings are errors. Building and reading it need no network.
 docs: $(VENV)/.installed $(VENV)/.pages
@@ -48,14 +48,15 @@ test-pages: docs
 # The environments as other libraries take them: their own checks, short trainings of the examples, videos.
 test-clients: $(VENV)/.clients
 	$(BIN)/python tests/warm_up.py
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations=10 \
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations=10 \
 	  tests/envs/test_clients.py tests/agents/test_sb3_vec.py tests/agents/test_sb3_check.py tests/test_examples.py \
+	  tests/studies/test_render.py \
 	  $(PYTEST_OPTIONS)
 
 # The environments and their clients with the oldest Gymnasium, which is fetched.
 test-gymnasium-oldest: $(VENV)/.installed $(VENV)/.learning
 	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target build/gymnasium-oldest gymnasium==$(OLDEST)
-	PYTHONPATH=build/gymnasium-oldest $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile \
+	PYTHONPATH=build/gymnasium-oldest $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder \
 	  tests/envs tests/agents/test_sb3_vec.py tests/agents/test_sb3_check.py $(PYTEST_OPTIONS)
 
 # Branches that the tests reach: the kernels where Python runs them, all else where they are compiled. Python's numbers warn
@@ -66,7 +67,7 @@ coverage: $(VENV)/.learning $(VENV)/.coverage
 	$(BIN)/python tests/warm_up.py
 	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run tests/test_uncompiled.py build/coverage/numbers.npz
 	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -n auto --maxprocesses 4 -m "not slow" -W ignore::RuntimeWarning $(UNCOMPILED)
-	$(BIN)/coverage run -m pytest -n auto --maxprocesses 4 --dist loadfile $(COVERAGE_TESTS) $(PYTEST_OPTIONS)
+	$(BIN)/coverage run -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(COVERAGE_TESTS) $(PYTEST_OPTIONS)
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage html --quiet --fail-under 0
 	$(BIN)/coverage report

@@ -13,8 +13,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-# Before NumPy is imported: BLAS threads wait for each other on small matrices when several tests run at once.
+# Before NumPy and torch are imported: their threads wait for each other on small matrices when several tests
+# run at once.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
@@ -39,10 +41,15 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave out what looks at compiled code where there is none."""
+    """Leave out what looks at compiled code where there is none; files with slow tests come first.
+
+    A process is given whole files in this order: a long one last would keep it alone at work.
+    """
     for item in items:
         if not COMPILES and item.get_closest_marker("compiled"):
             item.add_marker(pytest.mark.skip(reason="NUMBA_DISABLE_JIT=1: nothing is compiled"))
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 SHORT = ("assessment.run_in=200", "assessment.length=600")

@@ -14,6 +14,7 @@ pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 from sayd_env.agents.policy_file import read_policy
 from sayd_env.cli import main
 
+pytestmark = pytest.mark.slow
 FEW = {
     "ppo": ("environment.vehicles=8", "learning.n_steps=64", "learning.batch_size=256"),
     "sac": ("environment.vehicles=16", "learning.gradient_steps=1", "learning.learning_starts=256"),

@@ -47,6 +47,7 @@ from sayd_env.runs.executors import ExecutorChoice  # noqa: E402
 from sayd_env.studies.learning import policy_evaluator  # noqa: E402
 from sayd_env.studies.learning import train as study  # noqa: E402
 
+pytestmark = pytest.mark.slow
 SMALL = [
     "environment.vehicles=4",
     "environment.episode_s=0.5",
@@ -55,6 +56,7 @@ SMALL = [
     "evaluation.wear=[1.0]",
     "evaluation.seeds=[500, 501]",
     "evaluation.every=100",
+    "evaluation.references=[mppt2, constant-tuned]",
     "checkpoint.every=80",
     "total_steps=200",
     "network.hidden=[16]",
@@ -163,6 +165,7 @@ def test_the_evaluator_gives_what_evaluate_policy_gives(trained: Trained) -> Non
         assert -mean == pytest.approx(cost, abs=1e-5)
 
 
+@pytest.mark.parametrize("trained", ["ppo"], indirect=True)
 def test_other_processes_evaluate_to_the_same_bits(trained: Trained, tmp_path: Path) -> None:
     config = trained.config.model_copy(update={"total_steps": 1})
     result = study(config, tmp_path / "run", executor=ExecutorChoice("processes", workers=2))
@@ -362,6 +365,7 @@ def test_a_finished_run_can_be_prolonged(trained: Trained, tmp_path: Path) -> No
     assert len(yaml.safe_load((folder / "run.yaml").read_text())["starts"]) == 2
 
 
+@pytest.mark.parametrize("trained", ["ppo"], indirect=True)
 def test_what_a_resumed_run_may_not_change(trained: Trained, tmp_path: Path) -> None:
     changed = trained.config.model_copy(update={"seed": 4, "discount_s": 1.5})
     with pytest.raises(ConfigError, match=r"discount_s: the run has \d.\d, found 1.5; seed: the run has 0"):
@@ -378,6 +382,7 @@ def test_what_a_resumed_run_may_not_change(trained: Trained, tmp_path: Path) -> 
         Path(trained.config.environment.name).write_text(RUN_IN)
 
 
+@pytest.mark.parametrize("trained", ["ppo"], indirect=True)
 def test_a_damaged_record_of_the_run_is_refused(trained: Trained, tmp_path: Path) -> None:
     for name in ("config.yaml", "run.yaml"):
         shutil.copy(trained.folder / name, tmp_path / name)
@@ -396,6 +401,7 @@ def test_a_damaged_checkpoint_is_refused(trained: Trained, tmp_path: Path) -> No
         load_model(tmp_path, make_model(trained.config, env))
 
 
+@pytest.mark.parametrize("trained", ["ppo"], indirect=True)
 def test_two_trainings_in_one_folder_and_damaged_files_are_refused(trained: Trained, tmp_path: Path) -> None:
     config, folder = trained.config, tmp_path / "run"
     with reserved(folder, "trains"), pytest.raises(ConfigError, match="another process trains here"):
@@ -476,25 +482,31 @@ def _scenarios(config: TrainConfig) -> int:
     return len(config.evaluation.cases)
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """A training that nothing interrupts."""
+    folder = tmp_path_factory.mktemp("whole")
+    return train(load_train("sac", settings("sac", folder)), folder / "run")
+
+
 @pytest.mark.parametrize("which", [1, 2], ids=["in the middle", "the last"])
 def test_an_evaluation_that_was_interrupted_is_made_again(
-    which: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    which: int, whole: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = load_train("sac", [*settings("sac", tmp_path), "evaluation.every=100"])
-    whole = [row["steps"] for row in train(config, tmp_path / "whole").evaluations]
+    steps = [row["steps"] for row in whole.evaluations]
     evaluate = _Run.evaluate
 
     def interrupt(run: _Run) -> None:
-        if run.steps == whole[which]:
+        if run.steps == steps[which]:
             raise KeyboardInterrupt
         evaluate(run)
 
     with monkeypatch.context() as patch:
         patch.setattr(_Run, "evaluate", interrupt)
-        with pytest.raises(Interrupted, match=f"saved at step {whole[which]:g} of 200"):
-            train(config, tmp_path / "run")
-    again = train(config, tmp_path / "run", resume=True).evaluations
-    assert [row["steps"] for row in again] == whole
+        with pytest.raises(Interrupted, match=f"saved at step {steps[which]:g} of 200"):
+            train(whole.config, tmp_path / "run")
+    again = train(whole.config, tmp_path / "run", resume=True).evaluations
+    assert [row["steps"] for row in again] == steps
 
 
 def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,13 +17,15 @@ from sayd_env.config import ConfigError
 from sayd_env.config.damper import PassiveDamperConfig
 
 CONTROLLERS = [name for name in baselines.NAMES if name != "passive"]
-BOGIE_CONTROLLERS = [name for name in CONTROLLERS if not name.startswith(("constant", "speed-schedule"))]
 PASSIVE = PassiveDamperConfig(
     type="passive", name="p", curve=((0.0, 0.0), (0.1, 1e4), (1.0, 2e4)), series_stiffness=5e6
 )
+KINDS = [name for name in CONTROLLERS if not name.endswith(("-tuned", "-estimate"))]
+"""The others are of the same classes, with other numbers."""
+BOGIE_CONTROLLERS = [name for name in KINDS if not name.startswith(("constant", "speed-schedule"))]
 OBSERVATIONS = [
     (name, kind)
-    for name in CONTROLLERS
+    for name in KINDS
     for kind in ("signals", "history", "features")
     if not (kind == "features" and name.startswith(("skyhook", "lqg")))
 ]

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import inspect
 import json
-import os
 import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sayd_env.cli import learning, main, policies
+from sayd_env.cli.app import app
 
-# A program with one more command, which does what a test asks.
-PROGRAM = """
+# One more command, which does what a test asks.
+COMMAND = """
 import sys, time
 from typing import Annotated
 import typer
@@ -64,23 +64,31 @@ def probe(what: Annotated[str, typer.Argument()], vehicle: options.VehicleOption
         context.progress(1, 2, "half")
         return Result()
     return Plan(study, {"speeds": speeds}, 3)
-
-start()
 """
+PROGRAM = f"{COMMAND}\nstart()\n"
+
+Sayd = Callable[..., subprocess.CompletedProcess[str]]
 
 
+@pytest.fixture(scope="module")
+def probe() -> Iterator[None]:
+    before = list(app.registered_commands)
+    exec(COMMAND, {"__name__": __name__})
+    yield
+    app.registered_commands[:] = before
+
+
+@pytest.fixture
 def sayd(
-    *arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", PROGRAM, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=cwd,
-        timeout=60,
-        env=os.environ | (env or {}),
-    )
+    probe: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Sayd:
+    """Run the program with its further command, in an empty directory."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.CompletedProcess(arguments, main(arguments), *capsys.readouterr())
+
+    return run
 
 
 @pytest.mark.parametrize(
@@ -107,9 +115,9 @@ def sayd(
     ],
 )
 def test_every_error_is_one_line_with_its_status(
-    arguments: list[str], status: int, message: str, tmp_path: Path
+    arguments: list[str], status: int, message: str, sayd: Sayd, tmp_path: Path
 ):
-    done = sayd(*arguments, cwd=tmp_path)
+    done = sayd(*arguments)
     assert done.returncode == status
     assert done.stderr.startswith(message)
     assert done.stderr.count("\n") == 1
@@ -119,12 +127,13 @@ def test_every_error_is_one_line_with_its_status(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_defect_shows_its_place_on_demand():
-    assert "Traceback" in sayd("probe", "defect", env={"SAYD_DEBUG": "1"}).stderr
+def test_a_defect_shows_its_place_on_demand(sayd: Sayd, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SAYD_DEBUG", "1")
+    assert "Traceback" in sayd("probe", "defect").stderr
 
 
-def test_json_stands_alone_on_standard_output_and_writes_no_file(tmp_path: Path):
-    done = sayd("probe", "x", "--json", "--speeds", "300:400:50", cwd=tmp_path)
+def test_json_stands_alone_on_standard_output_and_writes_no_file(sayd: Sayd, tmp_path: Path):
+    done = sayd("probe", "x", "--json", "--speeds", "300:400:50")
     assert done.returncode == 0
     content = json.loads(done.stdout)
     assert content["answer"] is None
@@ -135,8 +144,8 @@ def test_json_stands_alone_on_standard_output_and_writes_no_file(tmp_path: Path)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_results_go_to_a_directory_named_by_the_command(tmp_path: Path):
-    done = sayd("probe", "x", cwd=tmp_path)
+def test_results_go_to_a_directory_named_by_the_command(sayd: Sayd, tmp_path: Path):
+    done = sayd("probe", "x")
     assert done.returncode == 0
     assert done.stdout.splitlines() == ["the summary", "results/probe: answers.csv, result.json"]
     assert done.stderr == ""
@@ -146,9 +155,9 @@ def test_results_go_to_a_directory_named_by_the_command(tmp_path: Path):
     ]
 
 
-def test_a_look_says_so_and_never_replaces_a_result(tmp_path: Path):
-    sayd("probe", "x", cwd=tmp_path)
-    done = sayd("probe", "x", "--quick", cwd=tmp_path)
+def test_a_look_says_so_and_never_replaces_a_result(sayd: Sayd, tmp_path: Path):
+    sayd("probe", "x")
+    done = sayd("probe", "x", "--quick")
     assert done.stdout.splitlines()[1:] == [
         "--quick: a look, not a result",
         "results/probe-quick: answers.csv, result.json",
@@ -157,20 +166,20 @@ def test_a_look_says_so_and_never_replaces_a_result(tmp_path: Path):
     assert "quick" not in json.loads((tmp_path / "results/probe/result.json").read_text())
 
 
-def test_all_columns_are_an_option():
+def test_all_columns_are_an_option(sayd: Sayd):
     assert "the summary in all its columns" in sayd("probe", "x", "--wide", "--json").stderr
 
 
-def test_json_with_a_directory_writes_the_same_document(tmp_path: Path):
-    done = sayd("probe", "x", "--json", "--out", "here", cwd=tmp_path)
+def test_json_with_a_directory_writes_the_same_document(sayd: Sayd, tmp_path: Path):
+    done = sayd("probe", "x", "--json", "--out", "here")
     assert json.loads(done.stdout) == json.loads((tmp_path / "here/result.json").read_text())
 
 
-def test_a_result_of_another_command_is_not_replaced_in_silence(tmp_path: Path):
-    first = sayd("probe", "x", "--out", "here", cwd=tmp_path)
-    again = sayd("probe", "x", "--out", "here", cwd=tmp_path)
+def test_a_result_of_another_command_is_not_replaced_in_silence(sayd: Sayd, tmp_path: Path):
+    first = sayd("probe", "x", "--out", "here")
+    again = sayd("probe", "x", "--out", "here")
     assert "replaces" not in first.stdout + again.stdout
-    other = sayd("probe", "y", "--out", "here", cwd=tmp_path)
+    other = sayd("probe", "y", "--out", "here")
     assert other.stdout.endswith("here: replaces the result of 'sayd probe x --out here'\n")
 
 
@@ -311,10 +320,10 @@ def ride(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_assess_judges_a_recording_by_the_limits_of_en_14363(ride: Path, tmp_path: Path):
+def test_assess_judges_a_recording_by_the_limits_of_en_14363(ride: Path, sayd: Sayd, tmp_path: Path):
     """Limits 5.44 m/s2 and 30 kN: Wang et al. (2022), eq. 25 and 26, for P = 150 kN and m_b = 5.6 t."""
     train = ("--bogie-mass", "5600", "--axle-load", "150")
-    done = sayd("assess", str(ride), "--speed", "300", *train, "--json", "--out", "here", cwd=tmp_path)
+    done = sayd("assess", str(ride), "--speed", "300", *train, "--json", "--out", "here")
     assert done.returncode == 0
     content = json.loads(done.stdout)
     assert content["limits"] == pytest.approx({"acceleration_rms": 5.44, "track_shift_rms_kn": 30.0})
@@ -347,24 +356,9 @@ def test_bad_input_of_assess_is_one_message(arguments: list[str], message: str, 
     assert message in refused("assess", *(str(ride) if part == "RIDE" else part for part in arguments))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--profile", "s1002cm"], "did you mean 's1002cn'"),
-        (["--wear", "nan"], "--wear nan: expected a number from 0 to 1"),
-        (["--config", "nowhere.yaml"], "nowhere.yaml: no such file"),
-        (["--set", "wear"], "expected key=value"),
-        (["--set", "weer=1"], "did you mean 'wear'"),
-        (["--set", "track.gauge=-1"], "track.gauge: found -1"),
-    ],
-)
-def test_bad_input_of_conicity_is_one_message(arguments: list[str], message: str, refused: Refused):
-    assert message in refused("conicity", *arguments)
-
-
-def test_conicity_of_lmb10_on_cn60_is_its_design_value(tmp_path: Path):
+def test_conicity_of_lmb10_on_cn60_is_its_design_value(sayd: Sayd, tmp_path: Path):
     """The LMB10 tread was designed for an equivalent conicity of 0.10 on CN60 rails."""
-    done = sayd("conicity", "--profile", "lmb10", "--json", "--out", "here", cwd=tmp_path)
+    done = sayd("conicity", "--profile", "lmb10", "--json", "--out", "here")
     assert done.returncode == 0
     content = json.loads(done.stdout)
     at = np.isclose(content["amplitude_mm"], 3.0)

@@ -50,7 +50,8 @@ def test_ids_pass_the_checker(name: str) -> None:
 @pytest.mark.parametrize("keywords", VARIANTS, ids=lambda k: ",".join(f"{a}={b}" for a, b in k.items()))
 def test_keywords_pass_the_checker(keywords: dict[str, Any], quick: str) -> None:
     env = gym.make("SAYD/Nominal-v1", **{"environment": quick, "episode_s": 0.2} | keywords)
-    check_env(env.unwrapped)
+    drawn = keywords.keys() <= {"damper", "info"}  # what changes the picture
+    check_env(env.unwrapped, skip_render_check=not drawn)
 
 
 def test_everything_drawn_passes_the_checker(quick_faults: str) -> None:

@@ -7,11 +7,8 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from sayd_env.config import ConfigError, DataError
 from sayd_env.config.environment import load_environment
@@ -130,12 +127,6 @@ def test_lines_are_drawn_from_the_seed_alone() -> None:
     assert env.batch.lines[0] == again.batch.lines[0]
     env.reset()
     assert env.batch.lines[0] != again.batch.lines[0]
-
-
-def test_the_checkers_accept_the_line_environment() -> None:
-    env = gym.make("SAYD/Line-v0", episode_s=1.0)
-    check_env(env.unwrapped, skip_render_check=True)
-    check_env_sb3(env.unwrapped, warn=False)
 
 
 SMOOTH = {

@@ -423,7 +423,10 @@ def test_former_runs_are_removed_on_request_and_nothing_else(cache: RunCache, tm
 
 
 def test_a_cache_in_memory_has_nothing_to_forget():
-    RunCache().forget_former()
+    cache = RunCache()
+    cache.put(KEY, TOY)
+    cache.forget_former()
+    assert cache.get(KEY, Toy) is not None
 
 
 def test_a_folder_that_cannot_be_written_is_one_message():

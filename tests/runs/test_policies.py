@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import pickle
-import subprocess
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -266,15 +264,6 @@ def test_a_ready_policy_is_loaded_by_its_name() -> None:
     assert baselines.make("passive", "SAYD/Nominal-v1").interface.keywords["damper"] == "passive"
 
 
-def test_importing_the_package_loads_no_policies() -> None:
-    heavy = ("numba", "torch", "pydantic", "sayd_env.runs", "sayd_env.agents", "sayd_env.baselines")
-    code = f"import sys, sayd_env; print(any(name.startswith({heavy}) for name in sys.modules))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ
-    )
-    assert done.stdout.strip() == "False"
-
-
 def test_titles_differ(tmp_path: Path, ready: Path) -> None:
     source, other = (ready / "ppo-s0.npz").read_bytes(), ready / "ppo-s1.npz"
     for folder in ("one", "two"):
@@ -368,7 +357,9 @@ def test_every_kind_is_evaluated_alike(
     code = main(["evaluate", "--policies", ",".join(names), *short, "--json", "--out", str(tmp_path / "out")])
     assert code == 0
     rows = {row["policy"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
-    assert list(rows) == ["constant:0.3", "mine:make", "ppo-s1", "ppo-s1@onnx0"] or len(rows) == 4
+    *given, last = rows
+    assert given == ["constant:0.3", "mine:make", "ppo-s1"]
+    assert last.startswith("ppo-s1@")
     constant, own, weights, model = rows.values()
     assert own["J"] == pytest.approx(constant["J"], rel=1e-6)  # 0.3 in single precision
     assert model["J"] == pytest.approx(weights["J"], rel=1e-3)

@@ -47,31 +47,22 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> BoundResult:
     return bound(config, policy_specs(["passive", "constant:0.3"]), convergence=True)
 
 
-def test_the_reference_is_the_lowest_and_the_search_no_worse_than_where_it_starts(
+def test_the_search_is_no_worse_than_where_it_starts(
     result: BoundResult,
 ) -> None:
     assert result.rules == ("mppt2", "passive", "constant:0.3", CONSTANT, SCHEDULE, CLAIRVOYANT, REFERENCE)
     for each in result.reached:
-        assert each.reference == min(each.J.values())
         start = min(each.J[name] for name in (CONSTANT, SCHEDULE, "mppt2", "constant:0.3"))
         assert each.J[CLAIRVOYANT] <= start * (1.0 + 1e-12)
-    assert result.won <= len(result.reached)
 
 
-def test_the_best_constant_is_that_of_a_finer_grid(result: BoundResult) -> None:
-    """On the spot: no constant command of a policy is better by more than the last step of the search."""
+def test_the_best_constant_is_that_of_a_policy(result: BoundResult) -> None:
+    """No worse than a constant command that a policy gives, by more than the last step of the search."""
     first, second = result.reached
     assert first.J[CONSTANT] <= first.J["constant:0.3"] * (1.0 + 1e-3)
     assert first.section_currents == (first.current,)
     assert first.J[SCHEDULE] == first.J[CONSTANT]
     assert len(second.section_currents) == 2
-
-
-def test_shares_are_of_the_way_from_mppt2(result: BoundResult) -> None:
-    shares = {share.rule: share for share in result.shares()}
-    assert (shares["mppt2"].share, shares["mppt2"].share_of_mean) == (0.0, 0.0)
-    assert shares[REFERENCE].share == pytest.approx(1.0)
-    assert shares[REFERENCE].gap == pytest.approx(0.0)
 
 
 def test_convergence_has_a_row_for_each_setting(result: BoundResult) -> None:

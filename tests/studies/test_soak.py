@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -127,7 +126,6 @@ def test_some_thousand_steps_with_everything_drawn(tmp_path: Path) -> None:
         assert (second.speed_kmh, second.wear, second.track) == tuple(
             info[key] for key in ("speed_kmh", "wear", "track")
         )
-        break
 
 
 def test_a_termination_is_counted_and_its_charge_left_out(tmp_path: Path) -> None:
@@ -269,20 +267,19 @@ def test_no_whole_second_is_reported_as_nothing(tmp_path: Path) -> None:
     assert len(result.costs) == 0
     assert np.isnan(result.recommended)
     assert result.tables()["histogram"][1] == []
-    assert dataclasses.is_dataclass(result)
 
 
 @pytest.fixture(scope="module")
 def long(tmp_path_factory: pytest.TempPathFactory) -> SoakResult:
     path = tmp_path_factory.mktemp("soak") / "late.yaml"
     path.write_text(LATE)
-    return soak(str(path), 100_000, seed=100)
+    return soak(str(path), 40_000, seed=100)
 
 
 @pytest.mark.slow
-def test_a_hundred_thousand_steps_give_nothing_but_numbers(long: SoakResult) -> None:
+def test_many_steps_give_nothing_but_numbers(long: SoakResult) -> None:
     assert long.failures == ""
-    assert long.steps >= 100_000
-    assert long.episodes >= 250
+    assert long.steps >= 40_000
+    assert long.episodes >= 100
     # The charge must exceed what a second can cost, or a policy gains by derailing.
     assert long.termination_cost > long.largest

@@ -44,9 +44,11 @@ STEP = 5e-4
 """The vehicle's time step, s."""
 FINE = 5e-6
 """The reference's: a sixth of the shortest time constant, of suction valve and chamber, s."""
+FINE_ENOUGH = 1e-5
+"""The same for the dampers of the grid, each of which is shown to be as exact with it."""
 
-_njit: Any = numba.njit(error_model="numpy")
-_inline: Any = numba.njit(error_model="numpy", forceinline=True)
+_njit: Any = numba.njit(error_model="numpy", cache=True)
+_inline: Any = numba.njit(error_model="numpy", forceinline=True, cache=True)
 
 
 MAP_CURRENTS = [0.0, 0.22, 0.45, 0.74, 1.0]
@@ -427,7 +429,9 @@ def loop_motion(amplitude: float, frequency: float, cycles: int) -> Array:
     return motion
 
 
-def loop_errors(damper: SaydDamperConfig, amplitude: float, frequency: float, currents: Array) -> Array:
+def loop_errors(
+    damper: SaydDamperConfig, amplitude: float, frequency: float, currents: Array, fine: float = FINE
+) -> Array:
     """Relative errors of the second cycle's energy and peak force, (currents, 2)."""
     motion = loop_motion(amplitude, frequency, 2)
     last = slice(len(motion) // 2, None)
@@ -435,7 +439,7 @@ def loop_errors(damper: SaydDamperConfig, amplitude: float, frequency: float, cu
     found = simulated(damper, motion, np.broadcast_to(lanes, (len(motion), LANES)))[:, sayd.FORCE_1]
     errors = []
     for lane, current in enumerate(currents):
-        force = reference(damper, motion, np.full(len(motion), current))[last, 0]
+        force = reference(damper, motion, np.full(len(motion), current), fine)[last, 0]
         pair = [(np.trapezoid(f, motion[last, 0]), np.max(np.abs(f))) for f in (found[last, lane], force)]
         errors.append(np.array(pair[0]) / np.array(pair[1]) - 1.0)
     return np.array(errors)
@@ -444,15 +448,8 @@ def loop_errors(damper: SaydDamperConfig, amplitude: float, frequency: float, cu
 @pytest.mark.parametrize("amplitude", [1e-3, 2e-3, 4e-3])
 @pytest.mark.parametrize("frequency", [1.0, 3.0, 10.0])
 def test_loops_are_those_of_the_reference(amplitude: float, frequency: float) -> None:
-    assert np.max(np.abs(loop_errors(load_sayd("sayd"), amplitude, frequency, CURRENTS))) < 5e-3
-
-
-@pytest.mark.parametrize(("base", "name", "factor"), VARIANTS)
-def test_loops_of_other_dampers_are_those_of_the_reference(base: str, name: str, factor: float) -> None:
-    damper, currents = varied(base, name, factor), CURRENTS[[0, 3, 5, 7]]
-    for loop in ((1e-3, 1.0), (1e-3, 10.0), (4e-3, 4.0)):
-        misses = (base, name, factor) in MISSES and loop == (1e-3, 1.0)
-        assert close(loop_errors(damper, *loop, currents), currents, open_peak=not misses)
+    errors = loop_errors(load_sayd("sayd"), amplitude, frequency, CURRENTS, FINE_ENOUGH)
+    assert np.max(np.abs(errors)) < 5e-3
 
 
 @pytest.mark.slow
@@ -462,7 +459,7 @@ def test_loops_over_the_whole_grid(base: str, name: str, factor: float) -> None:
     for amplitude in (1e-3, 2e-3, 4e-3):
         for frequency in (1.0, 2.0, 4.0, 6.0, 8.0, 10.0):
             misses = (base, name, factor) in MISSES and (amplitude, frequency) == (1e-3, 1.0)
-            errors = loop_errors(damper, amplitude, frequency, CURRENTS)
+            errors = loop_errors(damper, amplitude, frequency, CURRENTS, FINE_ENOUGH)
             assert close(errors, CURRENTS, open_peak=not misses)
 
 
@@ -659,3 +656,15 @@ def test_the_reference_does_not_depend_on_its_integrator(
     rms = np.sqrt(np.mean(force**2))
     assert np.sqrt(np.mean((half - force) ** 2)) < 1e-4 * rms
     assert np.sqrt(np.mean((scipy - force) ** 2)) < 1e-4 * rms
+
+
+@pytest.mark.parametrize(("base", "name", "factor"), [("sayd", "friction", 1.0), *VARIANTS])
+@pytest.mark.parametrize("current", [0.05, 1.0])
+def test_twice_the_step_is_fine_enough_for_the_grid(
+    base: str, name: str, factor: float, current: float
+) -> None:
+    damper, motion = varied(base, name, factor), loop_motion(1e-3, 10.0, 2)
+    twice, once = (
+        reference(damper, motion, np.full(len(motion), current), fine)[:, 0] for fine in (FINE_ENOUGH, FINE)
+    )
+    assert np.sqrt(np.mean((twice - once) ** 2)) < 1e-4 * np.sqrt(np.mean(once**2))

@@ -110,7 +110,6 @@ def test_parts_make_a_step(result: BenchResult) -> None:
         factor = realtime[f"{kind}_single_processor_time"].spread
         least = result.measured["step_us"][total].spread.minimum
         assert 1e6 * result.step / least == pytest.approx(factor.maximum)
-        assert factor.maximum > 0.9 * realtime[f"{kind}_single"].spread.maximum
     assert min(costs[part] for part in ("valves", "hydraulics", "total_sayd")) > 0.0
 
 

@@ -316,7 +316,7 @@ def test_each_part_is_scored_by_itself(result: CompareResult):
     runs = result.runs["mppt2"]
     assert np.isfinite(runs["J_offline_acceleration"]).all()
     # On one line both filters see the same hunting: J of them is of one order.
-    assert runs["J_offline_acceleration"][2, 0] == pytest.approx(runs["J_acceleration"][2, 0], rel=1.0)
+    assert 0.5 < runs["J_offline_acceleration"][2, 0] / runs["J_acceleration"][2, 0] < 2.0
 
 
 def test_passive_wheels_are_critical_where_the_map_has_them(result: CompareResult):

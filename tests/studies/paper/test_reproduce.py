@@ -31,10 +31,12 @@ from sayd_env.studies.paper.judged import damper_claim, model_claim
 from sayd_env.studies.paper.passive_claims import passive_claims
 from sayd_env.studies.paper.reproduce import ROWS, ReproduceResult, reproduce, row_policies
 
+pytestmark = pytest.mark.slow
 PASSIVE = 7 + 6
 RUNS = PASSIVE + 22 + 3 * 5
 """Of one seed: passive ones on two speed grids, those with controllers and with fixed commands."""
 SHORT = ["--config", "estimates", "--set", "assessment.run_in=200", "--set", "assessment.length=600"]
+ONE = ["--seeds", "1", "--executor", "threads"]
 
 
 @pytest.fixture(scope="module")
@@ -88,9 +90,7 @@ def interrupted(scenario: Scenario, folder: Path, runs: int) -> int:
 def test_an_interrupted_study_goes_on_without_repeating_runs(
     result: ReproduceResult, short_scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    finished = interrupted(short_scenario, tmp_path, 4)
-    assert 4 <= finished < PASSIVE
-
+    """Among the passive runs, and again among those with controllers."""
     made: list[passive.PassiveRun] = []
 
     def counted(runs: list[passive.PassiveRun]) -> Any:
@@ -99,18 +99,28 @@ def test_an_interrupted_study_goes_on_without_repeating_runs(
 
     simulated = passive.simulated
     monkeypatch.setattr(passive, "simulated", counted)
+    assert 4 <= interrupted(short_scenario, tmp_path, 4) < PASSIVE
+    finished = interrupted(short_scenario, tmp_path, PASSIVE + 3)
+    assert PASSIVE + 3 <= finished < RUNS
+    assert len(made) == PASSIVE
 
-    def again(scenario: Scenario) -> tuple[ReproduceResult, int]:
+    def again() -> tuple[ReproduceResult, int]:
         cache = RunCache(tmp_path)
-        return reproduce(scenario, [3], context=RunContext(cache=cache)), cache.reused
+        return reproduce(short_scenario, [3], context=RunContext(cache=cache)), cache.reused
 
-    second, reused = again(short_scenario)
-    assert (len(made), reused) == (PASSIVE - finished, finished)
+    second, reused = again()
+    assert (len(made), reused) == (PASSIVE, finished)
     assert second.claims == result.claims
-    _, reused = again(short_scenario)
-    assert (len(made), reused) == (PASSIVE - finished, RUNS + len(second.histories))
-    _, reused = again(short_scenario.model_copy(update={"friction": 0.3}))
-    assert (len(made), reused) == (2 * PASSIVE - finished, 0)
+    _, reused = again()
+    assert (len(made), reused) == (PASSIVE, RUNS + len(second.histories))
+
+
+def test_runs_of_another_vehicle_are_not_taken_for_finished(short_scenario: Scenario, tmp_path: Path):
+    for friction, reused in ((0.4, 0), (0.3, 0), (0.4, 1)):
+        cache = RunCache(tmp_path)
+        other = short_scenario.model_copy(update={"friction": friction})
+        passive.sweep(other, [80.0], [3], RunContext(cache=cache))
+        assert cache.reused == reused
 
 
 def test_wear_is_0_and_1_in_turn(result: ReproduceResult, short_scenario: Scenario):
@@ -137,7 +147,7 @@ def test_a_loop_that_dissipates_nothing_fails_row_11(short_scenario: Scenario):
 
 
 def test_the_command_writes_claims_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["reproduce", *SHORT, "--seeds", "1", "--json", "--out", str(tmp_path)]) == 0
+    assert main(["reproduce", *SHORT, *ONE, "--json", "--out", str(tmp_path)]) == 0
     content = json.loads(capsys.readouterr().out)
     assert [claim["id"] for claim in content["claims"]] == list(ROWS)
     assert content["seeds"] == [9100]
@@ -149,39 +159,24 @@ def test_the_command_writes_claims_and_figures(tmp_path: Path, capsys: pytest.Ca
     page = (tmp_path / "report.html").read_text()
     assert page.count('src="data:image/png;base64,') == len([f for f in files if f.endswith(".png")])
     assert "<td>damper</td>" not in page  # the estimates are not calibrated
-    assert main(["reproduce", *SHORT, "--seeds", "1", "--out", str(tmp_path)]) == 0
-    kept = (
-        RUNS + 1
-    )  # the history of figure 8; these wheels stay below the limit, so that there is no second one
-    assert f"{kept} runs had been finished by an earlier start" in capsys.readouterr().out
 
 
-def test_runs_with_controllers_go_on_after_an_interruption(
-    result: ReproduceResult, short_scenario: Scenario, tmp_path: Path
+def test_strict_fails_with_the_rows_that_do_not_hold_and_are_not_allowed_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    finished = interrupted(short_scenario, tmp_path, PASSIVE + 3)
-    assert PASSIVE + 3 <= finished < RUNS
-    cache = RunCache(tmp_path)
-    second = reproduce(short_scenario, [3], context=RunContext(cache=cache))
-    assert cache.reused == finished
-    assert second.claims == result.claims
-
-
-def test_strict_fails_with_the_rows_that_do_not_hold(capsys: pytest.CaptureFixture[str]):
     # A second, smaller damper curve: no vehicle is stable at every speed of the paper with a hundredth of it.
     weak = ["--set", "damper.curve=[[0, 0], [0.2, 120.0], [1.0, 150.0]]"]
-    assert main(["reproduce", *SHORT, *weak, "--seeds", "1", "--json", "--strict"]) == 1
+    command = ["reproduce", *SHORT, *weak, *ONE, "--json", "--out", str(tmp_path), "--strict"]
+    assert main(command) == 1
     out, err = capsys.readouterr()
     failed = [claim["id"] for claim in json.loads(out)["claims"] if not claim["holds"]]
     assert failed
     assert f"sayd: error: rows that do not hold: {', '.join(failed)}" in err
-
-
-def test_rows_that_are_allowed_to_fail_are_no_error(capsys: pytest.CaptureFixture[str]):
-    weak = ["--set", "damper.curve=[[0, 0], [0.2, 120.0], [1.0, 150.0]]"]
-    allowed = ["--strict", "--allow", ",".join(ROWS)]
-    assert main(["reproduce", *SHORT, *weak, *allowed, "--seeds", "1", "--json"]) == 0
-    assert main(["reproduce", *SHORT, "--strict", "--allow", "P12"]) == 2
+    assert main([*command, "--allow", ",".join(failed)]) == 0
+    capsys.readouterr()
+    assert main([*command, "--allow", ",".join(failed[1:])]) == 1
+    assert f"sayd: error: rows that do not hold: {failed[0]}" in capsys.readouterr().err
+    assert main([*command, "--allow", "P12"]) == 2
     assert "--allow P12: unknown row; expected P1, P2" in capsys.readouterr().err
 
 
@@ -242,7 +237,7 @@ def test_the_command_takes_dampers_and_controllers_from_files(
     own = ["--damper", files["passive"], "--sayd", files["sayd"], "--controllers", files["skyhook-onoff"]]
     contents = []
     for more in ([], map(str, own)):
-        assert main(["reproduce", *nominal, "--seeds", "1", "--json", *more]) == 0
+        assert main(["reproduce", *nominal, *ONE, "--json", *more]) == 0
         contents.append(json.loads(capsys.readouterr().out))
     first, second = contents
     assert second["claims"] == first["claims"]
