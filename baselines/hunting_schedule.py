@@ -33,8 +33,9 @@ class HuntingSchedule(SecondBySecond[HuntingScheduleConfig, Corrected]):
 
     Where the part of the acceleration falls with V as V^m and that of the force rises as V^-n, their sum is
     smallest where m times the one is n times the other, whatever the track's roughness, which is a factor on
-    both: so r has a value for the best command, here a table over speed. With gain = 0 it is the plain
-    schedule. The correction stays where the command comes to an end of its range.
+    both: so r has a value for the best command, here a table over speed. What the ends of the range cut off
+    the command is cut off C as well, so that nothing winds up there; where the table lies within the range,
+    gain = 0 is the plain schedule.
 
     =================  =====  ==========================================================================
     parameter          unit   meaning

@@ -164,7 +164,13 @@ class Lqg(BogiePolicy[LqgConfig, Estimate]):
         super().__init__(name, interface, parameters, ("speed", *ACCELERATIONS, *dampers))
         period, limits = interface.control_period, (interface.acceleration_limit, interface.force_reference)
         plants = reduced_plants(parameters, damper)
-        self.designs = [designed(plant, period, parameters, limits) for plant in plants]
+        try:
+            self.designs = [designed(plant, period, parameters, limits) for plant in plants]
+        except np.linalg.LinAlgError:
+            raise ConfigError(
+                f"{name}: states: no regulator is found for {parameters.states}, the last of which hardly "
+                "count; expected fewer"
+            ) from None
         self._area, self._sliding = damper.cylinder.area, damper.friction.sliding
         cylinder = damper.cylinder
         dead = math.pi / 4.0 * cylinder.bore**2 * 0.5 * (cylinder.dead_length_a + cylinder.dead_length_b)

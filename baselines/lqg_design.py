@@ -17,6 +17,7 @@ from scipy.linalg import matrix_balance, solve_continuous_lyapunov, svd
 
 from sayd_env.config.control import LqgConfig
 from sayd_env.config.damper import SaydDamperConfig
+from sayd_env.config.files import named_files
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.config.user_cache import report_once
@@ -81,10 +82,11 @@ def reduced_plants(parameters: LqgConfig, damper: SaydDamperConfig) -> list[Redu
     length = sum(rows * columns for rows, columns in shapes.values())
     chosen = ("speeds_kmh", "stroke_speed", "shifts", "corner", "states")
     content = (
-        scenario.model_dump_json(exclude={"provenance", "description"}),
-        repr([getattr(parameters, name) for name in chosen]),
-        Path(__file__).read_text(encoding="utf-8"),
-        kernel_cache.source_hash(),
+        scenario.model_dump_json(exclude={"provenance", "description"}).encode(),
+        repr([getattr(parameters, name) for name in chosen]).encode(),
+        Path(__file__).read_bytes(),
+        kernel_cache.source_hash().encode(),
+        *(path.read_bytes() for path in named_files(scenario.model_dump(mode="json"))),
     )
 
     def make() -> Array:
@@ -94,9 +96,7 @@ def reduced_plants(parameters: LqgConfig, damper: SaydDamperConfig) -> list[Redu
         return np.concatenate([getattr(each, name).ravel() for each in plants for name in shapes])
 
     count = len(parameters.speeds_kmh)
-    flat = array_cache.cached_array("lqg", (part.encode() for part in content), count * length, make).reshape(
-        count, length
-    )
+    flat = array_cache.cached_array("lqg", content, count * length, make).reshape(count, length)
     found = []
     for row in flat:
         ends = np.cumsum([rows * columns for rows, columns in shapes.values()])

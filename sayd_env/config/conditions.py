@@ -31,6 +31,8 @@ TIGHTEST = 150.0
 """Smallest radius (m): EN 13803."""
 MOST_CANT = 0.18
 """Highest cant (m): EN 13803, exceptional limit."""
+LINE_STEP = 10.0
+"""Distance (m) of the places along a run where curvature, cant, speed, friction and rail shape are known."""
 SHORTEST_TRANSITION = 20.0
 """Transition (m) that the kinks of curvature and cant, rounded over 20 m each way, still leave one."""
 MOST_DEFICIENCY = 0.3

@@ -18,7 +18,7 @@ class ContactConfig(Model):
         "table",
         description="Creep forces: table of FASTSIM, Polach's law, or FASTSIM itself (slow, the reference)",
     )
-    youngs_modulus: float = quantity("Pa", "Young's modulus of wheel and rail", gt=0.0)
+    youngs_modulus: float = quantity("Pa", "Young's modulus of wheel and rail", ge=1e10, le=1e12)
     poisson_ratio: float = quantity("-", "Poisson's ratio of wheel and rail", gt=0.0, lt=0.5)
     regularisation: float = quantity(
         "-",

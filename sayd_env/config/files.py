@@ -4,11 +4,31 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from sayd_env.config.errors import ConfigError
 
 MIB = 2**20
+
+
+def named_files(value: Any) -> Iterator[Path]:
+    """Files that texts among nested mappings and lists name."""
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list):
+        for item in value:
+            yield from named_files(item)
+    elif isinstance(value, str) and _is_file(value):
+        yield Path(value)
+
+
+def _is_file(text: str) -> bool:
+    try:
+        return Path(text).is_file()
+    except (OSError, ValueError):  # too long for a name, or a character that no name has
+        return False
 
 
 def read_bytes(path: Path, what: str, largest: int, most: int | None = None) -> bytes:

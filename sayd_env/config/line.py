@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from sayd_env.config.base import Model, Part, quantity
 from sayd_env.config.conditions import (
+    LINE_STEP,
     MOST_ACCELERATION,
     MOST_CANT,
     SHORTEST_TRANSITION,
@@ -39,6 +40,8 @@ from sayd_env.config.track import (
 )
 from sayd_env.config.units import KMH
 
+LONGEST_SECTION = 1e6
+"""m."""
 LINE = Kind("line", names=("rails.*", "sections.*.track"), data=("file",), measured="line")
 
 # A change between sections, as knots: linear pieces depart from the smooth step by 0.7 % of the change.
@@ -56,7 +59,7 @@ class LineSectionConfig(Model):
     """A section; what it leaves out is as the scenario or the episode has it."""
 
     name: str | None = Field(None, min_length=1, description="What tables call it; null: its number from 1")
-    length: float = quantity("m", "Length with all changes at its start", gt=0.0, le=1e6)
+    length: float = quantity("m", "Length with all changes at its start", gt=0.0, le=LONGEST_SECTION)
     speed_kmh: float | None = _limited("speed_kmh", "Speed, after a ramp from the section's start")
     acceleration: float = quantity(
         "m/s2", "Of this ramp, up or down", default=0.5, gt=0.0, le=MOST_ACCELERATION
@@ -133,7 +136,7 @@ class LineConfig(Part, GeometryConfig):
     blend: float = quantity(
         "m",
         "Length of the change from a section to the next of all but speed, curvature and cant, about their "
-        "boundary",
+        "boundary; of friction and rail shape at least 10 m",
         default=25.0,
         gt=0.0,
         le=1000.0,
@@ -156,8 +159,20 @@ class LineConfig(Part, GeometryConfig):
             raise ValueError(f"rails: {error}") from None
         if self.sections:
             self._refuse_unused()
+            self._refuse_short()
             outline(self)
         return self
+
+    def _refuse_short(self) -> None:
+        """Refuse sections so short that what they say could lie between the places where it is known."""
+        for number, section in enumerate(self.sections):
+            said = [name for name in ("friction", "rail") if getattr(section, name) is not None]
+            least = self.blend + LINE_STEP
+            if said and section.length < least:
+                raise ValueError(
+                    f"section '{_name(number, section)}': {said[0]}: lasts {section.length:g} m; with this "
+                    f"blend, and since a run knows it every {LINE_STEP:g} m, it needs {least:g} m"
+                )
 
     def _refuse_unused(self) -> None:
         """Refuse what has no effect; a default may stand anywhere, as it does in a record of all keys."""

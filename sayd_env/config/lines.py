@@ -6,14 +6,16 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from sayd_env.config.base import Model, Part, quantity
 from sayd_env.config.conditions import (
     CANT_BASE,
+    LINE_STEP,
     MOST_ACCELERATION,
     MOST_CANT,
     MOST_DEFICIENCY,
+    SHORTEST_TRANSITION,
     TIGHTEST,
     Line,
 )
@@ -21,8 +23,8 @@ from sayd_env.config.distribution import ChoiceDistribution, Distribution, chose
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.limits import within
-from sayd_env.config.line import LineConfig, LineSectionConfig, resolve
-from sayd_env.config.track import Channel, Defect, TrackClass
+from sayd_env.config.line import LONGEST_SECTION, LineConfig, LineSectionConfig, resolve
+from sayd_env.config.track import HIGHEST, SHORTEST_DEFECT, Channel, Defect, TrackClass
 from sayd_env.config.units import GRAVITY, KMH
 
 LINES = Kind("lines", names=("tracks.*.name", "rails.*"))
@@ -48,8 +50,8 @@ class CurvesConfig(Model):
 
     @model_validator(mode="after")
     def _allowed(self) -> CurvesConfig:
-        _positive("radius", self.radius, TIGHTEST)
-        _positive("transition", self.transition, 1.0)
+        _reaches("radius", self.radius, TIGHTEST)
+        _reaches("transition", self.transition, SHORTEST_TRANSITION)
         radius = self.radius
         if isinstance(radius, ChoiceDistribution) and sorted(radius.values) != list(radius.values):
             raise ValueError("radius: the values of a choice must ascend")
@@ -68,7 +70,8 @@ class DefectsConfig(Model):
 
     @model_validator(mode="after")
     def _allowed(self) -> DefectsConfig:
-        _positive("length", self.length, 1.0)
+        _reaches("amplitude", self.amplitude, -HIGHEST, HIGHEST)
+        _reaches("length", self.length, SHORTEST_DEFECT)
         return self
 
 
@@ -98,8 +101,8 @@ class LinesConfig(Part):
 
     @model_validator(mode="after")
     def _possible(self) -> LinesConfig:
-        _positive("sections", self.sections, 1.0)
-        _positive("length", self.length, self.blend)
+        _reaches("sections", self.sections, 1.0)
+        _reaches("length", self.length, self.blend + LINE_STEP, LONGEST_SECTION)
         shortest = self.length.bounds[0]
         if self.curves is not None:
             if self.curves.transition.bounds[1] > shortest:
@@ -181,9 +184,13 @@ def draw_line(config: LinesConfig, uniform: Uniform) -> Line:
             if config.curves is not None:
                 fastest = _fastest(config.acceleration, speeds, draws, number)
                 content.update(draws[number].curve(config.curves, fastest))
-    sections = _with_needed_transitions(map(LineSectionConfig.model_validate, contents))
     rails = None if config.rail is None and config.rails and config.rails[0] is None else config.rails
-    return resolve(LineConfig(sections=sections, blend=config.blend, rails=rails))
+    try:
+        sections = _with_needed_transitions(map(LineSectionConfig.model_validate, contents))
+        return resolve(LineConfig(sections=sections, blend=config.blend, rails=rails))
+    except ValidationError as error:
+        reason = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise ConfigError(f"a line that was drawn is not allowed: {reason}") from None
 
 
 def _with_needed_transitions(sections: Iterable[LineSectionConfig]) -> tuple[LineSectionConfig, ...]:
@@ -290,6 +297,9 @@ def _at_least(distribution: Distribution, low: float, u: float) -> float:
     return max(low, float(distribution.at(last + u * (1.0 - last))))
 
 
-def _positive(name: str, distribution: Distribution, low: float) -> None:
-    if distribution.bounds[0] < low:
-        raise ValueError(f"{name} reaches down to {distribution.bounds[0]:g}; at least {low:g} is needed")
+def _reaches(name: str, distribution: Distribution, low: float, high: float = math.inf) -> None:
+    smallest, largest = distribution.bounds
+    if smallest < low:
+        raise ValueError(f"{name} reaches down to {smallest:g}; at least {low:g} is needed")
+    if largest > high:
+        raise ValueError(f"{name} reaches up to {largest:g}; at most {high:g} is possible")

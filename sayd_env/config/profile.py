@@ -123,7 +123,9 @@ class HollowWear(Model):
 
     type: Literal["hollow"]
     depth: float = quantity("m", "largest depth of the fully worn tread", ge=0.0, lt=0.01)
-    centre: float = quantity("m", "lateral position of the deepest point, field side positive")
+    centre: float = quantity(
+        "m", "lateral position of the deepest point, field side positive", ge=-0.06, le=0.06
+    )
     half_width: float = quantity("m", "half width of the worn band", gt=0.0, lt=0.06)
 
 

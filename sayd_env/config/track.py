@@ -33,6 +33,8 @@ Channel = Literal["alignment", "vertical", "cross_level", "gauge"]
 CHANNELS: tuple[Channel, ...] = ("alignment", "vertical", "cross_level", "gauge")
 HIGHEST = 0.1
 """Largest amplitude of a sine or a defect (m, rad): whole numbers of millimetres lie above."""
+SHORTEST_DEFECT = 2.0
+"""Shortest single defect (m): eight points of the grid on which tracks are made."""
 SOFTEST = 1e5
 """Least stiffness of a track to the ground (N/m): numbers in MN/m and kN/mm lie below."""
 
@@ -192,7 +194,7 @@ class Defect(Model):
 
     channel: Channel = Field(description="channel that carries the defect")
     amplitude: float = quantity("m, or rad for cross_level", "height of the defect", ge=-HIGHEST, le=HIGHEST)
-    length: float = quantity("m", "length of the defect", gt=0)
+    length: float = quantity("m", "length of the defect", ge=SHORTEST_DEFECT)
     position: float = quantity("m", "where the defect begins", ge=0)
 
 

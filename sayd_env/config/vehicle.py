@@ -69,6 +69,8 @@ class Body(Model):
 
     @model_validator(mode="after")
     def _hinge(self) -> Body:
+        if len(set(self.dofs)) < len(self.dofs):
+            raise ValueError(f"dofs: found {', '.join(self.dofs)}; expected each once")
         if (self.role == "hinged") != (self.carrier is not None):
             raise ValueError("a hinged body, and no other, names its carrier")
         if self.role == "hinged":
@@ -297,6 +299,11 @@ class VehicleConfig(Part):
         for body in self.bodies:
             if body.carrier is not None:
                 _check_body(f"bodies: {body.name}", body.carrier, body.per, bodies)
+                if body.carrier == GROUND or bodies[body.carrier].role != "wheelset":
+                    raise ValueError(
+                        f"bodies: {body.name}: carrier: found '{body.carrier}'; expected a wheelset, on "
+                        "whose axle the hinge is"
+                    )
         for element in self.elements:
             for end in (element.a, element.b):
                 _check_body(f"elements: {element.name}", end.body, element.per, bodies)

@@ -114,8 +114,8 @@ class Vehicle:
 
 
 def model_limits(model: VehicleModel) -> Limits:
-    """Limits of EN 14363 for a vehicle, from its axle load and the mass of its bogie."""
-    return limits(2.0 * float(np.max(model.multibody.wheel_load)), model.multibody.bogie_mass)
+    """Limits of EN 14363 for a vehicle, by its lightest wheelset and its heaviest bogie."""
+    return limits(model.multibody.axle_load, model.multibody.bogie_mass)
 
 
 def make_vehicle(
@@ -176,6 +176,7 @@ def make_vehicle(
         _check_gauge(model, line)
     if line is not None and changes(line):
         table = line_table(line, origin, distance, speed, model.scenario.friction)
+        model.check_speed(table.fastest)
     rails = line.rails if line is not None and line.reshaped else None
     if semi_active:
         for row in (sayd.CURRENT, sayd.COMMAND, sayd.COIL):

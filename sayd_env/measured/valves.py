@@ -34,6 +34,8 @@ _MAP = (CURRENT, DROP, FLOW)
 # Closer than any rig resolves, and so close that slopes between them grow beyond all numbers.
 _CLOSEST = 1.0  # Pa
 _MOST_NODES = 1000
+LARGEST_DROP = 1.2e7
+"""Pressure drop (Pa) to which a damper knows its throttle; beyond it the flow goes on with the root."""
 _CELL = re.compile(r"(?:[A-Za-z_ ]+[=:])?\s*(?P<number>[-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(?P<unit>\D*)")
 _ROUNDING = 1e-9
 # A share beyond it is a percentage.
@@ -94,6 +96,8 @@ def map_note(throttle: TableThrottle) -> str:
     return (
         f"{throttle.file}: flow at {len(current)} currents from {current.min():g} to {current.max():g}{name} "
         f"({closed:g} closed, {wide:g} open) over pressure drops to {field.drop[-1] / 1e5:.4g} bar"
+        + f", of which those to {LARGEST_DROP / 1e5:g} bar count"
+        * bool(field.drop[-1] > LARGEST_DROP)
     )
 
 

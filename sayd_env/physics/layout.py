@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sayd_env.config.errors import ConfigError
 from sayd_env.config.units import Array, Integers
 from sayd_env.config.vehicle import (
     DOFS,
@@ -267,7 +268,13 @@ def _instantiate(vehicle: VehicleConfig) -> dict[str, Instance]:
             if body.carrier is not None:
                 carrier = instances[".".join((body.carrier, *members[: depth[body.carrier]]))]
             columns: dict[str, int] = {dof: next(column) for dof in body.dofs}
-            instances[name] = Instance(name, body, origin + sign * np.array(body.position), columns, carrier)
+            position = origin + sign * np.array(body.position)
+            if carrier is not None and np.any(np.abs(position - carrier.position)[[0, 2]] > 1e-9):
+                raise ConfigError(
+                    f"{vehicle.name}: body '{name}' is hinged beside the axle of '{carrier.name}', whose "
+                    "pitch would move the hinge; expected the same x and z"
+                )
+            instances[name] = Instance(name, body, position, columns, carrier)
     return instances
 
 
@@ -485,12 +492,14 @@ def frame_of(wheelset: Instance, frames: list[Instance]) -> Instance | None:
 
 
 def longitudinal_rows(design: Arrangement) -> Array:
-    """Rows that give the longitudinal motion of the frames at the dampers' mounts, shape (d / 2, n).
+    """Rows that give the longitudinal motion of the frames at the dampers' mounts, shape (sides, n).
 
-    Front and rear bogie, left and right side; each the mean of the mounts of the side's pair of dampers.
+    Front and rear bogie, left and right side; each the mean of the mounts of the side's dampers.
     """
-    ends = np.array([bogie for _, bogie, _ in design.yaw_dampers])
-    return np.ascontiguousarray(ends.reshape(len(ends) // 2, 2, -1).mean(axis=1))
+    sides: dict[str, list[Array]] = {}
+    for name, bogie, _ in design.yaw_dampers:
+        sides.setdefault(name.rpartition(".")[0], []).append(bogie)
+    return np.array([np.mean(mounts, axis=0) for mounts in sides.values()])
 
 
 def _measuring_points(

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline, PPoly
 
-from sayd_env.config.conditions import Line
+from sayd_env.config.conditions import LINE_STEP, Line
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.units import GRAVITY, Array
 from sayd_env.physics import plant as at
@@ -45,7 +45,7 @@ from sayd_env.physics.multibody import Multibody
 from sayd_env.physics.plant import LANES, WHEELSETS, Plant, Work
 from sayd_env.physics.rows import Column, Lanes
 
-GRID_STEP = 10.0
+GRID_STEP = LINE_STEP
 """Distance of the table's nodes (m): kinks of curvature and cant are rounded over two of them each way."""
 MARGIN = 30.0
 """Line before and behind the run (m) that its first and last bodies need."""
@@ -99,6 +99,8 @@ class LineTable:
     """(nodes, COLUMNS), C-contiguous."""
     slowest: float
     """Lowest speed on it, m/s."""
+    fastest: float
+    """Highest speed on it, m/s."""
 
 
 def changes(line: Line) -> bool:
@@ -180,7 +182,7 @@ def tabulated(
     values[:, CURVED] = _near(values[:, [*range(THETA + 2, THETA + 6), *range(CANT, CANT + 4)]], step)
     slopes = [*range(THETA + 3, THETA + 6), *range(CANT + 1, CANT + 4), SQUARE + 1, FRICTION + 1, BLEND + 1]
     values[:, STEADY] = _steady(_near(values[:, slopes], step))
-    return LineTable(start, step, values, math.sqrt(float(np.min(square))))
+    return LineTable(start, step, values, math.sqrt(np.min(square)), math.sqrt(np.max(square)))
 
 
 def _near(values: Array, step: float) -> Array:

@@ -76,7 +76,7 @@ class Multibody:
     """Lateral displacement of the bogie frame (of the wheelset, if no frame is there) above each wheelset:
     name and connection vector."""
     bogie_mass: float
-    """Frame and its wheelsets (kg), the m_b of EN 14363."""
+    """Frame and its wheelsets (kg), the m_b of EN 14363; of the heaviest bogie, whose limit is the lowest."""
     total_mass: float
     instances: dict[str, Instance] = field(repr=False)
     arrangement: Arrangement = field(repr=False)
@@ -86,6 +86,11 @@ class Multibody:
     def n(self) -> int:
         """Number of degrees of freedom."""
         return len(self.dof_names)
+
+    @property
+    def axle_load(self) -> float:
+        """Static load of the lightest wheelset (N), the P of EN 14363: that with the lowest limit."""
+        return 2.0 * float(np.min(self.wheel_load))
 
     def point(self, name: str, position: Array, direction: Array) -> Array:
         """Row that gives the displacement of a body's point along a direction, shape (n,)."""
@@ -253,6 +258,8 @@ def _bogie_mass(instances: dict[str, Instance]) -> float:
     wheelsets = [i for i in instances.values() if i.body.role == "wheelset"]
     frames = [i for i in instances.values() if i.body.role == "frame"]
     if not frames:
-        return wheelsets[0].body.mass
-    own = [w.body.mass for w in wheelsets if frame_of(w, frames) is frames[0]]
-    return frames[0].body.mass + sum(own)
+        return max(w.body.mass for w in wheelsets)
+    return max(
+        frame.body.mass + sum(w.body.mass for w in wheelsets if frame_of(w, frames) is frame)
+        for frame in frames
+    )

@@ -32,6 +32,8 @@ from sayd_env.measured.profiles import read_profile_file
 
 SAMPLING = 5e-5
 """Lateral distance of the samples (m): a flange arc of 13 mm is resolved to 0.1 um."""
+_NARROWEST = 0.021
+"""Width (m) beyond the longest smoothing, which every profile exceeds by far."""
 
 TREAD_REACH = (-0.030, 0.025)
 """A wheel's points must cover at least this (m): throat to field side."""
@@ -280,8 +282,10 @@ def _sampled(
             tape_to_back=tape_to_back,
         )
         y, z = _interpolated(measured.y, measured.z, shape.smoothing)
+        _check_samples(name, y)
         return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes)
     y, z = _from_zones(shape, name) if shape.zones is not None else _from_points(shape, name)
+    _check_samples(name, y)
     y = -y[::-1] if shape.mirror else y
     z = z[::-1] if shape.mirror else z
     return y, -z if shape.invert else z, ()
@@ -327,7 +331,9 @@ def _interpolated(y: Array, z: Array, smoothing: float) -> tuple[Array, Array]:
     # Akima's interpolation does not ring where a straight and a curved part meet.
     y, z = _on_grid(Akima1DInterpolator(y, z, method="makima", extrapolate=True), y[0], y[-1])
     window = 2 * round(0.5 * smoothing / SAMPLING) + 1
-    return (y, savgol_filter(z, window, polyorder=3, mode="interp")) if window > 3 else (y, z)
+    if not 3 < window <= len(y):
+        return y, z
+    return y, savgol_filter(z, window, polyorder=3, mode="interp")
 
 
 def _worn(
@@ -362,6 +368,15 @@ def _crown(curve: CubicSpline, y: Array, z: Array) -> float:
     if slope(low) * slope(high) >= 0.0:
         return float(y[top])
     return float(brentq(slope, low, high, xtol=1e-12))
+
+
+def _check_samples(name: str, y: Array) -> None:
+    width = SAMPLING * (len(y) - 1)
+    if width < _NARROWEST:
+        raise DataError(
+            f"profile '{name}': is {max(0.0, 1e3 * width):g} mm wide, at least {1e3 * _NARROWEST:g} mm are "
+            "needed; zones and points are in mm"
+        )
 
 
 def _check_reach(name: str, y: Array, reach: tuple[float, float], datum: str) -> None:

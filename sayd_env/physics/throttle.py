@@ -21,7 +21,7 @@ from sayd_env.config.damper import (
     Throttle,
 )
 from sayd_env.config.units import Array
-from sayd_env.measured.valves import ThrottleField, read_valve_map
+from sayd_env.measured.valves import LARGEST_DROP, ThrottleField, read_valve_map
 from sayd_env.physics.kernel import kernel
 
 CURRENTS = 129
@@ -31,8 +31,6 @@ ROOTS = 129
 DROP_ROOT = 20.0
 """Root of the pressure drop (Pa^0.5) at which `warped` goes over from linear to a square root."""
 DROP_SCALE = DROP_ROOT**2
-LARGEST_DROP = 1.2e7
-"""Largest pressure drop (Pa) of the table; beyond it the flow goes on with the square root."""
 ROOT_STEP = (math.sqrt(LARGEST_DROP + DROP_SCALE) - DROP_ROOT) / (ROOTS - 1)
 """Distance of nodes over the warped pressure drop, Pa^0.5."""
 

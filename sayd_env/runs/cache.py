@@ -15,12 +15,12 @@ import io
 import json
 import shutil
 import time
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+from sayd_env.config.files import named_files
 from sayd_env.config.plain import jsonable
 from sayd_env.config.software import source_fingerprint
 from sayd_env.config.storage import remove_leftovers, uninterrupted, write_file
@@ -117,7 +117,7 @@ def fingerprint(*inputs: Any) -> str:
     """
     plain = jsonable(inputs)
     digest = hashlib.sha256(json.dumps(plain, sort_keys=True).encode())
-    for path in _named_files(plain):
+    for path in named_files(plain):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -130,23 +130,6 @@ def _is_old(folder: Path) -> bool:
     with contextlib.suppress(OSError):  # another process has removed it
         return time.time() - folder.stat().st_mtime > _DAY
     return False
-
-
-def _named_files(value: Any) -> Iterator[Path]:
-    if isinstance(value, Mapping):
-        value = list(value.values())
-    if isinstance(value, list):
-        for item in value:
-            yield from _named_files(item)
-    elif isinstance(value, str) and _is_file(value):
-        yield Path(value)
-
-
-def _is_file(text: str) -> bool:
-    try:
-        return Path(text).is_file()
-    except (OSError, ValueError):  # too long for a name, or a character that no name has
-        return False
 
 
 def _content(path: Path) -> dict[str, Any] | None:

@@ -162,7 +162,7 @@ def _vehicles(piece: _Piece) -> tuple[EpisodeBatch, list[EpisodeState]]:
         episodes = []
         for case in piece.cases:
             options = {name: value for name, value in case.items() if name != "seed"}
-            episodes.append(draw_episode(piece.config, case["seed"], 0, options | current))
+            episodes.append(draw_episode(piece.config, case["seed"], 0, options | current, piece.scenario))
         batch.reset(range(batch.count), episodes, keep_run_in=True)
         _prepared[key] = batch, [batch.get_state(i) for i in range(batch.count)]
     return _prepared[key]

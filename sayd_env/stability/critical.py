@@ -65,6 +65,8 @@ def critical_speed(speeds: Array, values: Array, limit: float) -> CriticalSpeed:
         Empty, unequal, unsorted or non-finite data.
     """
     speeds, values = _checked(speeds, values)
+    if not np.isfinite(limit):
+        raise DataError(f"limit: found {limit}; expected a finite number")
     above = values > limit
     if not above.any():
         return CriticalSpeed(None, Crossing.NOT_REACHED)
@@ -88,13 +90,19 @@ def grid_sensitivity(
         Results on other grids over the same range.
     tolerance : float
         Largest change that is not called sensitive (unit of the grid).
+
+    Returns
+    -------
+    GridSensitivity
+        Sensitive, too, where a critical speed has no other grid to be compared with.
     """
     if any(other.crossing is not reference.crossing for other in others):
         return GridSensitivity(None, sensitive=True)
     if reference.speed is None:
         return GridSensitivity(None, sensitive=False)
-    shifts = [abs(other.speed - reference.speed) for other in others if other.speed is not None]
-    shift = max(shifts, default=0.0)
+    if not others:
+        return GridSensitivity(None, sensitive=True)
+    shift = max(abs(other.speed - reference.speed) for other in others if other.speed is not None)
     return GridSensitivity(shift, sensitive=shift > tolerance)
 
 

@@ -88,8 +88,9 @@ def dominant_frequency(
     Raises
     ------
     DataError
-        Less than one segment.
+        Less than one segment; numbers that are not finite.
     """
+    _check(signals)
     frequencies, spectra = averaged_spectra(signals, sample_rate, distance, settings, span)
     least = ROUNDING * np.mean(np.square(signals), axis=0)
     return np.array([_highest_peak(frequencies, *each) for each in zip(spectra, least.tolist(), strict=True)])
@@ -149,7 +150,17 @@ def band_pass(signals: Array, sample_rate: float, frequency: Array, settings: As
     -------
     array of shape (n, channels)
         Filtered signals.
+
+    Raises
+    ------
+    DataError
+        Not one frequency for each channel; samples too far apart for the band; numbers that are not finite.
     """
+    _check(signals)
+    if np.shape(frequency) != signals.shape[1:]:
+        raise DataError(
+            f"frequencies of shape {np.shape(frequency)}; expected {signals.shape[1]}, one for each channel"
+        )
     padding = min(round(settings.filter_padding * sample_rate), len(signals) - 1)
     filtered = np.zeros_like(signals, dtype=np.float64)
     for channel, f0 in enumerate(frequency):
@@ -164,6 +175,11 @@ def band_pass(signals: Array, sample_rate: float, frequency: Array, settings: As
 def band_sections(f0: float, settings: AssessmentConfig, sample_rate: float) -> Array:
     """Butterworth band-pass around f_0 (Hz) as second-order sections, designed once; not to be changed."""
     edges = (max(f0 - settings.band_half_width, settings.band_min), f0 + settings.band_half_width)
+    if not edges[1] < 0.5 * sample_rate:
+        raise DataError(
+            f"a band of {edges[0]:g} to {edges[1]:g} Hz needs more than {2 * edges[1]:g} samples a second; "
+            f"found {sample_rate:g}"
+        )
     return _designed(settings.filter_order, edges, sample_rate)
 
 
@@ -225,6 +241,13 @@ def sliding_rms(
     # Rounding can leave a tiny negative difference where the signal is zero.
     mean_square = np.maximum(at_edges[1] - at_edges[0], 0.0) / duration[:, None]
     return starts + 0.5 * settings.window_length, np.sqrt(mean_square)
+
+
+def _check(signals: Array) -> None:
+    if np.ndim(signals) != 2 or not np.isfinite(signals).all():
+        raise DataError(
+            f"signals of shape {np.shape(signals)}; expected finite numbers of shape (n, channels)"
+        )
 
 
 def _starts(

@@ -101,7 +101,7 @@ class Train:
         source = f"vehicle {scenario.vehicle.name}"
         return cls(
             mass or Stated(vehicle.bogie_mass, source),
-            load or Stated(2.0 * float(np.max(vehicle.wheel_load)), source),
+            load or Stated(vehicle.axle_load, source),
         )
 
     def limit(self, quantity: Quantity) -> float:

@@ -73,7 +73,7 @@ class Ride:
         ConfigError
             Options that are not allowed, or a speed beyond the vehicle's; nothing has changed then.
         """
-        episode = draw_episode(self.batch.config, seed, number, options)
+        episode = draw_episode(self.batch.config, seed, number, options, self._scenario)
         VehicleModel(self._scenario).check_speed(episode.speed)
         self.batch.reset([0], [episode], keep_run_in=uses_run_in(self.policy))
         self.recorder.begin()

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from sayd_env import baselines
 from sayd_env.baselines.inverse_damper import InverseDamper
 from sayd_env.baselines.lqg import Lqg, designed, noise_over, observed, regulated, sampled, spread
-from sayd_env.baselines.lqg_design import ReducedPlant, balanced
+from sayd_env.baselines.lqg_design import ReducedPlant, balanced, reduced_plants
+from sayd_env.config import ConfigError
 from sayd_env.config.control import LqgConfig, load_controller
-from sayd_env.config.damper import load_sayd
+from sayd_env.config.damper import TableThrottle, load_sayd
 from sayd_env.envs.vector import SaydVectorEnv
 from sayd_env.physics.sayd import steady_force
 
@@ -183,6 +187,36 @@ def test_designs_are_blended_between_their_speeds(parameters: LqgConfig) -> None
     shares = policy._shares(np.array([220.0, 250.0, 100.0, 450.0]) / 3.6)
     expected = np.array([[0, 1, 0, 0, 0], [0, 0.5, 0.5, 0, 0], [1, 0, 0, 0, 0], [0, 0, 0, 0, 1]], dtype=float)
     np.testing.assert_allclose(shares, expected, atol=1e-12)
+
+
+def test_more_states_than_count_are_refused(
+    plant: ReducedPlant, parameters: LqgConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def singular(*_: object) -> None:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr("sayd_env.baselines.lqg.reduced_plants", lambda *_: [plant])
+    monkeypatch.setattr("sayd_env.baselines.lqg.solve_discrete_are", singular)
+    with pytest.raises(ConfigError, match="lqg: states: no regulator is found for"):
+        baselines.make("lqg", SaydVectorEnv(num_envs=1, environment="nominal"))
+
+
+def test_plants_are_made_anew_where_a_measured_file_has_changed(
+    tmp_path: Path, parameters: LqgConfig, plant: ReducedPlant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, asked = tmp_path / "map.csv", []
+
+    def cached(_: str, content: Iterable[bytes], length: int, make: object) -> np.ndarray:
+        asked.append(b"".join(content))
+        return np.zeros(length)
+
+    monkeypatch.setattr("sayd_env.baselines.lqg_design.array_cache.cached_array", cached)
+    throttle = TableThrottle(type="table", file=str(file))
+    damper = load_sayd("sayd").model_copy(update={"throttle": throttle})
+    for flow in (15, 15, 5):
+        file.write_text(f"current [-],pressure_drop [bar],flow [l/min]\n0,10,0.5\n1,10,{flow}\n")
+        reduced_plants(parameters, damper)
+    assert asked[0] == asked[1] != asked[2]
 
 
 def test_the_observer_knows_the_vehicle() -> None:

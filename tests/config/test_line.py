@@ -110,10 +110,10 @@ def test_a_blend_is_smooth_and_about_the_boundary() -> None:
 
 
 def test_blends_and_ramps_may_fill_their_sections() -> None:
-    steps = [{"length": 0.1 * 3.0, "friction": each} for each in (0.3, 0.1, 0.4, 0.2)]
-    frictions = line(*steps, blend=0.3).friction
-    assert frictions is not None
-    np.testing.assert_allclose(frictions.at([0.0, 0.15, 0.45, 0.75, 2.0]), [0.3, 0.3, 0.1, 0.4, 0.2])
+    steps = [{"length": 0.1 * 3.0, "gauge": each} for each in (1.433, 1.431, 1.434, 1.432)]
+    gauges = line(*steps, blend=0.3).gauge
+    assert gauges is not None
+    np.testing.assert_allclose(gauges.at([0.0, 0.15, 0.45, 0.75, 2.0]), [1.433, 1.433, 1.431, 1.434, 1.432])
     ramp = (70.0**2 - 50.0**2) / (2 * 0.5)
     speeds = [180.0, 252.0, 180.0, 252.0]
     full = line(*({"length": ramp * (1 + 1e-15), "speed_kmh": each} for each in speeds))
@@ -245,6 +245,10 @@ def test_rails_and_files_lie_beside_the_line(tmp_path: Path) -> None:
         (
             {"sections": [{"length": 50.0, "track": "smooth", "track_scale": 1.0}]},
             "track 'smooth' is even: it has nothing to scale",
+        ),
+        (
+            {"sections": [{"length": 90.0}, {"length": 34.0, "friction": 0.1}, {"length": 90.0}]},
+            "section '2': friction: lasts 34 m; .* a run knows it every 10 m, it needs 35 m",
         ),
         (
             {"sections": [{"length": 50.0}, {"length": 20.0}]},

@@ -127,7 +127,23 @@ def test_a_distribution_that_never_reaches_the_radius_gives_the_least_one() -> N
         ("rails=null", "rail needs the two rails"),
         ("tracks=[{name: chine}]", "did you mean 'china'"),
         ("tracks=[{name: china, weight: 0.0}]", "at least one weight must be positive"),
-        ("length={distribution: fixed, value: 20.0}", "length reaches down to 20; at least 25 is needed"),
+        ("length={distribution: fixed, value: 20.0}", "length reaches down to 20; at least 35 is needed"),
+        (
+            "length={distribution: fixed, value: 2.0e+6}",
+            "length reaches up to 2e.06; at most 1e.06 is possible",
+        ),
+        (
+            "curves.transition={distribution: uniform, low: 5.0, high: 600.0}",
+            "transition reaches down to 5; at least 20 is needed",
+        ),
+        (
+            "defects.amplitude={distribution: uniform, low: 1.0, high: 4.0}",
+            "amplitude reaches up to 4; at most 0.1 is possible",
+        ),
+        (
+            "defects.length={distribution: fixed, value: 1.0}",
+            "length reaches down to 1; at least 2 is needed",
+        ),
         ("defects.length={distribution: fixed, value: 2000.0}", "defects.length reaches beyond the shortest"),
         ("sections={distribution: fixed, value: 0.0}", "sections reaches down to 0"),
     ],
@@ -135,3 +151,17 @@ def test_a_distribution_that_never_reaches_the_radius_gives_the_least_one() -> N
 def test_refusals(override: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         read_lines("highspeed", [override])
+
+
+def test_a_drawn_line_that_is_not_allowed_is_one_message() -> None:
+    """Transitions of 20 to 50 m are too steep for the cant of some of the curves."""
+    short = "curves.transition={distribution: uniform, low: 20.0, high: 50.0}"
+    messages = []
+    for seed in range(20):
+        try:
+            drawn(seed, short)
+        except ConfigError as error:
+            messages.append(str(error))
+    assert messages
+    assert all("a line that was drawn is not allowed: " in each for each in messages)
+    assert all("slope of the cant" in each for each in messages)

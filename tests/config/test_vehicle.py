@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from sayd_env.config import ConfigError, packaged_names, parse_yaml, validate
@@ -120,12 +121,36 @@ def test_a_curve_is_its_right_half():
         (["vehicle.elements.air_spring.carries_weight=false"], "the static weight is not carried"),
         (["vehicle.sets.axle.middle={origin: [0.0, 0.0, 0.0]}"], "6 wheelsets; at most 4"),
         (["vehicle.bodies.wheelset.dofs=[y, yaw]"], "needs all six degrees of freedom of a wheelset"),
+        (["vehicle.bodies.axlebox.position=[1.0, 0.0, 0.46]"], "is hinged beside the axle of 'wheelset"),
     ],
 )
 def test_a_vehicle_that_cannot_run_is_refused_when_it_is_assembled(items: list[str], expected: str):
     scenario = load_scenario("estimates", items)
     with pytest.raises(ConfigError, match=expected):
         VehicleModel(scenario)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("axlebox.carrier", "ground", "carrier: found 'ground'; expected a wheelset"),
+        ("axlebox.carrier", "frame", "carrier: found 'frame'; expected a wheelset"),
+        ("frame.dofs", "[y, yaw, yaw]", "found y, yaw, yaw; expected each once"),
+    ],
+)
+def test_hinges_and_degrees_of_freedom(key: str, value: str, expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        load_scenario("estimates", [f"vehicle.bodies.{key}={value}"])
+
+
+def test_limits_are_those_of_the_lightest_wheelset_and_the_heaviest_bogie() -> None:
+    """A load over the front bogie raises its axles' P alone, by half of it each; limits are the others'."""
+    plain = VehicleModel(load_scenario("estimates")).multibody
+    ahead = VehicleModel(load_scenario("estimates", ["vehicle.bodies.carbody.position=[2.0, 0.0, 1.7]"]))
+    loads = 2.0 * ahead.multibody.wheel_load
+    assert np.ptp(loads) > 1e3
+    assert ahead.multibody.axle_load == loads.min() < plain.axle_load
+    assert ahead.multibody.bogie_mass == plain.bogie_mass
 
 
 def test_every_packaged_vehicle_is_assembled():

@@ -238,6 +238,15 @@ def test_profiles_that_are_too_short() -> None:
         rail_profile(config)
 
 
+@pytest.mark.parametrize("smoothing", [0.0, 0.005])
+def test_profiles_in_another_unit_are_narrow(smoothing: float) -> None:
+    """Metres for millimetres."""
+    points = tuple((1e-3 * y, -2e-9 * y**2) for y in range(-30, 31))
+    shape = Shape(points=points, smoothing=smoothing)
+    with pytest.raises(DataError, match=r"is 0 mm wide, at least 21 mm are needed; .* are in mm"):
+        rail_profile(RailProfileConfig(kind="rail", name="stub", shape=shape, cant=0.0, gauge_depth=0.014))
+
+
 def test_zones_that_do_not_meet() -> None:
     data = {
         "kind": "wheel",

@@ -228,6 +228,23 @@ def test_response_is_that_of_the_simulation_at_the_stated_amplitude(
         assert np.abs(stroke) == pytest.approx(np.ones(8), abs=0.1)
 
 
+@pytest.mark.parametrize("damper", ["passive-estimate", "sayd-estimate"])
+def test_outputs_have_their_names_where_a_side_has_one_damper(damper: str) -> None:
+    """The left and the right mount of a frame differ by its yaw acceleration, times their distance."""
+    model = VehicleModel(load_scenario("estimates", [f"damper={damper}", "vehicle.sets.pair={upper: {}}"]))
+    current = CURRENT if damper.startswith("sayd") else None
+    system = state_space_of(model, equivalent(model, OperatingPoint(SPEED, SHIFT, STROKE_SPEED, current)))
+    assert len(system.c) == len(system.d) == len(system.outputs)
+    left, right = (
+        system.c[list(system.outputs).index(f"longitudinal_acceleration.front.{side}")]
+        for side in ("left", "right")
+    )
+    (yaw,) = system.a[[name == "frame.front.yaw.rate" for name in system.states]]
+    lever = (right - left) @ yaw / (yaw @ yaw)
+    assert 2.0 < abs(lever) < 3.0
+    np.testing.assert_allclose(right - left, lever * yaw, atol=1e-9 * np.max(np.abs(right)))
+
+
 def test_names_have_units_and_reach_files(system: StateSpace) -> None:
     named = (*system.states, *system.inputs, *system.outputs)
     assert len(set(named)) == len(named)

@@ -62,6 +62,19 @@ def test_sensitivity_to_the_grid() -> None:
     assert sensitivity.sensitive
 
 
+def test_what_no_other_grid_confirms_is_sensitive() -> None:
+    speeds, values = np.array([300.0, 320.0]), np.array([1.0, 3.0])
+    result = critical_speed(speeds, values, 2.0)
+    assert result.speed == pytest.approx(310.0)
+    assert grid_sensitivity(result, thinned_grids(speeds, values, 2.0), 8.0).sensitive
+
+
+@pytest.mark.parametrize("limit", [np.nan, np.inf])
+def test_a_limit_is_a_number(limit: float) -> None:
+    with pytest.raises(DataError, match="limit: found"):
+        critical_speed(np.array([1.0, 2.0]), np.array([1.0, 3.0]), limit)
+
+
 @pytest.mark.parametrize(
     ("speeds", "values"), [([], []), ([1, 2], [1]), ([2, 1], [1, 2]), ([1, 1], [1, 2]), ([1, 2], [1, np.nan])]
 )

@@ -235,6 +235,18 @@ def test_unusable_signals(signals: np.ndarray, rate: float, speed: float, messag
         assess(signals, rate, speed, SETTINGS)
 
 
+def test_single_steps_refuse_what_they_cannot_use() -> None:
+    signals, distance = np.random.default_rng(0).normal(size=(60_000, 2)), distance_run(100.0, RATE, 60_000)
+    with pytest.raises(DataError, match="expected 2, one for each channel"):
+        band_pass(signals, RATE, np.array([5.0]), SETTINGS)
+    with pytest.raises(DataError, match="a band of 3 to 7 Hz needs more than 14 samples a second; found 12"):
+        band_pass(signals, 12.0, np.array([5.0, 5.0]), SETTINGS)
+    signals[7, 1] = np.nan
+    for function in (dominant_frequency, band_pass):
+        with pytest.raises(DataError, match="expected finite numbers"):
+            function(signals, RATE, distance, SETTINGS)
+
+
 def test_too_short_for_a_segment_or_a_window() -> None:
     distance = distance_run(50.0, RATE, 100)
     with pytest.raises(DataError, match="segment of the spectrum needs 500 m"):

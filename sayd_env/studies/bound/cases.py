@@ -65,7 +65,7 @@ class Case:
         }
         setups = [Setup(*configured(**given, damper=damper)) for damper in ("sayd", "passive")]
         case = cls(condition, setups[0], setups[1], config.initial_current)
-        case.episode(setups[0].config)  # refused before any work
+        case.episode(setups[0])  # refused before any work
         return case
 
     def setup(self, policy: PolicySpec) -> Setup:
@@ -73,10 +73,11 @@ class Case:
         own = self.passive if policy.needs.get("damper") == "passive" else self.semi_active
         return Setup(policy.environment(own.config), own.scenario)
 
-    def episode(self, config: EnvironmentConfig) -> Episode:
+    def episode(self, setup: Setup) -> Episode:
         """What the condition is in an environment."""
-        valves = {"initial_current": self.initial_current} if config.damper == "sayd" else {}
-        return draw_episode(config, self.condition.seed, 0, self.condition.options | valves)
+        valves = {"initial_current": self.initial_current} if setup.config.damper == "sayd" else {}
+        options = self.condition.options | valves
+        return draw_episode(setup.config, self.condition.seed, 0, options, setup.scenario)
 
     def inputs(self) -> Sequence[Any]:
         """What a run depends on; J is taken by the on-line filter."""
@@ -192,7 +193,7 @@ def _candidates(run: CandidateRun) -> Candidates:
 def _rolled_out(case: Case, policy: PolicySpec) -> Rollout:
     setup = case.setup(policy)
     batch = EpisodeBatch(setup.config, 1, scenario=setup.scenario, num_threads=1)
-    (rollout,) = roll_out(batch, policy.make(batch), [case.episode(setup.config)], [batch.steps])
+    (rollout,) = roll_out(batch, policy.make(batch), [case.episode(setup)], [batch.steps])
     if rollout.ending is not None:
         refuse_divergence(rollout)
     return rollout
@@ -239,7 +240,7 @@ class _Constants:
         self._settings, self._seconds = settings, config.episode_s
         self._closed = overlap(scenario.damper.throttle)
         self._replays = Replays(config, scenario, settings.abreast)
-        episode = case.episode(config)
+        episode = case.episode(case.semi_active)
         self._start = self._replays.begin(episode)
         self.shape = self._replays.shape
         line, times = self._replays.line, (np.arange(self.shape[0]) + 0.5) * config.control_period
@@ -348,7 +349,7 @@ def searches(runs: list[SearchRun]) -> list[Searched]:
 def _searched(run: SearchRun) -> Searched:
     config, scenario = run.origin.case.semi_active
     searcher = SequenceSearcher(config, scenario, run.settings)
-    found = searcher.search(run.origin.case.episode(config), run.plan, run.guesses)
+    found = searcher.search(run.origin.case.episode(run.origin.case.semi_active), run.plan, run.guesses)
     return Searched(
         J=found.J,
         changes=found.changes,
