@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -74,14 +75,15 @@ def evaluate(
     setup = load_environment(grid.environment)
     specs = policy_specs(policies or (), foreign.reader(setup, policies))
     wear, friction = grid.wear or (), grid.friction or ()
-    runs = seeds * max(1, len(specs)) * len(grid.speeds or SPEEDS) * max(1, len(wear)) * max(1, len(friction))
-    variants, scenarios = grid.sweep(runs, default=setup.study)
-    speeds, where = grid.speeds or SPEEDS, {}
+    speeds: Sequence[float] = grid.speeds or SPEEDS
+    where: dict[str, Any] = {}
     if line is not None:
-        content = line_content(line)
+        where = {"line": line_content(line)}
         grid.refuse_said(line)
-        options.say_notes({"line": content})
-        speeds, where = along.line_speeds(line, scenarios[0], grid.speeds, SPEEDS), {"line": content}
+        speeds = along.line_speeds(line, grid.speeds, SPEEDS)
+    runs = seeds * max(1, len(specs)) * len(speeds) * max(1, len(wear)) * max(1, len(friction))
+    variants, scenarios = grid.sweep(runs, default=setup.study)
+    options.say_notes(where)
 
     def one(chosen: Scenario, run: RunContext) -> EvaluateResult | LineResult:
         given: dict[str, Any] = {
@@ -380,7 +382,7 @@ def render(
     video = study.Video(specs, target, seconds, fps, exaggeration)
     metric = None if speed is None else speed / KMH
     if line is not None and metric is not None:
-        line_speeds(line, chosen, [metric], [metric])
+        line_speeds(line, [metric], [metric])
     fixed, content = ({}, {}) if line is None else ({"line": line}, {"line": line_content(line)})
     options.say_notes(content)
     return Plan(

@@ -82,7 +82,7 @@ def simulate(
     where = {} if line is None else {"line": line_content(line)}
     choice.refuse_said(line)
     if line is not None:
-        (metric,) = line_speeds(line, scenarios[0], None if speed is None else [metric], [metric])
+        (metric,) = line_speeds(line, None if speed is None else [metric], [metric])
     count = 0
 
     def one(chosen: Scenario, _: RunContext) -> SimulateResult:

@@ -83,6 +83,18 @@ def load_line(
     return resolve(line, speed=speed, gauge=gauge, friction=friction, source=source)
 
 
+def own_line(line: str | LineConfig) -> Line:
+    """What a line says itself, whatever the episode's speed, gauge and friction are.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `load_line`.
+    """
+    config = read_line(line) if isinstance(line, str) else line
+    return outline(config) if config.file is None else read_measured_line(config)
+
+
 def refuse_said(line: str | LineConfig, given: Mapping[str, str]) -> None:
     """Refuse what is given beside a line that says the same all along.
 
@@ -102,8 +114,7 @@ def refuse_said(line: str | LineConfig, given: Mapping[str, str]) -> None:
     """
     if not given:
         return
-    config = read_line(line) if isinstance(line, str) else line
-    said = (outline(config) if config.file is None else read_measured_line(config)).said
+    said = own_line(line).said
     called = f"line '{line}'" if isinstance(line, str) else "the line"
     for source, name in given.items():
         if name in said:

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import cumulative_trapezoid
 
-from sayd_env.config import ConfigError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.conditions import Line
 from sayd_env.config.environment import EnvironmentConfig
@@ -188,22 +187,6 @@ def resolved(line: str | LineConfig | Line, scenario: Scenario, speed: float | N
     if isinstance(line, Line):
         return line
     return load_line(line, speed=speed, gauge=scenario.track.gauge, friction=scenario.friction)
-
-
-def own_speed(line: str | LineConfig | Line, scenario: Scenario) -> float | None:
-    """Speed (m/s) with which a line begins whatever the episode's is; None: the episode's counts.
-
-    Raises
-    ------
-    ConfigError, DataError
-        A line that cannot be at any speed.
-    """
-    try:
-        found = resolved(line, scenario, None).speed_at(0.0)
-    except ConfigError:
-        # Some sections leave the speed out, or the line is none: then it is none at any speed.
-        return None
-    return None if found is None else float(found)
 
 
 def along_lines(runs: list[Run]) -> list[LineRecord]:

@@ -18,12 +18,12 @@ from sayd_env.config.palette import BLACK, SHADE, VERMILION, policy_style
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import GRAVITY, KMH, Array
 from sayd_env.envs.vehicle import model_limits
-from sayd_env.measured.lines import refuse_said
+from sayd_env.measured.lines import own_line, refuse_said
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import DERAILED, LIMITED, Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
 from sayd_env.report.html import Grid, Page, Picture, Section
-from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs, own_speed
+from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import RATIOS
 from sayd_env.runs.policies import PolicySpec, refuse_duplicates
@@ -374,21 +374,23 @@ def evaluate_line(
 
 
 def line_speeds(
-    line: str | LineConfig, scenario: Scenario, given: Sequence[float] | None, default: Sequence[float]
+    line: str | LineConfig, given: Sequence[float] | None, default: Sequence[float]
 ) -> Sequence[float]:
     """Speeds (m/s) for a line: its own, the given ones, or the default.
 
     Raises
     ------
     ConfigError
-        Speeds are given for a line that has its own.
+        Speeds are given for a line that has its own; or a line that cannot be.
+    DataError
+        A measured file that cannot be used.
     """
-    own = own_speed(line, scenario)
+    own = own_line(line).speed_at(0.0)
     if own is None:
         return given or default
     if given:
         raise ConfigError(f"line '{line}' has speeds of its own: leave out those of the command")
-    return [own]
+    return [float(own)]
 
 
 def _place(run: Run) -> Place:

@@ -97,6 +97,10 @@ def test_a_value_that_is_not_allowed_is_refused_before_any_run(capsys: pytest.Ca
     many = ",".join(str(k / 1000) for k in range(1000))
     assert main([*command, "--set", f"wear={many}", "--speeds", "300", "--seeds", "20"]) == 2
     assert "make 20,000 runs; at most 10,000 are allowed" in capsys.readouterr().err
+    # A line with a speed of its own is run at this one, not at the three by default.
+    command = ["evaluate", "--json", "--line", "curve_400", "--set", f"wear={many}", "--seeds", "20"]
+    assert main(command) == 2
+    assert "make 20,000 runs; at most 10,000 are allowed" in capsys.readouterr().err
 
 
 def test_evaluate_and_critical_speed_over_a_sweep_are_their_single_runs(
