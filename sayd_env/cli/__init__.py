@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 from threadpoolctl import threadpool_limits
 
+from sayd_env.config.errors import Interrupted, SaydError, StudyError, on_a_screen
 from sayd_env.config.storage import ENDINGS
 
 INPUT_ERROR = 2
@@ -117,7 +118,6 @@ def _run(arguments: Sequence[str] | None) -> int:
 
     from sayd_env.cli.app import app  # noqa: PLC0415
     from sayd_env.cli.output import typed  # noqa: PLC0415
-    from sayd_env.config.errors import Interrupted, SaydError, StudyError  # noqa: PLC0415
 
     command = typer.main.get_command(app)
     typed[:] = sys.argv[1:] if arguments is None else arguments
@@ -157,12 +157,8 @@ def _interrupted() -> int:
 
 
 def _complain(message: str) -> None:
-    with suppress(ImportError):  # a defect of the installation, which the message reports
-        from sayd_env.config.errors import on_a_screen  # noqa: PLC0415
-
-        message = on_a_screen(message)
     with suppress(OSError):  # nobody reads it
-        print(f"sayd: {' '.join(message.split())}", file=sys.stderr)
+        print(f"sayd: {' '.join(on_a_screen(message).split())}", file=sys.stderr)
 
 
 def _drop_stdout() -> None:

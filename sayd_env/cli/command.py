@@ -19,6 +19,7 @@ from rich.markup import escape
 
 from sayd_env.cli.options import Group, Out, OutputOptions, RunOptions, out_text, output, settled
 from sayd_env.cli.output import RESULTS, Output
+from sayd_env.config.errors import Interrupted
 
 if TYPE_CHECKING:
     from sayd_env.report.files import Result
@@ -162,8 +163,7 @@ def _run(name: str, plan: Plan, given: Mapping[str, Any], keeps: bool) -> None:
     Interrupted
         By Ctrl-C, where finished runs or the result are kept.
     """
-    from sayd_env.config.errors import Interrupted  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415
+    from sayd_env.runs.executors import ExecutorChoice  # noqa: PLC0415 - keeps --help fast
 
     # Where nothing is kept, workers are what the command itself makes of them.
     executor = ExecutorChoice.parse(given["executor"], given["workers"]) if keeps else ExecutorChoice()
@@ -190,8 +190,7 @@ def _compute(plan: Plan, output: Output, executor: ExecutorChoice, *, keeps: boo
     Interrupted
         By Ctrl-C, where finished runs are kept.
     """
-    from sayd_env.config.errors import Interrupted  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.runs.cache import RunCache  # noqa: PLC0415
+    from sayd_env.runs.cache import RunCache  # noqa: PLC0415 - keeps --help fast
     from sayd_env.runs.context import RunContext  # noqa: PLC0415
     from sayd_env.runs.executors import KeptExecutor  # noqa: PLC0415
 

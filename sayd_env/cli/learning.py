@@ -12,7 +12,8 @@ from sayd_env.cli.command import Plan, command
 from sayd_env.cli.options import argument, option, output, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import SPEED, Number
-from sayd_env.config.errors import ConfigError
+from sayd_env.config import ConfigError
+from sayd_env.config.storage import write_file
 from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
@@ -164,7 +165,6 @@ def tune_training(
 ) -> Plan:
     """The search for the settings of a training: `sayd tune ppo`."""
     from sayd_env.agents.search_config import load_search  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.config.storage import write_file  # noqa: PLC0415
     from sayd_env.studies.learning import require_training  # noqa: PLC0415
     from sayd_env.studies.tuning.training import search  # noqa: PLC0415
 

@@ -17,6 +17,8 @@ from typer.models import OptionInfo
 
 from sayd_env.cli.parsers import SPEEDS as SPEEDS_USAGE
 from sayd_env.cli.parsers import ListOf, Names, Number, Numbers, name, positive, speeds
+from sayd_env.config import ConfigError, packaged_names
+from sayd_env.config.loader import YAML, assigned_keys, is_path
 
 if TYPE_CHECKING:
     from sayd_env.config.environment import EnvironmentConfig
@@ -79,8 +81,6 @@ def one_of(*names: str, kind: str = "") -> Callable[[str], list[str]]:
     """Completion by some names and those of the packaged configurations of a kind."""
 
     def complete(incomplete: str) -> list[str]:
-        from sayd_env.config.loader import packaged_names  # noqa: PLC0415 - keeps --help fast
-
         known = (*names, *(packaged_names(kind) if kind else ()))
         return [name for name in known if name.startswith(incomplete)]
 
@@ -91,7 +91,6 @@ def policy_names(incomplete: str) -> list[str]:
     """Completion by the names of all policies, of the last one in a list."""
     from sayd_env.agents import pretrained  # noqa: PLC0415 - keeps --help fast
     from sayd_env.config.control import CONTROLLERS  # noqa: PLC0415
-    from sayd_env.config.loader import packaged_names  # noqa: PLC0415
 
     before, comma, last = incomplete.rpartition(",")
     shipped = [name for name in CONTROLLERS if name in ("passive", *packaged_names("control"))]
@@ -149,6 +148,12 @@ class Group:
         hints = get_type_hints(cls, include_extras=True)
         return {key: (hint, settled(getattr(cls, key))) for key, hint in hints.items()}
 
+    def given(self) -> dict[str, Any]:
+        """What was given, by the options' names; None for the others."""
+        found = {key: getattr(self, key) for key in self.offered()}
+        names = {key: "--set" if key == "assignments" else f"--{key.replace('_', '-')}" for key in found}
+        return {names[key]: None if value is False else value for key, value in found.items()}
+
 
 def out_text(command: str, *, quick: bool, apart: str = "") -> str:
     """Help of ``--out`` of a command, with its default directory, and who has one with ``--json``, too."""
@@ -178,8 +183,6 @@ class OutputOptions(Group):
 
 def gauge_text(text: str) -> str:
     """A gauge that is typed: mm, or a track's name or path, which is read later."""
-    from sayd_env.config.loader import is_path  # noqa: PLC0415 - keeps --help fast
-
     if re.fullmatch(r"[-+.\d].*|nan|inf(inity)?", text.strip(), re.IGNORECASE) and not is_path(text):
         GAUGE(text)
     return text
@@ -260,13 +263,12 @@ class ScenarioOptions(Group):
         if line is None:
             return
         flags = {f"--{name}": name for name in ("gauge", "friction", "track") if getattr(self, name)}
-        keys = [item.partition("=")[0].strip() for item in self.assignments or ()]
-        refuse_said(line, flags | {f"--set {key}": name for key, name in options_of(keys).items()})
+        settings = options_of(assigned_keys(self.assignments))
+        refuse_said(line, flags | {f"--set {key}": name for key, name in settings.items()})
 
     def _damper(self, config: str | None) -> list[str]:
         """What ``--damper`` sets."""
-        from sayd_env.config.loader import YAML, is_path  # noqa: PLC0415 - keeps --help fast
-        from sayd_env.config.scenario import load_scenario  # noqa: PLC0415
+        from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
 
         if self.damper is None or load_scenario(config).damper.type == self.damper:
             return []  # the configuration's own, whose numbers may differ from the packaged ones
@@ -278,9 +280,7 @@ class ScenarioOptions(Group):
 
     def _gauge(self) -> float | None:
         """Gauge (m) that is typed, or that of the track that is named."""
-        from sayd_env.config.errors import ConfigError  # noqa: PLC0415 - keeps --help fast
-        from sayd_env.config.loader import YAML, is_path  # noqa: PLC0415
-        from sayd_env.config.track import read_track  # noqa: PLC0415
+        from sayd_env.config.track import read_track  # noqa: PLC0415 - keeps --help fast
 
         if self.gauge is None:
             return None
@@ -364,11 +364,6 @@ class VehicleOptions(ScenarioOptions):
         """Read the scenario."""
         return self.read(self.wear, self.friction, default)
 
-    def given(self) -> dict[str, Any]:
-        """What was given, by the options' names; None for the others."""
-        found = {key: getattr(self, key) for key in self.offered()}
-        return {"--set" if key == "assignments" else f"--{key}": value for key, value in found.items()}
-
 
 class GridOptions(ScenarioOptions):
     """Options of a study over speeds, wear and friction in an environment."""
@@ -390,10 +385,9 @@ class GridOptions(ScenarioOptions):
 
     def load(self, default: str | None = None) -> Scenario:
         """Scenario of the first wear and friction."""
-        from sayd_env.config.errors import ConfigError  # noqa: PLC0415 - keeps --help fast
-        from sayd_env.config.reward import with_reward  # noqa: PLC0415
+        from sayd_env.config.reward import with_reward  # noqa: PLC0415 - keeps --help fast
 
-        keys = {item.partition("=")[0].strip() for item in self.assignments or ()}
+        keys = set(assigned_keys(self.assignments))
         twice = keys & {"cost", "cost.acceleration_weight", "cost.force_weight"}
         if self.reward is not None and twice:
             raise ConfigError(
@@ -424,14 +418,6 @@ class ForeignOptions(Group):
         "--vec-normalize FILE",
         "With --trust-pickles: its training's VecNormalize (.pkl), which can run any code, too.",
     )
-
-    def given(self) -> dict[str, Any]:
-        """What was given, by the options' names; None for the others."""
-        return {
-            "--trust-pickles": self.trust_pickles or None,
-            "--trained-period": self.trained_period,
-            "--vec-normalize": self.vec_normalize,
-        }
 
     def reader(self, environment: EnvironmentConfig, chosen: Iterable[str] | None) -> ForeignReader | None:
         """What reads such files among the chosen policies, or None where they are not trusted."""

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel
 from rich.console import Console
 
+from sayd_env.config.errors import SaydError, printable
+
 if TYPE_CHECKING:
     from sayd_env.report.files import Result
     from sayd_env.runs.context import Progress
@@ -113,7 +115,6 @@ def command_text() -> str:
 def _notes(config: Any) -> tuple[str, ...]:
     """What was recognised in measured files that a configuration names, and done to their numbers."""
     from sayd_env.cli.options import notes_of  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.config.errors import SaydError  # noqa: PLC0415
 
     parts = dict(config) if isinstance(config, BaseModel | Mapping) else {}
     try:
@@ -161,8 +162,6 @@ class _SafeConsole(Console):
     """A console on which a name that holds control characters, as those of files may, moves no cursor."""
 
     def print(self, *objects: Any, **options: Any) -> None:
-        from sayd_env.config.errors import printable  # noqa: PLC0415 - keeps --help fast
-
         def safe(text: str) -> str:
             return "\n".join(map(printable, text.split("\n")))
 

@@ -13,7 +13,9 @@ from sayd_env.cli.learning import tune_training
 from sayd_env.cli.options import argument, one_of, option, output, policy, runs, scenario
 from sayd_env.cli.output import RESULTS, command_text
 from sayd_env.cli.parsers import SPEED, ListOf, Names, name, positive
-from sayd_env.config.errors import ConfigError
+from sayd_env.config import ConfigError
+from sayd_env.config.loader import assigned_keys
+from sayd_env.config.storage import write_file
 from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
@@ -145,7 +147,7 @@ def map_(
         raise ConfigError("--conditions: are those of the best constant commands; leave out --no-constants")
     setup = load_environment(grid.environment)
     chosen = grid.load(setup.study)
-    keys = [item.partition("=")[0].strip() for item in grid.assignments or ()]
+    keys = assigned_keys(grid.assignments)
     for key in ("wear", "friction"):
         if key in keys:
             raise ConfigError(f"--set {key}: has no effect; --{key} is an axis of the map")
@@ -402,7 +404,7 @@ def drawn_conditions(choice: options.VehicleOptions, setup: EnvironmentConfig) -
     flags = {"wear": choice.wear, "friction": choice.friction, "track": choice.track, "wheel": choice.profile}
     flags["track.gauge"] = choice.gauge
     keys = [key for key, value in flags.items() if value is not None] + (["wear"] if choice.profile else [])
-    keys += [item.partition("=")[0].strip() for item in choice.assignments or ()]
+    keys += assigned_keys(choice.assignments)
     fixed = fixed_by(keys)
     lines = None if setup.lines is None else setup.lines.without(fixed)
     drawn = setup.randomisation.without_keys(keys, setup.damper)
@@ -456,8 +458,7 @@ def tune(
         if file is not None:
             raise ConfigError("-o: is of controllers; a training's settings go to --out")
         return tune_training(controller, config, assignments or (), seed, out, quick=quick)
-    from sayd_env.config.storage import write_file  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.config.tuning import load_tuning  # noqa: PLC0415
+    from sayd_env.config.tuning import load_tuning  # noqa: PLC0415 - keeps --help fast
     from sayd_env.report.files import ResultDirectory  # noqa: PLC0415
     from sayd_env.studies.tuning import tune as study  # noqa: PLC0415
 

@@ -8,6 +8,7 @@ from sayd_env.cli import options
 from sayd_env.cli.command import Plan, command
 from sayd_env.cli.options import option, scenario
 from sayd_env.cli.parsers import SPEED, Number
+from sayd_env.config import StudyError
 from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
@@ -69,8 +70,7 @@ def soak(
     second that a terminated episode did not run (termination_cost of the environment). What --set assigns
     is not drawn.
     """
-    from sayd_env.config import StudyError  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.envs.keywords import configured  # noqa: PLC0415
+    from sayd_env.envs.keywords import configured  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies.soak import soak as study  # noqa: PLC0415
 
     def judge(result: SoakResult, _: Output) -> None:

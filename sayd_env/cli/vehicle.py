@@ -11,6 +11,9 @@ from sayd_env.cli.command import Plan, command
 from sayd_env.cli.options import argument, option
 from sayd_env.cli.output import command_text
 from sayd_env.cli.parsers import SPEED, ListOf, Names, Number, Numbers, name, positive
+from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.loader import assigned_keys
+from sayd_env.config.storage import write_file
 from sayd_env.config.units import KMH
 
 if TYPE_CHECKING:
@@ -103,8 +106,7 @@ def reproduce(
     Takes 20 track realisations, with --quick 2. Beside every row stands what fixed commands do in it, in the
     controller's place. --creep-laws gives the critical speeds of rows P2 and P5.
     """
-    from sayd_env.config import ConfigError, StudyError  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.config.damper import load_sayd  # noqa: PLC0415
+    from sayd_env.config.damper import load_sayd  # noqa: PLC0415 - keeps --help fast
     from sayd_env.config.reproduction import load_reproduction  # noqa: PLC0415
     from sayd_env.studies.critical_speed import check_laws  # noqa: PLC0415
     from sayd_env.studies.paper.reproduce import ROWS, row_policies  # noqa: PLC0415
@@ -116,7 +118,7 @@ def reproduce(
         raise ConfigError(f"--allow {unknown[0]}: unknown row; expected {', '.join(ROWS)}")
     check_laws(laws, "--creep-laws")
     chosen, plan = scenario.load(), load_reproduction()
-    if any(item.partition("=")[0].strip() == "wear" for item in scenario.assignments or ()):
+    if "wear" in assigned_keys(scenario.assignments):
         raise ConfigError("--set wear: has no effect; the rows are about new and worn wheels, wear 0 and 1")
     count = seeds or (plan.quick_seeds if quick else len(plan.seeds))
     numbers = plan.first_seeds(count) if seed is None else tuple(range(seed, seed + count))
@@ -165,7 +167,6 @@ def calibrate(
     """
     from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
     from sayd_env.config.software import git_state  # noqa: PLC0415
-    from sayd_env.config.storage import write_file  # noqa: PLC0415
     from sayd_env.studies.tuning.calibrate import calibrate as study  # noqa: PLC0415
 
     settings = load_calibration("calibration" if config is None else config, tuple(assignments or ()))
@@ -291,11 +292,11 @@ def assess(
     from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
     from sayd_env.studies.assess import Train, assess_file  # noqa: PLC0415
 
-    given = tuple(assignments or ())
-    _refuse_idle(item.partition("=")[0].strip() for item in given)
-    scenario = load_scenario(config, given)
+    keys = assigned_keys(assignments)
+    _refuse_idle(keys)
+    scenario = load_scenario(config, assignments or ())
     # The default vehicle is the paper's, and nobody's train.
-    known = config is not None or any(item.strip().startswith("vehicle") for item in given)
+    known = config is not None or any(key.startswith("vehicle") for key in keys)
     train = Train.of(
         bogie_mass=bogie_mass,
         axle_load=None if axle_load is None else axle_load * 1e3,
@@ -324,8 +325,6 @@ def _refuse_idle(keys: Iterable[str]) -> None:
         "assessment.length": "all of a recording is assessed",
         "assessment.sample_rate": "--sample-rate stands above the times in the file",
     }
-    from sayd_env.config import ConfigError  # noqa: PLC0415 - keeps --help fast
-
     for key in keys:
         if key in instead or key.partition(".")[0] not in ("vehicle", "assessment"):
             why = instead.get(key, "only vehicle and assessment are used")

@@ -22,6 +22,7 @@ from sayd_env.config.files import MIB, read_bytes
 __all__ = [
     "apply_overrides",
     "assigned",
+    "assigned_keys",
     "beside",
     "is_path",
     "nearest",
@@ -389,6 +390,11 @@ def assigned(data: dict[str, Any], item: str, option: str = "--set") -> Origin:
         # What the last key names may be new.
         node = node.get(part) if isinstance(node, dict) else node[part]
     return Origin(tuple(path), option)
+
+
+def assigned_keys(assignments: Iterable[str] | None) -> list[str]:
+    """Keys to which assignments give values."""
+    return [item.partition("=")[0].strip() for item in assignments or ()]
 
 
 def _assign(data: Any, keys: list[str], value: Any, item: str) -> None:

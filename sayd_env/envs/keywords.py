@@ -10,6 +10,7 @@ import numpy as np
 from sayd_env.config import ConfigError, nearest, validate
 from sayd_env.config.environment import EnvironmentConfig, RandomisationConfig, fixed_by, load_environment
 from sayd_env.config.explain import shown
+from sayd_env.config.loader import assigned_keys
 from sayd_env.config.reward import RewardConfig, named_rewards
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sensors import SensorsConfig, load_sensors
@@ -82,16 +83,18 @@ def configured(
     config = load_environment(environment)
     if "sensors" in given:
         given["sensors"] = _sensors(given["sensors"])
-    left = config.randomisation.without_keys(_keys(assignments), str(given.get("damper", config.damper)))
+    left = config.randomisation.without_keys(
+        assigned_keys(assignments), str(given.get("damper", config.damper))
+    )
     given["randomisation"] = _at_speed(left, given.pop("speed_kmh", None))
     if config.line is not None:
         named = {"speed_kmh": "speed_kmh"} if keywords.get("speed_kmh") is not None else {}
-        settings = options_of(_keys(assignments))
+        settings = options_of(assigned_keys(assignments))
         refuse_said(config.line, named | {f"settings: {key}": name for key, name in settings.items()})
     if config.lines is not None:
         if keywords.get("speed_kmh") is not None:
             config.lines.refuse_speed("speed_kmh")
-        given["lines"] = config.lines.without(fixed_by(_keys(assignments)))
+        given["lines"] = config.lines.without(fixed_by(assigned_keys(assignments)))
     config = validate(EnvironmentConfig, dict(config) | given, "keywords")
     scenario = environment_scenario(config, assignments, "settings")
     if scenario.damper.type != config.damper:
@@ -194,7 +197,3 @@ def _weights(reward: Any) -> RewardConfig | None:
         f"reward: found {shown(reward)}{close}; expected {', '.join(map(repr, known))}, (k_y, k_F) or "
         "{'k_y': ..., 'k_F': ...}, weights of 0 or more of which one is positive"
     )
-
-
-def _keys(assignments: Iterable[str]) -> list[str]:
-    return [item.partition("=")[0].strip() for item in assignments]
