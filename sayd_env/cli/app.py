@@ -5,11 +5,11 @@ from __future__ import annotations
 import typer
 
 from sayd_env import __version__
-from sayd_env.cli import learning, new, play, policies, program, simulate, vehicle
+from sayd_env.cli import learning, policies, program, simulate, vehicle
 from sayd_env.cli.command import app
 from sayd_env.cli.options import option
 
-__all__ = ["app", "new", "play", "simulate"]
+__all__ = ["app", "simulate"]
 
 GROUPS = (vehicle.GROUP, policies.GROUP, learning.GROUP, vehicle.COMPONENTS, program.GROUP)
 app.registered_commands.sort(key=lambda command: GROUPS.index(str(command.rich_help_panel)))
