@@ -228,7 +228,8 @@ def export(
     if fmu is None:
         return _export_policy(foreign, choice, source, target, speed, seed, onnx=onnx)
     from sayd_env.config.damper import SaydDamperConfig  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies import fmu as units  # noqa: PLC0415
+    from sayd_env.fmu.unit import controller_unit, damper_unit, vehicle_unit  # noqa: PLC0415
+    from sayd_env.studies.fmu import export as study  # noqa: PLC0415
 
     if onnx:
         raise ConfigError(f"--fmu {fmu}: leave out --onnx")
@@ -246,14 +247,14 @@ def export(
     damper = chosen.damper
     if fmu == "vehicle":
         metric, track = (300.0 if speed is None else speed) / KMH, seed or 0
-        return Plan(lambda _: units.export_vehicle(chosen, metric, track, target), chosen, track, target)
+        return Plan(lambda _: study(vehicle_unit(chosen, metric, track), target), chosen, track, target)
     if fmu == "controller":
-        return Plan(lambda _: units.export_controller(str(source), chosen, target), chosen, folder=target)
+        return Plan(lambda _: study(controller_unit(str(source), chosen), target), chosen, folder=target)
     if not isinstance(damper, SaydDamperConfig):
         raise ConfigError(
             f"--fmu damper: '{damper.name}' is passive; expected one of type sayd: --damper sayd"
         )
-    return Plan(lambda _: units.export_damper(damper, target), chosen, folder=target)
+    return Plan(lambda _: study(damper_unit(damper), target), chosen, folder=target)
 
 
 def _export_policy(

@@ -13,8 +13,9 @@ from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import DAMPERS, SIGNALS
 from sayd_env.fmu.controller import ControllerUnit, controller_content, read_policy
 from sayd_env.fmu.serve import restored
+from sayd_env.fmu.unit import controller_unit
 from sayd_env.runs.policies import load_policy, policy_spec
-from sayd_env.studies.fmu import export_controller
+from sayd_env.studies.fmu import export
 
 PERIODS = 30
 
@@ -69,7 +70,7 @@ def test_its_resources_are_all_that_it_needs(scenario: Scenario, tmp_path: Path)
     parameters = tmp_path / "mine" / "skyhook-onoff.yaml"
     parameters.parent.mkdir()
     parameters.write_text("base: skyhook-onoff\nset:\n  closed: 0.11\n")
-    result = export_controller(str(parameters), scenario, tmp_path)
+    result = export(controller_unit(str(parameters), scenario), tmp_path)
     assert [validate_fmu(str(file)) for file in result.files] == [[], []]
     parameters.unlink()
     for name, data in result.unit.resources.items():

@@ -16,9 +16,10 @@ from sayd_env.cli import main
 from sayd_env.config import ConfigError
 from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.sensors import DAMPERS
+from sayd_env.fmu.unit import vehicle_unit
 from sayd_env.fmu.vehicle import VehicleUnit, vehicle_variables
 from sayd_env.physics.simulator import Simulator, VehicleModel
-from sayd_env.studies.fmu import export_vehicle
+from sayd_env.studies.fmu import export
 
 SPEED, SEED = 300 / 3.6, 3
 
@@ -32,7 +33,7 @@ def scenario() -> Scenario:
 
 @pytest.fixture(scope="module")
 def units(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return export_vehicle(scenario, SPEED, SEED, tmp_path_factory.mktemp("fmu")).files
+    return export(vehicle_unit(scenario, SPEED, SEED), tmp_path_factory.mktemp("fmu")).files
 
 
 @pytest.fixture
