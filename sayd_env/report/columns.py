@@ -99,11 +99,40 @@ class Listing:
     rows: Sequence[Any]
     """Mappings or objects that have the columns' values."""
     section: str | None = None
-    """Where rows have what a section has in common."""
+    """Where rows have what a section has in common; without it the table is one section."""
 
     def print(self, console: Console, wide: bool = False) -> None:
-        """Print it, see `print_table`."""
-        print_table(console, self.title, self.columns, self.rows, wide=wide, section=self.section)
+        """Print the columns that have a heading, those of ``--wide`` only if `wide`.
+
+        Texts are wrapped where the console is narrow, unless `wide`. Numbers are not: a table that needs more
+        room gets it.
+        """
+        from rich import box  # noqa: PLC0415 - only who prints pays for it
+        from rich.table import Table as PrintedTable  # noqa: PLC0415
+        from rich.text import Text  # noqa: PLC0415
+
+        shown = [column for column in self.columns if column.header and (wide or not column.wide)]
+        gaps = _GAP * (len(shown) - 1)
+        widths = _widths(shown, self.rows, math.inf if wide else console.width - gaps)
+        table = PrintedTable(
+            box=box.SIMPLE_HEAD,
+            pad_edge=False,
+            padding=(0, _GAP - 1, 0, 0),
+            show_edge=False,
+            width=sum(widths) + gaps,
+        )
+        for column, width in zip(shown, widths, strict=True):
+            justify: Any = "right" if is_numeric(column, self.rows) else "left"
+            table.add_column(Text(column.heading), justify=justify, width=width, overflow="fold")
+        for group in styled(shown, self.rows, self.section):
+            for row, cells in group:
+                table.add_row(*map(Text.assemble, cells), end_section=row is group[-1][0])
+        console.print(Text(self.title, "bold"))
+        console.print(table, crop=False)
+        hidden = sum(bool(column.header) for column in self.columns) - len(shown)
+        if hidden:
+            console.print(f"{hidden} more column{'s' if hidden > 1 else ''} with --wide", style="italic")
+        console.print()
 
 
 def csv_table(columns: Sequence[Column], rows: Iterable[Any]) -> Table:
@@ -116,74 +145,12 @@ def json_rows(columns: Sequence[Column], rows: Iterable[Any]) -> list[dict[str, 
     return [{column.name: column.of(row) for column in columns} for row in rows]
 
 
-def print_table(
-    console: Console,
-    title: str,
-    columns: Sequence[Column],
-    rows: Sequence[Any],
-    *,
-    wide: bool = False,
-    section: str | None = None,
-) -> None:
-    """Print the columns that have a heading.
-
-    Parameters
-    ----------
-    console : Console
-    title : str
-    columns : sequence of Column
-    rows : sequence
-        Mappings or objects that have the columns' values.
-    wide : bool
-        Also the columns that are printed with ``--wide`` only.
-    section : str, optional
-        Where rows have what a section has in common; without it the table is one section.
-
-    Notes
-    -----
-    Texts are wrapped where the console is narrow, unless `wide`. Numbers are not: a table that needs more
-    room gets it.
-    """
-    from rich import box  # noqa: PLC0415 - only who prints pays for it
-    from rich.table import Table as PrintedTable  # noqa: PLC0415
-    from rich.text import Text  # noqa: PLC0415
-
-    shown = [column for column in columns if column.header and (wide or not column.wide)]
-    gaps = _GAP * (len(shown) - 1)
-    widths = _widths(shown, rows, math.inf if wide else console.width - gaps)
-    table = PrintedTable(
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, _GAP - 1, 0, 0),
-        show_edge=False,
-        width=sum(widths) + gaps,
-    )
-    for column, width in zip(shown, widths, strict=True):
-        justify: Any = "right" if is_numeric(column, rows) else "left"
-        table.add_column(Text(column.heading), justify=justify, width=width, overflow="fold")
-    for group in styled(shown, rows, section):
-        for row, cells in group:
-            table.add_row(*map(Text.assemble, cells), end_section=row is group[-1][0])
-    console.print(Text(title, "bold"))
-    console.print(table, crop=False)
-    hidden = sum(bool(column.header) for column in columns) - len(shown)
-    if hidden:
-        console.print(f"{hidden} more column{'s' if hidden > 1 else ''} with --wide", style="italic")
-    console.print()
-
-
 def styled(
     columns: Sequence[Column], rows: Sequence[Any], section: str | None = None
 ) -> Iterator[list[tuple[Any, list[tuple[str, str]]]]]:
     """Rows in their sections, each with what is shown of it: the words of every cell and how it stands out.
 
-    Parameters
-    ----------
-    columns : sequence of Column
-    rows : sequence
-        Mappings or objects that have the columns' values.
-    section : str, optional
-        As for `print_table`.
+    Rows and section are those of a `Listing`.
     """
     for group in _sections(rows, section):
         lowest = [_lowest(column, group) for column in columns]

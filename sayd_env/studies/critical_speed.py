@@ -19,7 +19,7 @@ from sayd_env.envs.loop import LOG_ACCELERATION, LOG_TRACK_SHIFT
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.contact.creep import LAWS
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import LIMITED, Column, Table, csv_table, print_table
+from sayd_env.report.columns import LIMITED, Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, panels, with_band
 from sayd_env.runs.context import RunContext, silent
 from sayd_env.runs.controlled import controlled_runs
@@ -158,7 +158,7 @@ class CriticalSpeedResult:
         about = f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}"
         seeds = len(self.sweep.seeds)
         title = f"{about}: medians of {seeds} seed{'s' * (seeds > 1)}"
-        print_table(console, title, TRENDS, self._trends(), wide=wide)
+        Listing(title, TRENDS, self._trends()).print(console, wide)
         for name in self.crossing():
             console.print(f"critical speed by {name.replace('_', ' ')}: [bold]{self.verdict(name)}[/]")
         if self.laws is not None:
@@ -312,7 +312,7 @@ class CreepLawComparison:
     def summary(self, console: Console, title: str, wide: bool = False) -> None:
         """Print the critical speeds by law."""
         columns = (*_LAW_COLUMNS, Column("verdict", "critical speed"))
-        print_table(console, title, columns, self._rows(), wide=wide)
+        Listing(title, columns, self._rows()).print(console, wide)
 
 
 _LAW_COLUMNS = (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from sayd_env.config.storage import write_files
 from sayd_env.fmu.unit import Unit, fmu_files
-from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class UnitResult:
         for file in self.files:
             console.print(str(file), markup=False, highlight=False, soft_wrap=True)
         needs = "runs without Python" if self.unit.plain else "needs Python with sayd-env where it runs"
-        print_table(console, f"{self.unit.name}: {needs}", COLUMNS, self.unit.variables, wide=wide)
+        Listing(f"{self.unit.name}: {needs}", COLUMNS, self.unit.variables).print(console, wide)
 
 
 def export(unit: Unit, target: Path) -> UnitResult:

@@ -13,7 +13,7 @@ import numpy as np
 from sayd_env.agents.pretrained.curves import draw_gains
 from sayd_env.config import ConfigError
 from sayd_env.config.software import provenance
-from sayd_env.report.columns import Column, Table, print_table
+from sayd_env.report.columns import Column, Listing, Table
 from sayd_env.report.figures import Plot, label, legend_below, panels
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.executors import ExecutorChoice, KeptExecutor
@@ -74,7 +74,7 @@ class TrainResult:
         kind = "mean" if mean == "mean" else f"{mean} mean of"
         title = f"{done.steps} steps in {done.seconds / 60:.1f} minutes; {kind} J of the scenarios"
         columns = (Column("policy", "policy"), Column("J", "J", digits=4, best=True))
-        print_table(console, title, columns, rows, wide=wide)
+        Listing(title, columns, rows).print(console, wide)
 
     def _draw(self, figure: Figure) -> None:
         done = self.trained

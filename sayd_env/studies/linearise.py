@@ -18,7 +18,7 @@ from sayd_env.physics.contact.conicity import AMPLITUDE
 from sayd_env.physics.linear import Linearisation, Mode, OperatingPoint, equivalent, modes_of
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.state_space import StateSpace, state_space_of, wheelset_delays
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.context import Progress, silent
 from sayd_env.studies.modes import SHOWN_FREQUENCY, SHOWN_MODES
@@ -142,7 +142,7 @@ class LineariseResult:
             Column("damping", "damping ratio", bad=lambda words: words is not None and "-" in words),
         ]
         title = f"least damped modes below {SHOWN_FREQUENCY:g} Hz"
-        print_table(console, title, columns, rows, wide=wide)
+        Listing(title, columns, rows).print(console, wide)
 
     def _rows(self) -> list[dict[str, Any]]:
         return [

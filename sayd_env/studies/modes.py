@@ -14,7 +14,7 @@ from sayd_env.config.units import KMH, Integers
 from sayd_env.physics.contact.conicity import AMPLITUDE
 from sayd_env.physics.linear import HUNTING_BAND, RootLocus, linear_critical_speed, root_locus
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, panels, reference_line
 from sayd_env.runs.context import Progress, silent
 from sayd_env.stability import Crossing
@@ -92,13 +92,8 @@ class ModesResult:
             Column(kmh, f"{kmh} km/h", bad=_is_unstable, wide=len(speeds) > _NARROW_SPEEDS and i % 2 == 1)
             for i, kmh in enumerate(speeds)
         ]
-        print_table(
-            console,
-            f"least damped modes below {SHOWN_FREQUENCY:g} Hz: frequency (Hz), damping ratio",
-            [Column("name", "mode"), *columns],
-            rows,
-            wide=wide,
-        )
+        title = f"least damped modes below {SHOWN_FREQUENCY:g} Hz: frequency (Hz), damping ratio"
+        Listing(title, [Column("name", "mode"), *columns], rows).print(console, wide)
         low, high = (speed * KMH for speed in self.critical_range)
         critical = self._critical_kmh()
         found = "none" if critical is None else f"{critical:.1f} km/h"

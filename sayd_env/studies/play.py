@@ -17,7 +17,7 @@ from sayd_env.config.loader import packaged_names
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array32
 from sayd_env.envs.recorder import Frame
-from sayd_env.report.columns import Column, Table, csv_table, json_rows, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot
 from sayd_env.runs.policies import constant_spec, for_policy
 from sayd_env.studies.ride import Ride
@@ -86,7 +86,7 @@ class PlayResult:
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the runs."""
         if self.runs:
-            print_table(console, "Driven by hand", COLUMNS, self.runs, wide=wide)
+            Listing("Driven by hand", COLUMNS, self.runs).print(console, wide)
 
 
 class Hand:

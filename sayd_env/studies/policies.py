@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from sayd_env import baselines
 from sayd_env.agents.pretrained.cards import Origin, origins
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot
 from sayd_env.runs.policies import PASSIVE
 
@@ -49,11 +49,11 @@ class PolicyList:
         """Print all, one line each."""
         controllers = [{"name": name, "what": what} for name, what in self.controllers.items()]
         columns = (Column("name", "name"), Column("what", "what it is"))
-        print_table(console, "controllers", columns, controllers)
+        Listing("controllers", columns, controllers).print(console)
         if not self.ready:
             console.print("No ready learned policies come with this installation.")
             return
-        print_table(console, "ready learned policies", READY, self.ready, wide=wide)
+        Listing("ready learned policies", READY, self.ready).print(console, wide)
         console.print(
             "J: mean over the scenarios that judged it while it learned. An algorithm's name alone, such as "
             f"{self.ready[0].algorithm}, is its first training."

@@ -22,7 +22,7 @@ from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.errors import Interrupted
 from sayd_env.config.palette import policy_style
 from sayd_env.config.storage import reserved, uninterrupted, write_file
-from sayd_env.report.columns import Column, Table, print_table
+from sayd_env.report.columns import Column, Listing, Table
 from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.context import Progress, silent
 
@@ -90,7 +90,7 @@ class SeedsResult:
             for seed, each in self.evaluations.items()
         ]
         mean = float(np.mean(list(self.best.values())))
-        print_table(console, f"{self.algorithm}: mean best J {mean:.5f}", SEEDS, rows, wide=wide)
+        Listing(f"{self.algorithm}: mean best J {mean:.5f}", SEEDS, rows).print(console, wide)
 
     def _draw(self, figure: Figure) -> None:
         (axes,) = panels(figure, 1, size=(8.0, 4.5))

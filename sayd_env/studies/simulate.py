@@ -21,7 +21,7 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.rollout import assessed_steps
 from sayd_env.report import histories as files
-from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, panels, reference_line
 from sayd_env.report.html import Grid, Page, Picture, Section, Text, Verdict
 from sayd_env.report.live import extremes
@@ -194,7 +194,7 @@ class SimulateResult:
             }
             for quantity, rows in self._quantities.items()
         ]
-        print_table(console, f"{self._title}: from 0 s on", _GROUPS, groups, wide=wide)
+        Listing(f"{self._title}: from 0 s on", _GROUPS, groups).print(console, wide)
         if self.ending is not None:
             console.print(f"ended early: {self.ending}", style="red", highlight=False, markup=False)
         size = self.target.file.stat().st_size / 1e6 if self.target.file.exists() else 0.0

@@ -21,7 +21,7 @@ from sayd_env.config.palette import BLUE, VERMILION
 from sayd_env.config.units import KMH, Array, Array32, Flags, Integers
 from sayd_env.envs.loop import NOT_FINITE, RUNNING
 from sayd_env.envs.vector import SaydVectorEnv
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, log_axis, panels
 from sayd_env.runs.context import Progress, silent
 
@@ -171,10 +171,10 @@ class SoakResult:
         about = (
             f"{self.steps:,} control steps of {self.environments} vehicles, environment {self.environment}"
         )
-        print_table(console, about, _COUNTS, [{"what": k, "count": n} for k, n in counts.items()])
+        Listing(about, _COUNTS, [{"what": k, "count": n} for k, n in counts.items()]).print(console)
         found = [{"what": DEFECTS[name], "count": count} for name, count in self.defects.items()]
-        print_table(console, "what must not be", _DEFECT_COUNTS, found)
-        print_table(console, "seconds of the largest J", WORST, self.worst[:SHOWN], wide=wide)
+        Listing("what must not be", _DEFECT_COUNTS, found).print(console)
+        Listing("seconds of the largest J", WORST, self.worst[:SHOWN]).print(console, wide)
         quantiles = ", ".join(f"{100 * q:g} %: {value:.3g}" for q, value in self.quantiles.items())
         console.print(f"J of {len(self.costs):,} whole seconds: {quantiles}, largest {self.largest:.4g}")
         console.print(

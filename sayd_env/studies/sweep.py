@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sweep import Variant
-from sayd_env.report.columns import Column, Table, print_table
+from sayd_env.report.columns import Column, Listing, Table
 from sayd_env.report.figures import Plot
 from sayd_env.report.files import Result
 from sayd_env.runs.context import RunContext
@@ -81,7 +81,7 @@ class SweepResult:
             for row in found
         ]
         about = f"{len(self.variants)} configurations"
-        print_table(console, about, [*(Column(key, key) for key in self.keys), *columns], rows, wide=wide)
+        Listing(about, [*(Column(key, key) for key in self.keys), *columns], rows).print(console, wide)
 
     def _each(self) -> Iterator[tuple[Variant, Sweepable]]:
         return zip(self.variants, self.results, strict=True)

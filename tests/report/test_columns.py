@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from sayd_env.report.columns import Column, csv_table, json_rows, print_table
+from sayd_env.report.columns import Column, Listing, csv_table, json_rows
 
 
 @dataclass(frozen=True)
@@ -31,15 +31,15 @@ COLUMNS = (
 ROWS = [Row("passive", 100.0, 1.25), Row("a[b]_c", 100.0, 0.5, False), Row("lost", 50.0, math.inf)]
 
 
-def printed(columns: Any, rows: Any, width: int = 80, **keywords: Any) -> str:
+def printed(columns: Any, rows: Any, width: int = 80, wide: bool = False) -> str:
     console = Console(file=io.StringIO(), width=width)
-    print_table(console, "a title", columns, rows, **keywords)
+    Listing("a title", columns, rows).print(console, wide)
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
-def styled(columns: Any, rows: Any, **keywords: Any) -> str:
+def styled(columns: Any, rows: Any, section: str | None = None, wide: bool = False) -> str:
     console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system="standard")
-    print_table(console, "a title", columns, rows, **keywords)
+    Listing("a title", columns, rows, section).print(console, wide)
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 

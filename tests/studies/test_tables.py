@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from sayd_env.report.columns import Column, print_table
+from sayd_env.report.columns import Column, Listing
 from sayd_env.studies import (
     adaptation,
     assess,
@@ -150,6 +150,6 @@ def test_a_table_fits_eighty_columns(columns: Sequence[Column]):
     row |= {name: 0.123 for name in row if name in ("wear", "friction", "current", "reduction")}
     row |= {name: 0.123 for name in row if name.startswith(("reduction_", "geometric"))}
     console = Console(file=io.StringIO(), width=80)
-    print_table(console, "title", columns, [row, row])
+    Listing("title", columns, [row, row]).print(console)
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
     assert max(map(len, lines)) <= 80

@@ -25,7 +25,7 @@ from sayd_env.config.units import KMH
 from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.parts import PARTS, SAYD_PARTS
 from sayd_env.physics.simulator import Simulator, VehicleModel
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, log_axis, name_rows, panels
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.executors import PROCESSES, THREADS, ExecutorChoice
@@ -138,7 +138,7 @@ class BenchResult:
         """Print all measured quantities."""
         machine = self.machine
         title = f"{machine['processor']}, {machine['cores']} cores, {machine['date']}"
-        print_table(console, title, COLUMNS, self._rows(), wide=wide, section="group")
+        Listing(title, COLUMNS, self._rows(), "group").print(console, wide)
         for note in self._notes():
             console.print(note)
 

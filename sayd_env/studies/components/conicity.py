@@ -22,7 +22,7 @@ from sayd_env.physics.contact.geometry import ContactTable, RigidContact, contac
 from sayd_env.physics.multibody import assemble
 from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
 from sayd_env.physics.simulator import table_load
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, label, legend_below
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ class ConicityResult:
         rows = [
             row for row in self._curve() if wide or np.any(np.isclose(row["amplitude_mm"], _SHOWN_AMPLITUDES))
         ]
-        print_table(console, self.title, CURVE, rows, wide=wide)
+        Listing(self.title, CURVE, rows).print(console, wide)
         console.print(
             "rigid: touching points of the profiles. regularised: mean over the patch under "
             f"{self.table.load / _MILLI:g} kN a wheel, as a simulation has it."

@@ -17,7 +17,7 @@ from sayd_env.config.units import Array
 from sayd_env.measured.dampers import force_velocity, with_points
 from sayd_env.physics.rig import Cycle, steady_cycle, steady_sayd_cycles
 from sayd_env.physics.sayd import steady_force
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, log_axis, panels
 from sayd_env.runs.context import Progress, silent
 
@@ -178,7 +178,7 @@ class HysteresisResult:
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the figures of the loops."""
         title = f"damper {self.damper.name}"
-        print_table(console, title, COLUMNS, self._rows(), wide=wide, section="amplitude_mm")
+        Listing(title, COLUMNS, self._rows(), "amplitude_mm").print(console, wide)
 
     def _rows(self) -> list[dict[str, Any]]:
         return [loop.row() for loop in self.loops]

@@ -14,7 +14,7 @@ from sayd_env.config.damper import PassiveDamperConfig, SaydDamperConfig
 from sayd_env.config.environment import EnvironmentConfig, load_environment
 from sayd_env.config.reproduction import ReproductionConfig, load_reproduction
 from sayd_env.config.scenario import Scenario
-from sayd_env.report.columns import Table, csv_table, json_rows, print_table
+from sayd_env.report.columns import Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot
 from sayd_env.report.html import Page
 from sayd_env.runs.context import RunContext
@@ -122,16 +122,16 @@ class ReproduceResult(Judged):
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the table of claims."""
         title = f"what the paper shows, on {len(self.new.seeds)} track seeds"
-        print_table(console, title, claim_columns(self.claims), claim_rows(self.claims), wide=wide)
+        Listing(title, claim_columns(self.claims), claim_rows(self.claims)).print(console, wide)
         if self.assumptions:
             title = "the rows by assumption, all else equal"
-            print_table(console, title, *other.side_by_side(self._by_assumption))
+            Listing(title, *other.side_by_side(self._by_assumption)).print(console)
         title = "critical speeds of the passive vehicle"
         speeds = other.speed_rows(self._by_assumption)
-        print_table(console, title, other.CRITICAL_SPEEDS, speeds, wide=wide, section="assumption")
+        Listing(title, other.CRITICAL_SPEEDS, speeds, "assumption").print(console, wide)
         for period, claims in self.by_period.items():
             title = f"rows S1 to S6 with a control period of {1e3 * period:g} ms"
-            print_table(console, title, claim_columns(claims), claim_rows(claims), wide=wide)
+            Listing(title, claim_columns(claims), claim_rows(claims)).print(console, wide)
         for wheels, found in self.creep_laws.items():
             found.summary(console, f"critical speed on {wheels} wheels by creep law, all else equal", wide)
         if len(self.new.seeds) < self.least_seeds:

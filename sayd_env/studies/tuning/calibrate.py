@@ -28,7 +28,7 @@ from sayd_env.config.scenario import Scenario, load_scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.vehicle import model_limits
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.report.columns import Column, Table, csv_table, print_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.context import Progress, RunContext
 from sayd_env.runs.controlled import ControlledRun, ControlledRuns, assessed_controlled
@@ -177,11 +177,11 @@ class CalibrationResult:
             values, best = self.values(name), self.best(name)
             rows = [p.model_dump() | {"value": values[p.name]} for p in stage.parameters]
             title = f"{name.replace('_', '-')}: cost {best.cost:.3f} ({best.stage})"
-            print_table(console, title, PARAMETERS, rows, wide=wide)
+            Listing(title, PARAMETERS, rows).print(console, wide)
             left = {k: round(v, 2) for k, v in best.residuals.items() if abs(v) > 0.005}
             console.print(f"residuals left: {left or 'none'}")
         title = f"what follows where one number moves by {self.config.sensitivity.share:.0%} of its range"
-        print_table(console, title, SENSITIVITY, self.sensitivity, wide=wide)
+        Listing(title, SENSITIVITY, self.sensitivity).print(console, wide)
 
     def _stages(self) -> dict[str, Stage]:
         return {name: getattr(self.config, name) for name in self.trials}

@@ -22,7 +22,7 @@ from sayd_env.config.errors import Interrupted, StudyError
 from sayd_env.config.loader import apply_overrides
 from sayd_env.config.software import git_state
 from sayd_env.config.storage import reserved, write_file
-from sayd_env.report.columns import Column, Table, print_table
+from sayd_env.report.columns import Column, Listing, Table
 from sayd_env.report.figures import Plot, panels
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.executors import ExecutorChoice
@@ -144,7 +144,7 @@ class SearchResult:
             f"{self.algorithm}: {len(self.trials)} trials, {given_up} given up; their vehicles drove "
             f"{self.simulated_s:.0f} s"
         )
-        print_table(console, title, TRIED, rows, wide=wide)
+        Listing(title, TRIED, rows).print(console, wide)
 
     def training_file(self) -> str:
         """Text of a training: the base with the settings that were found."""

@@ -18,7 +18,7 @@ from sayd_env.config.software import git_state
 from sayd_env.config.tuning import Gains, TuningConfig, TuningScenario
 from sayd_env.config.units import Array
 from sayd_env.envs.cost import mean_cost
-from sayd_env.report.columns import Column, Table, print_table
+from sayd_env.report.columns import Column, Listing, Table
 from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.cache import fingerprint
 from sayd_env.runs.context import RunContext
@@ -154,14 +154,14 @@ class TuneResult:
             {"gain": name, "before": own[name], "tuned": self.best.gains[name], "range": gain.text}
             for name, gain in self.settings.of(self.controller).gains.items()
         ]
-        print_table(console, f"{self.title}: {len(self.tried)} evaluations", GAINS, rows, wide=wide)
+        Listing(f"{self.title}: {len(self.tried)} evaluations", GAINS, rows).print(console, wide)
         costs = [
             {"policy": name, "J": e.cost, "mean": e.mean, "change": e.cost / self.before.cost - 1.0}
             | {"better": int(np.less(e.costs, self.before.costs).sum()), "derailed": e.derailed}
             for name, e in self.shown.items()
         ]
         title = f"J of {self._count()}: {self.settings.mean} mean, and plain mean"
-        print_table(console, title, COSTS, costs, wide=wide)
+        Listing(title, COSTS, costs).print(console, wide)
         console.print(
             f"simulated: {self.simulated:,.0f} s; one PPO training: {training_seconds():,.0f} s",
             highlight=False,
