@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from rich.console import Console
+from rich import box
+from rich.console import Console
+from rich.table import Table as PrintedTable
+from rich.text import Text
 
 Table: TypeAlias = tuple[Sequence[str], Iterable[Sequence[Any]]]
 """Header and rows; units stand in the header names (``speed_kmh``)."""
@@ -107,10 +108,6 @@ class Listing:
         Texts are wrapped where the console is narrow, unless `wide`. Numbers are not: a table that needs more
         room gets it.
         """
-        from rich import box  # noqa: PLC0415 - only who prints pays for it
-        from rich.table import Table as PrintedTable  # noqa: PLC0415
-        from rich.text import Text  # noqa: PLC0415
-
         shown = [column for column in self.columns if column.header and (wide or not column.wide)]
         gaps = _GAP * (len(shown) - 1)
         widths = _widths(shown, self.rows, math.inf if wide else console.width - gaps)

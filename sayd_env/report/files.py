@@ -9,9 +9,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from pydantic import BaseModel
+from rich.console import Console
 
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.plain import jsonable
@@ -20,9 +21,6 @@ from sayd_env.config.storage import try_to_write, write_files
 from sayd_env.report.columns import Table
 from sayd_env.report.figures import Plot, drawing
 from sayd_env.report.html import Page, page_html
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 RECORD, PAGE = "result.json", "report.html"
 SUFFIXES = (".csv", ".png", ".html")

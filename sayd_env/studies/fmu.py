@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.console import Console
 
 from sayd_env.config.storage import write_files
 from sayd_env.fmu.unit import Unit, fmu_files
 from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 COLUMNS = (
     Column("name", "variable"),

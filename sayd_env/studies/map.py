@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from rich.console import Console
 
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig, load_environment
@@ -26,9 +27,6 @@ from sayd_env.runs.policies import PAPER, PASSIVE, PolicySpec, for_policy
 from sayd_env.runs.rollouts import conditions, policy_runs
 from sayd_env.stability import Crossing, critical_speed
 from sayd_env.studies.adaptation import ConstantMap, constant_map
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 POLICIES = (PASSIVE, *PAPER)
 DERAILED = 10.0

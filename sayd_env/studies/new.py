@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.console import Console
 
 from sayd_env.config import ConfigError, nearest
 from sayd_env.config.explain import shown
@@ -17,9 +19,6 @@ from sayd_env.config.loader import packaged_names, packaged_text
 from sayd_env.config.storage import reported, write_file
 from sayd_env.report.columns import Table
 from sayd_env.report.figures import Plot
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 LONGEST_NAME = 64
 _NAME = re.compile(r"[^\W_][\w-]*")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
+from rich.console import Console
 
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import EnvironmentConfig
@@ -21,9 +22,6 @@ from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot
 from sayd_env.runs.policies import constant_spec, for_policy
 from sayd_env.studies.ride import Ride
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 COMMAND_STEP = 0.05
 """By which a key changes the valves' command."""

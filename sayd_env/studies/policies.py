@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.console import Console
 
 from sayd_env import baselines
 from sayd_env.agents.pretrained.cards import Origin, origins
 from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot
 from sayd_env.runs.policies import PASSIVE
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
+
+from rich.console import Console
 
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.sweep import Variant
@@ -12,10 +14,6 @@ from sayd_env.report.columns import Column, Listing, Table
 from sayd_env.report.figures import Plot
 from sayd_env.report.files import Result
 from sayd_env.runs.context import RunContext
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
 
 MOST_DRAWN = 12
 """Results whose pictures are drawn."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from sayd_env.config.reward import REPORTED
 from sayd_env.report.columns import LIMITED, Column, Listing, Table, csv_table
@@ -21,9 +22,6 @@ from sayd_env.studies.comparison.scores import Stability
 from sayd_env.studies.comparison.statistics import Estimate
 from sayd_env.studies.map import RATIO
 from sayd_env.studies.standing import Standing, verdict
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 BEST_CONSTANT = "best constant each"
 """How the table calls the best constant command of each condition."""
