@@ -35,9 +35,11 @@ class Result(Protocol):
 
     def tables(self) -> Mapping[str, Table]:
         """Return tables by file name without suffix; each becomes a CSV file."""
+        return {}
 
     def plots(self) -> Mapping[str, Plot]:
         """Return drawing functions by file name without suffix; each becomes a PNG file."""
+        return {}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print what a person wants to see first, in 80 columns unless `wide`."""

@@ -12,7 +12,7 @@ from rich.console import Console
 from sayd_env.config.storage import write_files
 from sayd_env.fmu.unit import Unit, fmu_files
 from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
-from sayd_env.report.figures import Plot
+from sayd_env.report.files import Result
 
 COLUMNS = (
     Column("name", "variable"),
@@ -24,7 +24,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class UnitResult:
+class UnitResult(Result):
     """Files of a unit and its variables."""
 
     unit: Unit
@@ -42,10 +42,6 @@ class UnitResult:
     def tables(self) -> Mapping[str, Table]:
         """Return the variables."""
         return {"variables": csv_table(COLUMNS, self.unit.variables)}
-
-    def plots(self) -> Mapping[str, Plot]:
-        """Return none."""
-        return {}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the files and the variables."""

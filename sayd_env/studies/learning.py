@@ -13,8 +13,9 @@ import numpy as np
 from sayd_env.agents.pretrained.curves import draw_gains
 from sayd_env.config import ConfigError
 from sayd_env.config.software import provenance
-from sayd_env.report.columns import Column, Listing, Table
+from sayd_env.report.columns import Column, Listing
 from sayd_env.report.figures import Plot, label, legend_below, panels
+from sayd_env.report.files import Result
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.executors import ExecutorChoice, KeptExecutor
 
@@ -32,7 +33,7 @@ EXTRA = "needs torch and Stable-Baselines3: install them with pip install 'sayd-
 
 
 @dataclass(frozen=True)
-class TrainResult:
+class TrainResult(Result):
     """What a training has come to."""
 
     trained: Trained
@@ -56,10 +57,6 @@ class TrainResult:
             "references": {row["policy"]: row[self._column] for row in done.references},
             "evaluations": done.evaluations,
         }
-
-    def tables(self) -> Mapping[str, Table]:
-        """Return none: the run keeps its own."""
-        return {}
 
     def plots(self) -> Mapping[str, Plot]:
         """Return the learning curve."""
@@ -88,7 +85,7 @@ class TrainResult:
 
 
 @dataclass(frozen=True)
-class ExportResult:
+class ExportResult(Result):
     """Files of an exported policy."""
 
     policy: str
@@ -99,14 +96,6 @@ class ExportResult:
     def as_dict(self) -> dict[str, Any]:
         """Return what scripts read."""
         return {"policy": self.policy, "files": [str(file) for file in self.files], "made": self.made}
-
-    def tables(self) -> Mapping[str, Table]:
-        """Return none."""
-        return {}
-
-    def plots(self) -> Mapping[str, Plot]:
-        """Return none."""
-        return {}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the files."""

@@ -17,8 +17,7 @@ from sayd_env.config.explain import shown
 from sayd_env.config.layers import Kind, layered
 from sayd_env.config.loader import packaged_names, packaged_text
 from sayd_env.config.storage import reported, write_file
-from sayd_env.report.columns import Table
-from sayd_env.report.figures import Plot
+from sayd_env.report.files import Result
 
 LONGEST_NAME = 64
 _NAME = re.compile(r"[^\W_][\w-]*")
@@ -32,10 +31,8 @@ class Template:
     """Packaged file that it is a copy of, unless another one is asked for."""
     uses: tuple[str, ...]
     """Commands to run next; ``{file}`` is the new file."""
-    folder: str = ""
-    """Of configs/; the kind by default."""
     others: tuple[str, ...] | None = None
-    """Packaged files of the folder that are such; all by default."""
+    """Packaged files of the kind that are such; all by default."""
     special: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Commands to run next for some of them, by what they have under ``kind``."""
 
@@ -102,7 +99,7 @@ _CALIBRATED = {
 
 
 @dataclass(frozen=True)
-class NewResult:
+class NewResult(Result):
     """A file that was written."""
 
     kind: str
@@ -117,14 +114,6 @@ class NewResult:
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``sayd new --json``."""
         return {"kind": self.kind, "file": str(self.file), "from": self.start, "next": list(self.next)}
-
-    def tables(self) -> Mapping[str, Table]:
-        """None."""
-        return {}
-
-    def plots(self) -> Mapping[str, Plot]:
-        """None."""
-        return {}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Say what was written and what to do with it."""
@@ -172,7 +161,7 @@ def new(kind: str, name: str, start: str | None = None, folder: Path | None = No
     _create(file, text)
     uses = template.uses
     if template.special:
-        own = layered(Kind(template.folder or kind), str(file)).data.get("kind")
+        own = layered(Kind(kind), str(file)).data.get("kind")
         uses = template.special.get(start or "", template.special.get(str(own), uses))
     next_ = tuple(use.format(file=file.name) for use in uses)
     return NewResult(kind, file, source, next_, _CALIBRATED.get(start or template.start))
@@ -180,8 +169,7 @@ def new(kind: str, name: str, start: str | None = None, folder: Path | None = No
 
 def _text(kind: str, template: Template, name: str, start: str) -> tuple[str, str]:
     """Where the text comes from, and the text with the new name in it."""
-    folder = template.folder or kind
-    known = template.others or tuple(packaged_names(folder))
+    known = template.others or tuple(packaged_names(kind))
     if start not in known:
         raise ConfigError(
             f"--from {shown(start)}: no such {kind}{nearest(start, known)}; available: {', '.join(known)}"
@@ -189,7 +177,7 @@ def _text(kind: str, template: Template, name: str, start: str) -> tuple[str, st
     if kind == "controller":
         code = resources.files("sayd_env.studies").joinpath(f"{start}.py").read_text(encoding="utf-8")
         return f"sayd_env/studies/{start}.py", code
-    source, text = packaged_text(folder, start)
+    source, text = packaged_text(kind, start)
     quoted = json.dumps(name, ensure_ascii=False)
     text = re.sub(r"^name: .*$", lambda _: f"name: {quoted}", text, count=1, flags=re.MULTILINE)
     # Where numbers were found is no longer so when they are changed.

@@ -19,7 +19,7 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array32
 from sayd_env.envs.recorder import Frame
 from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
-from sayd_env.report.figures import Plot
+from sayd_env.report.files import Result
 from sayd_env.runs.policies import constant_spec, for_policy
 from sayd_env.studies.ride import Ride
 
@@ -64,7 +64,7 @@ class Driven:
 
 
 @dataclass(eq=False)
-class PlayResult:
+class PlayResult(Result):
     """All runs until the window was closed."""
 
     runs: list[Driven] = field(default_factory=list)
@@ -76,10 +76,6 @@ class PlayResult:
     def tables(self) -> Mapping[str, Table]:
         """One row for each run."""
         return {"runs": csv_table(COLUMNS, self.runs)}
-
-    def plots(self) -> Mapping[str, Plot]:
-        """None: who drove has seen them."""
-        return {}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the runs."""

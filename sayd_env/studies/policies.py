@@ -12,12 +12,12 @@ from rich.console import Console
 from sayd_env import baselines
 from sayd_env.agents.pretrained.cards import Origin, origins
 from sayd_env.report.columns import Column, Listing, Table, csv_table
-from sayd_env.report.figures import Plot
+from sayd_env.report.files import Result
 from sayd_env.runs.policies import PASSIVE
 
 
 @dataclass(frozen=True)
-class PolicyList:
+class PolicyList(Result):
     """Policies that have a name."""
 
     controllers: Mapping[str, str]
@@ -39,10 +39,6 @@ class PolicyList:
     def tables(self) -> Mapping[str, Table]:
         """Return what is known of the learned ones."""
         return {"ready": csv_table([Column(name) for name in Origin.__dataclass_fields__], self.ready)}
-
-    def plots(self) -> Mapping[str, Plot]:
-        """Return none."""
-        return {}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print all, one line each."""

@@ -16,7 +16,7 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
 from sayd_env.envs.canvas import Picture
 from sayd_env.report.columns import Table
-from sayd_env.report.figures import Plot
+from sayd_env.report.files import Result
 from sayd_env.report.video import checked_video, write_video
 from sayd_env.runs.context import Progress, silent
 from sayd_env.runs.policies import PolicySpec, for_policy
@@ -76,7 +76,7 @@ class RecordedRun:
 
 
 @dataclass(eq=False)
-class RenderResult:
+class RenderResult(Result):
     """A video and the runs that it shows."""
 
     video: Video
@@ -112,10 +112,6 @@ class RenderResult:
             return {"pictures": (COLUMNS, self.runs[0].rows)}
         rows = [(run.policy, *row) for run in self.runs for row in run.rows]
         return {"pictures": (("policy", *COLUMNS), rows)}
-
-    def plots(self) -> Mapping[str, Plot]:
-        """None: the video is the plot."""
-        return {}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print what has been drawn."""
