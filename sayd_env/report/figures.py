@@ -43,7 +43,7 @@ class Drawing(NamedTuple):
     """What a page needs to make it one to zoom and to hover, see `sayd_env.report.live.live_figure`."""
 
 
-def drawing(draw: Plot, dpi: float = DPI, *, live: bool = True) -> Drawing:
+def drawing(draw: Plot, *, live: bool = True) -> Drawing:
     """Draw into a fresh figure and return it as PNG, and `live` what makes it live."""
     image = io.BytesIO()
     with plain_matplotlib():
@@ -52,13 +52,8 @@ def drawing(draw: Plot, dpi: float = DPI, *, live: bool = True) -> Drawing:
         figure = Figure(figsize=SIZE, layout="constrained")
         draw(figure)
         _replace_unknown(figure)
-        figure.savefig(image, format="png", dpi=dpi)
+        figure.savefig(image, format="png", dpi=DPI)
         return Drawing(image.getvalue(), live_figure(figure) if live else {})
-
-
-def png_bytes(draw: Plot, dpi: float = DPI) -> bytes:
-    """Draw into a fresh figure and return it as PNG."""
-    return drawing(draw, dpi, live=False).png
 
 
 def panels(

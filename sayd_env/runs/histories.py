@@ -178,9 +178,7 @@ def _motion(unknowns: Sequence[str]) -> Iterable[HistorySignal]:
             yield HistorySignal(f"{name}.{unknown}", units[turns], "traced", column)
 
 
-def chosen(
-    signals: Sequence[HistorySignal], patterns: Sequence[str] = (), option: str = "--signals"
-) -> tuple[HistorySignal, ...]:
+def chosen(signals: Sequence[HistorySignal], patterns: Sequence[str] = ()) -> tuple[HistorySignal, ...]:
     """Signals by quantity, by name, or by a pattern with ``*``, in the order in which there are such.
 
     Parameters
@@ -190,8 +188,6 @@ def chosen(
     patterns : sequence of str
         ``Y``, ``damper_force.front.*``, ``carbody_acceleration.middle.y``, or ``all``; by default the usual
         quantities.
-    option : str
-        What a message calls their place.
 
     Raises
     ------
@@ -209,8 +205,8 @@ def chosen(
             known = pattern.partition(".")[0] in _SEMI_ACTIVE and pattern.partition(".")[0] not in present
             why = "passive yaw dampers have none" if known else f"no such signal{near}"
             raise ConfigError(
-                f"{option} {shown(pattern)}: {why}; expected {', '.join(present)}, one of their signals such "
-                f"as {signals[-1].name}, a pattern such as Y.front.*, or {ALL}"
+                f"--signals {shown(pattern)}: {why}; expected {', '.join(present)}, one of their signals "
+                f"such as {signals[-1].name}, a pattern such as Y.front.*, or {ALL}"
             )
         found |= fitting
     return tuple(signal for signal in signals if signal in found)

@@ -449,21 +449,15 @@ def learned_spec(stored: StoredPolicy, label: str = "") -> PolicySpec:
     return PolicySpec(stored.description.name, label=label, stored=stored)
 
 
-def for_policy(scenario: Scenario, policy: PolicySpec, sayd: str = "sayd") -> Scenario:
+def for_policy(scenario: Scenario, policy: PolicySpec) -> Scenario:
     """Scenario with the yaw dampers that a policy works with: passive ones, or semi-active ones.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        With passive dampers, or with semi-active ones, which then stay.
-    policy : PolicySpec
-    sayd : str
-        Name or file of the semi-active damper that replaces passive ones.
+    Semi-active ones stay where the scenario has them; elsewhere the packaged ones replace its passive ones.
 
     Raises
     ------
     ConfigError
-        The passive vehicle is asked for where the scenario has semi-active dampers, or an unknown damper.
+        The passive vehicle is asked for where the scenario has semi-active dampers.
     """
     passive = isinstance(scenario.damper, PassiveDamperConfig)
     if policy.name == PASSIVE:
@@ -472,4 +466,4 @@ def for_policy(scenario: Scenario, policy: PolicySpec, sayd: str = "sayd") -> Sc
                 f"policy 'passive' needs passive yaw dampers, but the scenario has '{scenario.damper.name}'"
             )
         return scenario
-    return scenario.model_copy(update={"damper": load_sayd(sayd)}) if passive else scenario
+    return scenario.model_copy(update={"damper": load_sayd("sayd")}) if passive else scenario

@@ -16,6 +16,8 @@ from PIL import Image
 
 from sayd_env.config.palette import wheelset_style
 from sayd_env.report.figures import (
+    DPI,
+    drawing,
     heat_maps,
     label,
     legend_below,
@@ -23,7 +25,6 @@ from sayd_env.report.figures import (
     log_axis,
     name_rows,
     panels,
-    png_bytes,
     with_band,
 )
 
@@ -46,7 +47,7 @@ def named(figure: Figure) -> None:
 def test_names_are_no_formulas_and_warn_of_nothing():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert png_bytes(named).startswith(b"\x89PNG")
+        assert drawing(named, live=False).png.startswith(b"\x89PNG")
 
 
 def test_a_name_that_begins_with_an_underscore_has_its_place_in_a_legend():
@@ -66,8 +67,8 @@ def test_a_backend_that_is_not_installed_is_not_asked_for(backend: str):
     """Nor does a folder that Matplotlib cannot write cause a word of it."""
     code = (
         "import os, sys; sys.modules['matplotlib_inline'] = None;"
-        "from sayd_env.report.figures import png_bytes;"
-        "assert png_bytes(lambda figure: figure.subplots().plot([0, 1])).startswith(b'\\x89PNG');"
+        "from sayd_env.report.figures import drawing;"
+        "assert drawing(lambda figure: figure.subplots().plot([0, 1])).png.startswith(b'\\x89PNG');"
         f"assert os.environ['MPLBACKEND'] == {backend!r};"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
@@ -83,8 +84,9 @@ def test_a_backend_that_is_not_installed_is_not_asked_for(backend: str):
 
 def test_the_reader_s_own_settings_change_no_figure(tmp_path: Path):
     code = (
-        "import sys; from sayd_env.report.figures import png_bytes;"
-        "sys.stdout.buffer.write(png_bytes(lambda f: f.subplots().set(title='a title', xlabel='x_1')))"
+        "import sys; from sayd_env.report.figures import drawing;"
+        "found = drawing(lambda f: f.subplots().set(title='a title', xlabel='x_1'));"
+        "sys.stdout.buffer.write(found.png)"
     )
     (tmp_path / "matplotlibrc").write_text("font.size: 20\naxes.facecolor: red\ntext.usetex: True\n")
     pictures = [
@@ -153,5 +155,6 @@ def test_limits_are_dashed_and_maps_hold_their_words():
 
 
 def test_a_figure_has_its_size_in_pixels():
-    image = Image.open(io.BytesIO(png_bytes(lambda figure: figure.set_size_inches(4.0, 2.0), dpi=100)))
-    assert image.size == (400, 200)
+    found = drawing(lambda figure: figure.set_size_inches(4.0, 2.0))
+    image = Image.open(io.BytesIO(found.png))
+    assert image.size == (4 * DPI, 2 * DPI)
