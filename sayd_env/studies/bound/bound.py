@@ -9,7 +9,7 @@ import numpy as np
 
 from sayd_env.config.bound import BoundConfig, SequenceSearch
 from sayd_env.envs.cost import mean_cost
-from sayd_env.runs.clairvoyant import check_times
+from sayd_env.runs.clairvoyant import Found, check_times
 from sayd_env.runs.context import RunContext
 from sayd_env.runs.policies import PolicySpec, policy_spec
 from sayd_env.studies.bound.cases import (
@@ -18,7 +18,6 @@ from sayd_env.studies.bound.cases import (
     CandidateRun,
     Candidates,
     Case,
-    Searched,
     SearchRun,
     candidates,
     searches,
@@ -64,7 +63,7 @@ def bound(
     begun = list(zip(runs, found, strict=True))
     planned = [_search_run(*each, config.search) for each in begun]
     planned += [_search_run(*each, settings) for settings in others for each in begun[:few]]
-    searched = context.part(count, whole, "searches").records(searches, planned, Searched)
+    searched = context.part(count, whole, "searches").records(searches, planned, Found)
     reached = tuple(
         _reached(run, each, end) for (run, each), end in zip(begun, searched[:count], strict=True)
     )
@@ -92,7 +91,7 @@ def _search_run(run: CandidateRun, found: Candidates, settings: SequenceSearch) 
     return SearchRun(run, settings, plan, tuple(commands for _, _, commands in others))
 
 
-def _reached(run: CandidateRun, found: Candidates, searched: Searched) -> Reached:
+def _reached(run: CandidateRun, found: Candidates, searched: Found) -> Reached:
     titles = [policy.title for policy in run.policies]
     names = [*titles, CONSTANT, SCHEDULE]
     costs = [*map(float, found.J), float(found.J_constant[found.best]), found.J_schedule, searched.J]
@@ -111,7 +110,7 @@ def _reached(run: CandidateRun, found: Candidates, searched: Searched) -> Reache
     )
 
 
-def _converged(settings: SequenceSearch, found: Sequence[Searched], without: Sequence[float]) -> Converged:
+def _converged(settings: SequenceSearch, found: Sequence[Found], without: Sequence[float]) -> Converged:
     costs = np.array([each.J for each in found])
     return Converged(
         samples=settings.samples,

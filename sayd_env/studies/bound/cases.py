@@ -21,7 +21,7 @@ from sayd_env.envs.keywords import configured
 from sayd_env.envs.rollout import Rollout, roll_out
 from sayd_env.physics.throttle import overlap
 from sayd_env.runs.along import Trip
-from sayd_env.runs.clairvoyant import Replays, SequenceSearcher
+from sayd_env.runs.clairvoyant import Found, Replays, SequenceSearcher
 from sayd_env.runs.controlled import refuse_divergence
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.adaptation import CLOSED, DIGITS, OPEN, halfway
@@ -319,21 +319,7 @@ class SearchRun:
         return 0.0
 
 
-@dataclass(frozen=True)
-class Searched:
-    """What a search has come to in a condition."""
-
-    J: float
-    changes: int
-    """Decisions at which another sequence was better than the plan."""
-    decisions: int
-    seconds: float
-    """Simulated time, s."""
-    commands: Array
-    """(n, A) of each control period."""
-
-
-def searches(runs: list[SearchRun]) -> list[Searched]:
+def searches(runs: list[SearchRun]) -> list[Found]:
     """Search in conditions.
 
     Raises
@@ -346,14 +332,7 @@ def searches(runs: list[SearchRun]) -> list[Searched]:
     return [_searched(run) for run in runs]
 
 
-def _searched(run: SearchRun) -> Searched:
-    config, scenario = run.origin.case.semi_active
-    searcher = SequenceSearcher(config, scenario, run.settings)
-    found = searcher.search(run.origin.case.episode(run.origin.case.semi_active), run.plan, run.guesses)
-    return Searched(
-        J=found.J,
-        changes=found.changes,
-        decisions=found.decisions,
-        seconds=found.seconds,
-        commands=found.commands,
-    )
+def _searched(run: SearchRun) -> Found:
+    case = run.origin.case
+    searcher = SequenceSearcher(*case.semi_active, run.settings)
+    return searcher.search(case.episode(case.semi_active), run.plan, run.guesses)
