@@ -35,10 +35,12 @@ class RunSpec(Protocol):
         """What the run's result depends on, as `fingerprint` takes it; equal objects may be shared."""
 
     def companions(self) -> Hashable:
-        """Key of the runs with which this one can be computed in one piece."""
+        """Key of the runs with which this one can be computed in one piece; by default it has none."""
+        return id(self)
 
     def duration(self) -> float:
         """How long it takes beside its companions, in any unit: those about as long run side by side."""
+        return 0.0
 
 
 Spec = TypeVar("Spec", bound=RunSpec)

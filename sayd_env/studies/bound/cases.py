@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from sayd_env.envs.rollout import Rollout, roll_out
 from sayd_env.physics.throttle import overlap
 from sayd_env.runs.along import Trip
 from sayd_env.runs.clairvoyant import Found, Replays, SequenceSearcher
+from sayd_env.runs.context import RunSpec
 from sayd_env.runs.controlled import refuse_divergence
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.studies.adaptation import CLOSED, DIGITS, OPEN, halfway
@@ -86,7 +87,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class CandidateRun:
+class CandidateRun(RunSpec):
     """What a condition is run with before the search."""
 
     case: Case
@@ -97,14 +98,6 @@ class CandidateRun:
         """What the candidates depend on."""
         identities = [policy.identity() for policy in self.policies]
         return *self.case.inputs(), identities, self.constant.model_dump()
-
-    def companions(self) -> Hashable:
-        """A condition is a piece of work of its own."""
-        return id(self)
-
-    def duration(self) -> float:
-        """In the order in which they come."""
-        return 0.0
 
 
 @dataclass(frozen=True)
@@ -296,7 +289,7 @@ class _Constants:
 
 
 @dataclass(frozen=True, eq=False)
-class SearchRun:
+class SearchRun(RunSpec):
     """A search in a condition, from its candidates."""
 
     origin: CandidateRun
@@ -309,14 +302,6 @@ class SearchRun:
     def inputs(self) -> Sequence[Any]:
         """What the search depends on; the candidates follow from their own inputs."""
         return *self.origin.inputs(), self.settings.model_dump()
-
-    def companions(self) -> Hashable:
-        """A condition is a piece of work of its own."""
-        return id(self)
-
-    def duration(self) -> float:
-        """In the order in which they come."""
-        return 0.0
 
 
 def searches(runs: list[SearchRun]) -> list[Found]:
