@@ -94,21 +94,12 @@ class ExecutorChoice:
         """Workers among which work is divided."""
         return CLUSTER if self.address else self.workers or cores()
 
-    @contextmanager
-    def open(self, pieces: int) -> Iterator[Executor]:
-        """Start the executor for some pieces of work; it ends with the context, at once if by an exception.
-
-        Raises
-        ------
-        ConfigError
-            Ray or Dask are not installed, or nobody answers at the address.
-        """
-        with KeptExecutor(self) as kept:
-            yield kept.get(pieces)
-
 
 class KeptExecutor:
-    """An executor that is started when there is work and kept for more of it, until its context ends."""
+    """An executor that is started when there is work and kept for more of it, until its context ends.
+
+    Where an exception ends it, its work is abandoned.
+    """
 
     def __init__(self, choice: ExecutorChoice) -> None:
         self.choice = choice
@@ -122,7 +113,13 @@ class KeptExecutor:
         self.close(at_once=kind is not None)
 
     def get(self, pieces: int) -> Executor:
-        """The executor for some pieces of work; errors as of `ExecutorChoice.open`."""
+        """The executor for some pieces of work.
+
+        Raises
+        ------
+        ConfigError
+            Ray or Dask are not installed, or nobody answers at the address.
+        """
         kind = self.choice.kind or self._kind
         if not self.choice.kind and kind != PROCESSES:
             kind = PROCESSES if pieces >= PROCESSES_FROM and self.choice.count > 1 else THREADS

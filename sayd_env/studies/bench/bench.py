@@ -28,7 +28,7 @@ from sayd_env.physics.simulator import Simulator, VehicleModel
 from sayd_env.report.columns import Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, log_axis, name_rows, panels
 from sayd_env.runs.context import Progress, silent
-from sayd_env.runs.executors import PROCESSES, THREADS, ExecutorChoice
+from sayd_env.runs.executors import PROCESSES, THREADS, ExecutorChoice, KeptExecutor
 from sayd_env.studies.bench import environment
 from sayd_env.studies.bench.environment import ID, RATES, TIMES, YARDSTICK, measure_environments
 from sayd_env.studies.bench.executors import measure_executors
@@ -256,8 +256,8 @@ def bench(
 
     for choice in choices:
         if choice.address:  # nobody there? Said before the work
-            with choice.open(1):
-                pass
+            with KeptExecutor(choice) as kept:
+                kept.get(1)
     starts, memory = measure_starts(scenario, speed, effort, did)
     reference = match_accuracy(models["passive"], speed, effort.reference_span)
     did("scipy's tolerance")

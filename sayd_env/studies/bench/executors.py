@@ -12,7 +12,7 @@ from sayd_env.config.environment import load_environment
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import KMH
 from sayd_env.runs.context import pieces
-from sayd_env.runs.executors import ExecutorChoice
+from sayd_env.runs.executors import ExecutorChoice, KeptExecutor
 from sayd_env.runs.metrics import judged
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.runs.rollouts import Run, policy_runs
@@ -54,7 +54,7 @@ def measure_executors(
             parts = pieces(runs, range(len(runs)), choice.count)
             work = [[runs[i] for i in part] for part in parts]
             begin = time.perf_counter()
-            executor = stack.enter_context(choice.open(len(work)))
+            executor = stack.enter_context(KeptExecutor(choice)).get(len(work))
             list(executor.map(judged, work))
             first[str(choice)] = time.perf_counter() - begin
             probes.append(partial(_rate, str(choice), executor, work))
