@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from sayd_env.runs.context import RunContext
 from sayd_env.runs.metrics import RATIOS
 from sayd_env.runs.policies import PolicySpec, refuse_duplicates
 from sayd_env.runs.rollouts import Run, conditions, own_policy
+from sayd_env.studies.evaluate import GridPoint
 from sayd_env.studies.standing import Standing, verdict
 
 if TYPE_CHECKING:
@@ -42,15 +43,6 @@ _NO_STRAIGHT = (
     "Sliding RMS of acceleration and track shift force were not judged: no section has 500 m of straight "
     "track."
 )
-
-
-class Place(NamedTuple):
-    """What the lines of one table have in common beside policy and section."""
-
-    wear: float
-    friction: float
-    speed_kmh: float
-    """Where the line begins."""
 
 
 PLACE = {"wear": "wear", "friction": "scenario_friction", "speed_kmh": "first_speed_kmh"}
@@ -154,7 +146,7 @@ class LineResult:
         return tuple(dict.fromkeys(run.policy.title for run in self.runs))
 
     @cached_property
-    def places(self) -> tuple[Place, ...]:
+    def places(self) -> tuple[GridPoint, ...]:
         """Wear, friction and first speed of the runs."""
         return tuple(sorted({_place(run) for run in self.runs}))
 
@@ -170,7 +162,7 @@ class LineResult:
                     found.append(_median(chosen))
         return found
 
-    def line(self, place: Place) -> Trip:
+    def line(self, place: GridPoint) -> Trip:
         """The line as it is at a place of the table."""
         run = next(run for run in self.runs if _place(run) == place)
         assert run.line is not None
@@ -242,7 +234,7 @@ class LineResult:
                     style="red",
                 )
 
-    def _listings(self, place: Place) -> Iterator[Listing]:
+    def _listings(self, place: GridPoint) -> Iterator[Listing]:
         """What lies along the line, and the policies by section."""
         sections = self._sections(place)
         whole = len(sections) == 1
@@ -257,7 +249,7 @@ class LineResult:
         rows = [row for row in self.medians if all(row[k] == v for k, v in place._asdict().items())]
         yield Listing(title, COLUMNS, _named_once(rows), "part")
 
-    def _figure(self, place: Place) -> str:
+    def _figure(self, place: GridPoint) -> str:
         return "line" + "".join(f"_{each:g}" for each in place) * (len(self.places) > 1)
 
     def overview(self) -> tuple[Sequence[Column], list[dict[str, Any]]]:
@@ -265,7 +257,7 @@ class LineResult:
         whole = [row for row in self.medians if row["section"] == WHOLE]
         return [Column("speed_kmh", "km/h"), *COLUMNS[1:]], whole
 
-    def _sections(self, place: Place) -> list[dict[str, Any]]:
+    def _sections(self, place: GridPoint) -> list[dict[str, Any]]:
         trip = self.line(place)
         gauge, friction = self.scenario.track.gauge, place.friction
         return [_described(trip, k, gauge, friction) for k in range(len(trip.line.sections))]
@@ -274,7 +266,7 @@ class LineResult:
     def _section_columns(self) -> Sequence[Column]:
         """Of the sections of all places: which place, where there are several."""
         several = len(self.places) > 1
-        return [*(Column(PLACE[name]) for name in Place._fields if several), *SECTIONS]
+        return [*(Column(PLACE[name]) for name in GridPoint._fields if several), *SECTIONS]
 
     def _all_sections(self) -> list[dict[str, Any]]:
         return [
@@ -296,7 +288,7 @@ class LineResult:
                 rows.append([run.policy.title, *_place(run), run.seed, s, mean, *numbers])
         return (*header, *values), rows
 
-    def _draw(self, figure: Figure, place: Place) -> None:
+    def _draw(self, figure: Figure, place: GridPoint) -> None:
         trip = self.line(place)
         figure.suptitle(f"line '{self.name}', {self.scenario.vehicle.name}, wear {place.wear:g}")
         axes = panels(figure, 8, 1, (10.0, 1.7), sharex=True)
@@ -393,8 +385,8 @@ def line_speeds(
     return [float(own)]
 
 
-def _place(run: Run) -> Place:
-    return Place(run.scenario.wear, run.scenario.friction, round(run.speed * KMH, 6))
+def _place(run: Run) -> GridPoint:
+    return GridPoint(run.scenario.wear, run.scenario.friction, round(run.speed * KMH, 6))
 
 
 def _rows(run: Run, record: LineRecord) -> list[SectionRow]:
