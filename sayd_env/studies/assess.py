@@ -347,7 +347,54 @@ class RecordingResult:
 
     def page(self) -> Page:
         """The page that goes to others: verdict, pictures, sections, what was done to the data."""
-        return _page(self)
+        about, settings = self.as_dict(), self.settings
+        speed, metres = about["speed_kmh"], about["assessed_distance_m"]
+        verdict = "stable" if self.stable else "unstable"
+        facts = {
+            "file": self.file,
+            "assessed distance": f"{metres:.0f} m, behind {settings.run_in:g} m left out",
+            "speed": f"{speed['min']:.0f} to {speed['max']:.0f} km/h, mean {speed['mean']:.0f} km/h",
+            "sampling rate": f"{about['sample_rate_hz']:g} Hz",
+        }
+        names = [name for name in self.plots() if name.startswith("signals")]
+        about_signals, about_sliding = (text.format(s=settings) for text in (_SIGNALS, _SLIDING))
+        signals = [
+            Picture(
+                name,
+                f"Measured and band-passed signals, {name}",
+                [about_signals] if name == names[-1] else [],
+            )
+            for name in names
+        ]
+        shown = {
+            channel.name: names[k // _PLOTS_PER_FIGURE] for k, channel in enumerate(self.recording.channels)
+        }
+
+        def figure(row: dict[str, Any]) -> str:
+            return shown[row["name"]]
+
+        sections = Listing("", SECTION_COLUMNS, self.sections(), "start_m")
+        channels = self._listing()
+        above = [channel.channel.name for channel in self.channels if not channel.stable]
+        words = [f"The ride is {verdict} by EN 14363 over {metres:.0f} m."]
+        words += [f"Above the limit: {', '.join(above)}."] if above else []
+        return Page(
+            f"Running stability of {Path(self.file).name}",
+            Verdict(words, self.stable),
+            [
+                Section("Channels", [Grid.of(channels, figure), *map(Text, self._limit_words())]),
+                Section("Recording", [Grid.facts(facts), *map(Text, self.recording.notes)]),
+                Section(
+                    "Sliding RMS and limits",
+                    [Picture("sliding_rms", "Sliding RMS over the distance, with limits", [about_sliding])],
+                ),
+                Section("Signals", signals),
+                Section("Spectra", [Picture("spectra", "Spectra of the signals", [_SPECTRA])]),
+                Section(
+                    f"Sections of {settings.segment_length:g} m", [Text(_SECTIONS), Grid.of(sections, figure)]
+                ),
+            ],
+        )
 
     def _listing(self) -> Listing:
         rows = [channel.row() for channel in self.channels]
@@ -451,55 +498,6 @@ def draw_assessed(axis: Axes, x: Array, filtered: Array, position: Array, rms: A
     axis.plot(x, filtered, color=SKY, linewidth=0.5, label="band-passed signal")
     axis.plot(position, rms, "x-", color=VERMILION, markersize=3, linewidth=0.8, label="sliding RMS")
     limit_line(axis, limit, "limit")
-
-
-def _page(result: RecordingResult) -> Page:
-    about, settings = result.as_dict(), result.settings
-    speed, metres = about["speed_kmh"], about["assessed_distance_m"]
-    verdict = "stable" if result.stable else "unstable"
-    facts = {
-        "file": result.file,
-        "assessed distance": f"{metres:.0f} m, behind {settings.run_in:g} m left out",
-        "speed": f"{speed['min']:.0f} to {speed['max']:.0f} km/h, mean {speed['mean']:.0f} km/h",
-        "sampling rate": f"{about['sample_rate_hz']:g} Hz",
-    }
-    names = [name for name in result.plots() if name.startswith("signals")]
-    about_signals, about_sliding = (text.format(s=settings) for text in (_SIGNALS, _SLIDING))
-    signals = [
-        Picture(
-            name, f"Measured and band-passed signals, {name}", [about_signals] if name == names[-1] else []
-        )
-        for name in names
-    ]
-    shown = {
-        channel.name: names[k // _PLOTS_PER_FIGURE] for k, channel in enumerate(result.recording.channels)
-    }
-
-    def figure(row: dict[str, Any]) -> str:
-        return shown[row["name"]]
-
-    sections = Listing("", SECTION_COLUMNS, result.sections(), "start_m")
-    channels = result._listing()
-    above = [channel.channel.name for channel in result.channels if not channel.stable]
-    words = [f"The ride is {verdict} by EN 14363 over {metres:.0f} m."]
-    words += [f"Above the limit: {', '.join(above)}."] if above else []
-    return Page(
-        f"Running stability of {Path(result.file).name}",
-        Verdict(words, result.stable),
-        [
-            Section("Channels", [Grid.of(channels, figure), *map(Text, result._limit_words())]),
-            Section("Recording", [Grid.facts(facts), *map(Text, result.recording.notes)]),
-            Section(
-                "Sliding RMS and limits",
-                [Picture("sliding_rms", "Sliding RMS over the distance, with limits", [about_sliding])],
-            ),
-            Section("Signals", signals),
-            Section("Spectra", [Picture("spectra", "Spectra of the signals", [_SPECTRA])]),
-            Section(
-                f"Sections of {settings.segment_length:g} m", [Text(_SECTIONS), Grid.of(sections, figure)]
-            ),
-        ],
-    )
 
 
 _SLIDING = (

@@ -278,7 +278,12 @@ class RobustnessResult:
     @property
     def _asked(self) -> str:
         asked = self.config.asked
-        return asked_text(asked.to_passive, asked.to_best_constant, asked.worse_than_passive)
+        return (
+            "Asked: with a single fault no derailment, and in every condition a J of at most "
+            f"{asked.to_passive:g} times the passive vehicle's or {asked.to_best_constant:g} times that of "
+            "the best constant command, both with the same fault; with anything else no derailment, and a J "
+            f"above the passive vehicle's by no more than {100 * asked.worse_than_passive:g} %."
+        )
 
     def _listings(self) -> Iterator[Listing]:
         count = f"{len(self.config.conditions)} conditions x {len(self.config.seeds)} seeds"
@@ -347,7 +352,8 @@ class RobustnessResult:
             panel.set_xticks(sorted({*axis.values, *usual}))
             panel.xaxis.set_major_formatter("{x:g}")
             panel.set_xlabel(f"{axis.name} ({_UNITS[axis.quantity]})")
-            self._ratio_axis(panel, 1.0, "y", "passive")
+            limit_line(panel, 1.0, "passive")
+            log_axis(panel, "y")
         for panel in axes[::2]:
             panel.set_ylabel("J / passive, worst condition")
         legend_below(figure, *axes)
@@ -381,13 +387,9 @@ class RobustnessResult:
         name_rows(axes, titles)
         axes.set_xlabel("J / passive with the same fault, worst condition")
         most = self.config.asked.to_passive
-        self._ratio_axis(axes, most, "x", f"asked: at most {most:g}")
+        limit_line(axes, most, f"asked: at most {most:g}", vertical=True)
+        log_axis(axes, "x")
         legend_below(figure, axes, columns=3)
-
-    @staticmethod
-    def _ratio_axis(axes: Axes, limit: float, which: str, name: str) -> None:
-        limit_line(axes, limit, name, vertical=which == "x")
-        log_axis(axes, which)
 
 
 _OPEN: dict[str, Any] = {"markerfacecolor": "none", "markeredgewidth": 1.3}
@@ -422,16 +424,6 @@ def _undisturbed(
 def _picture_of(outcome: Outcome) -> str | None:
     """The figure in which an outcome is seen; the one without a disturbance begins each axis."""
     return "robustness_faults" if outcome.axis == FAULT else "robustness_axes"
-
-
-def asked_text(to_passive: float, to_best_constant: float, worse_than_passive: float) -> str:
-    """What is asked, in words."""
-    return (
-        f"Asked: with a single fault no derailment, and in every condition a J of at most {to_passive:g} "
-        f"times the passive vehicle's or {to_best_constant:g} times that of the best constant command, both "
-        "with the same fault; with anything else no derailment, and a J above the passive vehicle's by no "
-        f"more than {100 * worse_than_passive:g} %."
-    )
 
 
 def disturbance_of(axis: Axis, value: float) -> Disturbance:

@@ -56,7 +56,8 @@ def measure_environments(
         ``control_steps_per_second`` by `RATES` and `TIMES`, without the yardstick's where it cannot be made,
         and ``reset_s``: wall time of a reset of ``single`` and of all vehicles of ``batch``.
     """
-    single, batch, yardstick = gym.make(ID), make_batch(threads), make_yardstick()
+    single: Any = gym.make(ID)
+    batch, yardstick = make_batch(threads), make_yardstick()
     running = gym.make(ID, episode_s=LONG_EPISODE)
     window: Any = effort.window  # gymnasium asks for an int, and compares
 
@@ -68,7 +69,7 @@ def measure_environments(
             "batch_reset": reset_time(batch),
             "batch_without_resets": benchmark_vector_step(batch, window, seed=0),
         }
-        episodes = {"single": episode_steps(single.unwrapped), "batch": episode_steps(batch) * BATCH}
+        episodes = {"single": single.unwrapped.batch.steps, "batch": batch.batch.steps * BATCH}
         for name, steps in episodes.items():
             found[name] = whole_episodes(found[f"{name}_without_resets"], steps, found[f"{name}_reset"])
         return found | ({} if yardstick is None else {"ant_v5": benchmark_step(yardstick, window, seed=0)})
@@ -114,12 +115,6 @@ def whole_episodes(rate: float, episode: int, reset: float) -> float:
     return episode / (episode / rate + reset)
 
 
-def episode_steps(env: Any) -> int:
-    """Control steps of an episode of a bare environment."""
-    steps: int = env.batch.steps
-    return steps
-
-
 def step_times(env: Any, count: int) -> dict[str, float]:
     """Times of a step of a single environment by `TIMES`: medians of steps of the next episode (us)."""
     env.reset()
@@ -127,7 +122,7 @@ def step_times(env: Any, count: int) -> dict[str, float]:
     # Looked into on purpose: what is outside the compiled loop is the overhead.
     compiled, steps = Timed(env.unwrapped.batch.vehicles, "_compiled"), Timed(env, "step")
     try:
-        for _ in range(min(count, episode_steps(env.unwrapped) - 1)):
+        for _ in range(min(count, env.unwrapped.batch.steps - 1)):
             env.step(env.action_space.sample())
     finally:
         compiled.stop()

@@ -148,7 +148,7 @@ def _listings(result: CompareResult) -> Iterator[Listing]:
     columns = [column for column in (*_COSTS, *_BESIDE) if column.name in lines[0]]
     yield Listing(title, columns, lines, "bound")
     title = "J over that of the best constant command of each condition: geometric mean (95 %)"
-    yield Listing(title, _RELATIVE, _relative(result), "part")
+    yield Listing(title, _RELATIVE, _own(_scores(result)), "part")
     learned = {each.name for each in result.entrants if each.learned}
     gains = [row for row in _own(_gains(result)) if row["policy"] in learned]
     for part in result.by_part if gains else ():
@@ -177,11 +177,6 @@ def _count(result: Comparison) -> str:
     lines = sum(each.line is not None for each in result.grid.conditions)
     straight = f"{len(result.grid.conditions) - lines} conditions"
     return f"{straight} and {lines} lines" if lines else straight
-
-
-def _relative(result: Comparison) -> list[dict[str, Any]]:
-    """Rows by part and policy, in J's own weighting."""
-    return _own(_scores(result))
 
 
 def _lines(result: Comparison) -> list[dict[str, Any]]:
