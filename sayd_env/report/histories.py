@@ -8,29 +8,23 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, TypeAlias
 
 from sayd_env.config.errors import ConfigError
 from sayd_env.config.storage import replacing
 from sayd_env.config.units import Array
+from sayd_env.runs.histories import HistorySignal
 
 FORMATS = {"csv": ".csv", "parquet": ".parquet", "mat": ".mat", "mf4": ".mf4"}
 """Ending of the files by format."""
 
 
-class FileSignal(NamedTuple):
-    """A signal of a file."""
-
-    name: str
-    unit: str
-    """``m/s2``; "-" where there is none."""
-    full_name: str
-    """Name with the unit."""
-    values: Array
-    """(t,)."""
+Columns: TypeAlias = Sequence[tuple[HistorySignal, Array]]
+"""Signals and their values (t,)."""
+_TIME = HistorySignal("time", "s", "", 0)
 
 
 def checked_format(kind: str, option: str = "--format") -> str:
@@ -48,19 +42,15 @@ def checked_format(kind: str, option: str = "--format") -> str:
     return kind
 
 
-def write_history(
-    path: Path, kind: str, time: Array, signals: list[FileSignal], about: Mapping[str, str]
-) -> None:
+def write_history(path: Path, kind: str, time: Array, columns: Columns, about: Mapping[str, str]) -> None:
     """Write signals into one file, under another name until it is complete.
 
     Parameters
     ----------
-    path : Path
     kind : str
         One of `FORMATS`.
     time : ndarray, shape (t,)
         s, rising.
-    signals : list of FileSignal
     about : mapping
         What Parquet and MDF say of the file.
 
@@ -71,48 +61,44 @@ def write_history(
     StudyError
         The file cannot be written.
     """
-    every = [FileSignal("time", "s", "time_s", time), *signals]
     with replacing(path) as temporary, temporary.open("wb+") as stream:
-        _WRITERS[kind](stream, every, about)
+        _WRITERS[kind](stream, [(_TIME, time), *columns], about)
 
 
-def _write_csv(stream: BinaryIO, signals: list[FileSignal], about: Mapping[str, str]) -> None:
+def _write_csv(stream: BinaryIO, columns: Columns, about: Mapping[str, str]) -> None:
     import pandas  # noqa: PLC0415 - slow to import
 
-    table = pandas.DataFrame({signal.full_name: signal.values for signal in signals})
+    table = pandas.DataFrame({signal.full_name: values for signal, values in columns})
     table.to_csv(stream, index=False, lineterminator="\n")
 
 
-def _write_parquet(stream: BinaryIO, signals: list[FileSignal], about: Mapping[str, str]) -> None:
+def _write_parquet(stream: BinaryIO, columns: Columns, about: Mapping[str, str]) -> None:
     arrow = _library("parquet")
     fields = [
-        arrow.field(signal.full_name, arrow.float64(), metadata={"unit": signal.unit}) for signal in signals
+        arrow.field(signal.full_name, arrow.float64(), metadata={"unit": signal.unit})
+        for signal, _ in columns
     ]
-    table = arrow.table(
-        [signal.values for signal in signals], schema=arrow.schema(fields, metadata=dict(about))
-    )
+    table = arrow.table([values for _, values in columns], schema=arrow.schema(fields, metadata=dict(about)))
     import_module("pyarrow.parquet").write_table(table, stream)
 
 
-def _write_mat(stream: BinaryIO, signals: list[FileSignal], about: Mapping[str, str]) -> None:
+def _write_mat(stream: BinaryIO, columns: Columns, about: Mapping[str, str]) -> None:
     from scipy.io import savemat  # noqa: PLC0415 - slow to import
 
     # A variable of MATLAB is letters, digits and underscores.
-    named = {re.sub(r"\W", "_", signal.full_name): signal.values for signal in signals}
+    named = {re.sub(r"\W", "_", signal.full_name): values for signal, values in columns}
     savemat(stream, named, oned_as="column", do_compression=True)
 
 
-def _write_mf4(stream: BinaryIO, signals: list[FileSignal], about: Mapping[str, str]) -> None:
+def _write_mf4(stream: BinaryIO, columns: Columns, about: Mapping[str, str]) -> None:
     library = _library("mf4")
-    time, *others = signals
+    (_, time), *others = columns
     with warnings.catch_warnings(), library.MDF(version="4.10") as file:
         warnings.simplefilter("ignore")
         file.append(
             [
-                library.Signal(
-                    signal.values, time.values, name=signal.name, unit=signal.unit.replace("-", "")
-                )
-                for signal in others
+                library.Signal(values, time, name=signal.name, unit=signal.unit.replace("-", ""))
+                for signal, values in others
             ],
             common_timebase=True,
         )
@@ -121,7 +107,7 @@ def _write_mf4(stream: BinaryIO, signals: list[FileSignal], about: Mapping[str, 
 
 
 _LIBRARIES = {"parquet": "pyarrow", "mf4": "asammdf"}
-_WRITERS: Mapping[str, Callable[[BinaryIO, list[FileSignal], Mapping[str, str]], None]] = {
+_WRITERS: Mapping[str, Callable[[BinaryIO, Columns, Mapping[str, str]], None]] = {
     "csv": _write_csv,
     "parquet": _write_parquet,
     "mat": _write_mat,

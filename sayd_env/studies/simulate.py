@@ -286,11 +286,8 @@ def simulate(
     _check_size(run, wanted, episode=episode)
     found = history(run, wanted, episode=episode)
     found = found if run_in else found.behind_run_in()
-    written = [
-        files.FileSignal(signal.name, signal.unit, signal.full_name, values)
-        for signal, values in zip(found.signals, found.values, strict=True)
-    ]
-    files.write_history(target.file, target.kind, found.time, written, about or {})
+    columns = list(zip(found.signals, found.values, strict=True))
+    files.write_history(target.file, target.kind, found.time, columns, about or {})
     late = slice(max(0, len(found.time) - round(CLOSE * found.sample_rate)), None)
     return SimulateResult(
         target=target,
@@ -299,14 +296,8 @@ def simulate(
         time=found.time[[0, -1]],
         sample_rate=found.sample_rate,
         rows=tuple(_statistics(found)),
-        curves={
-            signal.name: extremes(found.time, values, DRAWN)
-            for signal, values in zip(found.signals, found.values, strict=True)
-        },
-        close={
-            signal.name: (found.time[late], values[late].copy())
-            for signal, values in zip(found.signals, found.values, strict=True)
-        },
+        curves={signal.name: extremes(found.time, values, DRAWN) for signal, values in columns},
+        close={signal.name: (found.time[late], values[late].copy()) for signal, values in columns},
         ending=found.ending,
     )
 

@@ -12,23 +12,19 @@ import pytest
 from scipy.io import loadmat
 
 from sayd_env.config import ConfigError, StudyError
-from sayd_env.report.histories import FORMATS, FileSignal, checked_format, write_history
+from sayd_env.report.histories import FORMATS, checked_format, write_history
+from sayd_env.runs.histories import HistorySignal
 
 RANDOM = np.random.default_rng(5)
 TIME = (np.arange(400) + 1 - 150) / 1000
 COLUMNS = [
-    FileSignal("Y.front.leading.left", "N", "Y.front.leading.left_n", 1e5 * RANDOM.normal(size=400)),
-    FileSignal(
-        "carbody_acceleration.front.y", "m/s2", "carbody_acceleration.front.y_m_s2", RANDOM.normal(size=400)
-    ),
-    FileSignal("valve.front.left.upper", "-", "valve.front.left.upper", RANDOM.random(400)),
-    FileSignal(
-        "pressure_a.rear.right.lower",
-        "Pa",
-        "pressure_a.rear.right.lower_pa",
-        10.0 ** RANDOM.uniform(-300, 300, 400),
-    ),
+    (HistorySignal("Y.front.leading.left", "N", "traced", 0), 1e5 * RANDOM.normal(size=400)),
+    (HistorySignal("carbody_acceleration.front.y", "m/s2", "true", 1), RANDOM.normal(size=400)),
+    (HistorySignal("valve.front.left.upper", "-", "true", 2), RANDOM.random(400)),
+    (HistorySignal("pressure_a.rear.right.lower", "Pa", "traced", 3), 10.0 ** RANDOM.uniform(-300, 300, 400)),
 ]
+UNITS = ("_n", "_m_s2", "", "_pa")
+"""As names of columns end."""
 
 Values = Mapping[str, np.ndarray]
 
@@ -69,13 +65,13 @@ def test_a_file_read_back_holds_the_same_numbers(kind: str, tmp_path: Path) -> N
     path = tmp_path / f"a run{FORMATS[kind]}"
     write_history(path, kind, TIME, COLUMNS, {"command": "sayd simulate"})
     found = READERS[kind](path)
-    names = (
-        ["time", *(c.name for c in COLUMNS)] if kind == "mf4" else ["time_s", *(c.full_name for c in COLUMNS)]
-    )
+    names = ["time", *(signal.name for signal, _ in COLUMNS)]
+    if kind != "mf4":
+        names = [name + unit for name, unit in zip(names, ("_s", *UNITS), strict=True)]
     if kind == "mat":
         names = [name.replace(".", "_") for name in names]
     assert list(found) == names
-    for name, values in zip(names, [TIME, *(c.values for c in COLUMNS)], strict=True):
+    for name, values in zip(names, [TIME, *(values for _, values in COLUMNS)], strict=True):
         np.testing.assert_array_equal(found[name], values)
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]  # nothing else is left there
 
@@ -85,17 +81,20 @@ def test_units_are_stored_where_the_format_has_a_place(tmp_path: Path) -> None:
     for kind in ("parquet", "mf4"):
         write_history(tmp_path / f"run{FORMATS[kind]}", kind, TIME, COLUMNS, {"command": "sayd simulate"})
     schema = parquet.read_schema(tmp_path / "run.parquet")
-    assert [field.metadata[b"unit"].decode() for field in schema] == ["s", *(c.unit for c in COLUMNS)]
+    assert [field.metadata[b"unit"].decode() for field in schema] == [
+        "s",
+        *(signal.unit for signal, _ in COLUMNS),
+    ]
     assert schema.metadata[b"command"] == b"sayd simulate"
     with asammdf.MDF(tmp_path / "run.mf4") as file:
-        assert [file.get(c.name).unit for c in COLUMNS] == ["N", "m/s2", "", "Pa"]
+        assert [file.get(signal.name).unit for signal, _ in COLUMNS] == ["N", "m/s2", "", "Pa"]
         assert "sayd simulate" in file.header.comment
 
 
 def test_a_file_that_fails_leaves_the_former_one(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("former")
-    uneven = [COLUMNS[0]._replace(values=np.zeros(3))]
+    uneven = [(COLUMNS[0][0], np.zeros(3))]
     with pytest.raises(ValueError, match="same length"):
         write_history(path, "csv", TIME, uneven, {})
     assert path.read_text() == "former"
