@@ -85,7 +85,6 @@ class Grid:
 
         Parameters
         ----------
-        listing : Listing
         figure : callable, optional
             Name of the figure in which a row is seen.
         """

@@ -145,10 +145,8 @@ def line_runs(
 
     Parameters
     ----------
-    policies : iterable of PolicySpec
     scenario : Scenario
         What the line leaves out is as this has it.
-    line : str, LineConfig or Line
     speeds : sequence of float
         m/s; of a line with speeds of its own there must be one, which does not count.
     seeds : sequence of int

@@ -39,7 +39,6 @@ class Replays:
 
     Parameters
     ----------
-    config : EnvironmentConfig
     scenario : Scenario
         With the dampers that the environment needs.
     count : int
@@ -147,12 +146,6 @@ class SequenceSearcher:
     which grows more slowly than the force falls, has time to cost. The best sequence becomes the plan, never
     a worse one; the spread of the changes is that of the best ones of the iteration before.
 
-    Parameters
-    ----------
-    config : EnvironmentConfig
-    scenario : Scenario
-    settings : SequenceSearch
-
     Raises
     ------
     ConfigError
@@ -170,7 +163,6 @@ class SequenceSearcher:
 
         Parameters
         ----------
-        episode : Episode
         plan : ndarray, shape (n, A)
             Commands of each control period of the episode.
         guesses : sequence of ndarray, each of shape (n, A)

@@ -77,7 +77,6 @@ def controlled_runs(
         Track seeds; each of the following is run with all of them.
     required : iterable
         Names of policies with their speed (m/s) and initial current.
-    context : RunContext
     policies : mapping, optional
         What some of the names stand for; the packaged policies by default.
 

@@ -152,8 +152,6 @@ def computed(
     ----------
     work : callable
         A function of a module; it, the pieces and the results travel as pickles unless threads compute.
-    pieces : sequence
-    choice : ExecutorChoice
     kept : KeptExecutor, optional
         The executor of this choice that serves several calls.
 

@@ -221,7 +221,6 @@ def history(run: Run, signals: Sequence[HistorySignal], *, episode: bool = False
 
     Parameters
     ----------
-    run : Run
     signals : sequence of HistorySignal
         Some of `signals_of`.
     episode : bool

@@ -112,8 +112,6 @@ def rows(
 
     Parameters
     ----------
-    runs : sequence of Run
-    context : RunContext
     what : str
         Names the runs where progress is reported.
     judge : callable
@@ -186,8 +184,6 @@ def row_of(
 
     Parameters
     ----------
-    run : Run
-    rollout : Rollout
     measure : callable
         Gives the columns `OVER_THE_LENGTH`, which are infinite where the run ended early.
     command : ndarray, shape (steps, valves)
@@ -265,7 +261,6 @@ def band_passed(
         Of each sample (m).
     span : tuple of float
         Distances (m) between which the spectra are taken.
-    settings : AssessmentConfig
 
     Returns
     -------

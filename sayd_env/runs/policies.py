@@ -412,7 +412,6 @@ def read_learned(path: Path, foreign: ForeignReader | None = None) -> StoredPoli
 
     Parameters
     ----------
-    path : Path
     foreign : callable, optional
         What reads a file of Stable-Baselines3; without, it is refused.
 

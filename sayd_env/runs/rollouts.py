@@ -61,7 +61,6 @@ def roll_out_runs(runs: Sequence[Run], *, episode: bool = False, keep: Sequence[
 
     Parameters
     ----------
-    runs : sequence of Run
     episode : bool
         The environment's episode in place of the assessed length.
     keep : sequence of int

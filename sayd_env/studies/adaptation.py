@@ -297,10 +297,8 @@ def constant_map(
     ----------
     scenario : Scenario
         The study, with passive or semi-active dampers.
-    config : MapConfig
     environment : EnvironmentConfig
         Control period, derailment and its charge.
-    context : RunContext
 
     Raises
     ------

@@ -341,7 +341,6 @@ def find_critical_speed(
 
     Parameters
     ----------
-    scenario : Scenario
     speeds : sequence of float, optional
         Speeds, m/s, rising; the paper's grid for the wear by default.
     seeds : sequence of int
@@ -350,7 +349,6 @@ def find_critical_speed(
         What commands semi-active dampers; these replace passive ones. Their own constant command by default.
     creep_laws : sequence of str
         Creep laws by which the critical speed is found besides, all else equal.
-    context : RunContext, optional
 
     Raises
     ------

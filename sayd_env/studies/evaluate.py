@@ -318,7 +318,6 @@ def evaluate(
 
     Parameters
     ----------
-    scenario : Scenario
     speeds : sequence of float
         m/s.
     seeds : sequence of int
@@ -332,7 +331,6 @@ def evaluate(
         Sensors, control period, length of an episode, charge for a derailment; ``nominal`` by default.
     initial_current : float
         Valve command of the run-in.
-    context : RunContext, optional
 
     Raises
     ------

@@ -249,10 +249,8 @@ def hindsight(
 
     Parameters
     ----------
-    config : HindsightConfig
     policies : sequence of PolicySpec
         Controllers that are compared.
-    context : RunContext, optional
 
     Raises
     ------

@@ -131,7 +131,6 @@ def train(
 
     Parameters
     ----------
-    config : TrainConfig
     folder : Path
         Where the run lives.
     resume : bool
@@ -173,7 +172,6 @@ def policy_evaluator(config: TrainConfig, kept: KeptExecutor | None = None) -> E
 
     Parameters
     ----------
-    config : TrainConfig
     kept : KeptExecutor, optional
         Makes the runs; without, threads of this process do.
 
@@ -214,7 +212,6 @@ def read_source(source: Path, foreign: ForeignReader | None = None) -> StoredPol
 
     Parameters
     ----------
-    source : Path
     foreign : callable, optional
         What reads a file of Stable-Baselines3; without, it is refused.
 

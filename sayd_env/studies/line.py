@@ -331,7 +331,6 @@ def evaluate_line(
 
     Parameters
     ----------
-    scenario : Scenario
     line : str, LineConfig or Line
         A name, a path to a YAML or CSV file, a content, or a line that has been resolved.
     speeds : sequence of float

@@ -196,7 +196,6 @@ def linearise(
     delay_order : int, optional
         One track passes under all wheelsets, the delays in Pade approximation of this order; by default each
         wheelset has irregularities of its own.
-    progress : Progress
 
     Raises
     ------

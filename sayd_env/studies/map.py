@@ -249,12 +249,10 @@ def stability_map(
         Policies whose critical speeds are mapped.
     seeds : sequence of int
         Track seeds; medians over them are judged.
-    grid : MapGrid, optional
     constants : MapConfig, optional
         Conditions for which the best constant command is looked for.
     environment : EnvironmentConfig, optional
         ``nominal`` by default.
-    context : RunContext, optional
 
     Raises
     ------

@@ -182,7 +182,6 @@ def modes(
         Rising speeds, m/s; by default `SPEEDS`, as far as the vehicle's range goes.
     amplitude : float
         Amplitude at which wheel-rail contact is harmonically linearised, m.
-    progress : Progress
 
     Raises
     ------

@@ -154,7 +154,6 @@ def render(
 
     Parameters
     ----------
-    video : Video
     scenario : Scenario
         The vehicle; it gets the yaw dampers that a policy needs.
     environment : EnvironmentConfig

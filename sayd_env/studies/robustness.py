@@ -438,10 +438,8 @@ def robustness(
 
     Parameters
     ----------
-    config : RobustnessConfig
     policies : sequence of PolicySpec
         Beside the passive vehicle and constant commands, with which they are compared.
-    context : RunContext, optional
 
     Raises
     ------

@@ -123,7 +123,6 @@ def train_seeds(
     ----------
     config : TrainConfig
         Of all; its seed does not count.
-    seeds : sequence of int
     folder : Path
         Gets a run ``sSEED`` for each.
     parallel : int

@@ -256,7 +256,6 @@ def simulate(
     ----------
     scenario, policy, speed, line, seed, seconds, environment, initial_current
         As for `run_of`.
-    target : Target
     signals : sequence of str
         As for `sayd_env.runs.histories.chosen`.
     run_in : bool
@@ -317,7 +316,6 @@ def run_of(
 
     Parameters
     ----------
-    scenario : Scenario
     policy : PolicySpec, optional
         By default what the scenario's dampers do by themselves.
     speed : float

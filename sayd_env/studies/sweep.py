@@ -96,7 +96,6 @@ def over_variants(
 
     Parameters
     ----------
-    variants : sequence of Variant
     scenarios : sequence of Scenario
         One for each.
     runs : int

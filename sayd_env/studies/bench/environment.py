@@ -44,7 +44,6 @@ def measure_environments(
 
     Parameters
     ----------
-    effort : Effort
     threads : int
         Threads of the batch.
     did : callable

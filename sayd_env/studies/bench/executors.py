@@ -30,8 +30,6 @@ def measure_executors(
 
     Parameters
     ----------
-    choices : sequence of ExecutorChoice
-    effort : Effort
     did : callable
         Called after each repetition.
 

@@ -36,12 +36,10 @@ def bound(
 
     Parameters
     ----------
-    config : BoundConfig
     policies : sequence of PolicySpec
         MPPT2 joins them where it is not among them.
     convergence : bool
         Also search in some of the conditions with other numbers of samples and other horizons.
-    context : RunContext, optional
 
     Raises
     ------

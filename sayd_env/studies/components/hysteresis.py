@@ -275,7 +275,6 @@ def hysteresis(
         Grid of amplitudes (m) and frequencies (Hz).
     currents : sequence of float, optional
         Valve currents of a semi-active damper, 0 to 1; `CURRENTS` by default.
-    progress : Progress
 
     Raises
     ------

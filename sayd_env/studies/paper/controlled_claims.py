@@ -115,7 +115,6 @@ class ControlledMeasures:
     ----------
     runs : ControlledRuns
         All that are required, on the same seeds.
-    limits : Limits
     required : sequence
         `required_runs`, or `skyhook_runs` where the rows in question need no others.
     assessment : AssessmentConfig, optional

@@ -112,12 +112,10 @@ def judge_rows(
 
     Parameters
     ----------
-    vehicle : Vehicle
     study : ReproductionConfig
         Grids of speeds.
     seeds : sequence of int
         Track seeds.
-    context : RunContext
     fixed : sequence of str
         Policies of one command that go through the rows, too, each in the place of the row's controller.
 

@@ -18,7 +18,6 @@ class PassiveMeasures:
     ----------
     new, worn : Sweep
         The passive vehicle on new and on worn wheels, at least on the grids of figures 8 and 10.
-    limits : Limits
     """
 
     def __init__(self, new: Sweep, worn: Sweep, limits: Limits) -> None:

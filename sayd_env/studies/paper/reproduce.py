@@ -186,7 +186,6 @@ def reproduce(
         Creep laws by which the passive critical speeds are found besides, on a grid wide enough for all.
     assumptions : bool
         Judge the rows again under each assumption of the study, on as many seeds as it says.
-    context : RunContext, optional
 
     Raises
     ------

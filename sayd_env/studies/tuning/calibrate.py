@@ -243,11 +243,9 @@ def calibrate(
 
     Parameters
     ----------
-    config : CalibrationConfig
     seed : int
         Where the searches begin: 0 in the middle of every range, others at a random place; of their random
         draws as well, not of the tracks.
-    context : RunContext, optional
 
     Raises
     ------

@@ -72,7 +72,6 @@ def part_files(
 
     Parameters
     ----------
-    stage : Stage
     values : mapping
         Calibrated value of each parameter by name.
     about : mapping

@@ -197,8 +197,6 @@ def search(
     ----------
     algorithm : str
         Of the training.
-    settings : SearchConfig
-    folder : Path
     seed : int
         Of the search.
     command : str
