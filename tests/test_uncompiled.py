@@ -32,7 +32,7 @@ episode_s: 0.05
 LINE = {
     "rails": [None, "60e1"],
     "sections": [
-        {"length": 30.0, "speed_kmh": 250.0, "gauge": 1.435, "friction": 0.4},
+        {"length": 36.0, "speed_kmh": 250.0, "gauge": 1.435, "friction": 0.4},
         {
             "length": 700.0,
             "speed_kmh": 265.0,

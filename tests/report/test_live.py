@@ -26,7 +26,7 @@ from sayd_env.report.live import MOST_POINTS, extremes
 
 def live(draw: Callable[[Axes], Any], **options: Any) -> Any:
     """What one panel becomes."""
-    return drawing(lambda figure: draw(panels(figure, 1, **options)[0]), dpi=30).live
+    return drawing(lambda figure: draw(panels(figure, 1, **options)[0])).live
 
 
 def numbers(packed: dict[str, str]) -> np.ndarray:
@@ -70,7 +70,7 @@ def test_a_name_is_in_the_legend_once_and_moves_all_that_has_it():
             with_band(axes, np.arange(3.0), np.ones((3, 2)), policy_style("ppo"), "ppo")
             axes.plot([0.0, 1.0], [0.0, 1.0], "o")
 
-    found = drawing(draw, dpi=30).live
+    found = drawing(draw).live
     lines = [trace for trace in found["data"] if trace.get("name")]
     assert [trace["showlegend"] for trace in lines] == [True, False]
     bands = [trace for trace in found["data"] if trace.get("fill") == "toself"]
@@ -127,7 +127,6 @@ def test_maps_keep_their_cells_words_and_scale():
         lambda figure: heat_maps(
             figure, {"one": cells}, x=("x", ["1", "2"]), y=("y", ["3", "4"]), values="v", span=(0.0, 1.0)
         ),
-        dpi=30,
     ).live
     (trace,) = found["data"]
     assert trace["z"] == [[0.0, None], [1.0, 0.25]]
@@ -177,7 +176,7 @@ def test_a_detail_of_a_long_history_shows_every_point():
             axes.plot(time, force)
         detail.set_xlim(20.0, 21.0)
 
-    whole, detail = drawing(draw, dpi=30).live["data"]
+    whole, detail = drawing(draw).live["data"]
     assert len(numbers(whole["x"])) <= MOST_POINTS
     shown = slice(np.searchsorted(time, 20.0) - 1, np.searchsorted(time, 21.0, "right") + 1)
     np.testing.assert_array_equal(numbers(detail["x"]), time[shown].astype("<f4"))

@@ -172,7 +172,7 @@ def test_a_result_is_shown(read_page: Callable[[str], Any]) -> None:
     result.summary(Console(file=text, width=80))
     assert max(map(len, text.getvalue().splitlines())) <= 80
     assert result.as_dict()["verdicts"][0]["faults_met"] == 1
-    drawings = {name: drawing(draw, dpi=40) for name, draw in result.plots().items()}
+    drawings = {name: drawing(draw) for name, draw in result.plots().items()}
     page = read_page(page_html(result.page(), drawings, {"config": {}}))
     assert page.pictures == [drawings["robustness_axes"].png, drawings["robustness_faults"].png]
     assert "power lost" in page.text
