@@ -168,8 +168,8 @@ class Lqg(BogiePolicy[LqgConfig, Estimate]):
             self.designs = [designed(plant, period, parameters, limits) for plant in plants]
         except np.linalg.LinAlgError:
             raise ConfigError(
-                f"{name}: states: no regulator is found for {parameters.states}, the last of which hardly "
-                "count; expected fewer"
+                f"{name}: no regulator is found for {parameters.states} states (states) and a control period "
+                f"of {period:g} s (control_period); it takes fewer states or a shorter period"
             ) from None
         self._area, self._sliding = damper.cylinder.area, damper.friction.sliding
         cylinder = damper.cylinder

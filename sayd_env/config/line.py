@@ -41,7 +41,7 @@ from sayd_env.config.track import (
 from sayd_env.config.units import KMH
 
 LONGEST_SECTION = 1e6
-"""m."""
+"""Longest section of a line (m)."""
 LINE = Kind("line", names=("rails.*", "sections.*.track"), data=("file",), measured="line")
 
 # A change between sections, as knots: linear pieces depart from the smooth step by 0.7 % of the change.

@@ -102,7 +102,8 @@ class LinesConfig(Part):
     @model_validator(mode="after")
     def _possible(self) -> LinesConfig:
         _reaches("sections", self.sections, 1.0)
-        _reaches("length", self.length, self.blend + LINE_STEP, LONGEST_SECTION)
+        known_at_steps = self.friction is not None or self.rail is not None
+        _reaches("length", self.length, self.blend + LINE_STEP * known_at_steps, LONGEST_SECTION)
         shortest = self.length.bounds[0]
         if self.curves is not None:
             if self.curves.transition.bounds[1] > shortest:

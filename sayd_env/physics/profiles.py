@@ -282,10 +282,10 @@ def _sampled(
             tape_to_back=tape_to_back,
         )
         y, z = _interpolated(measured.y, measured.z, shape.smoothing)
-        _check_samples(name, y)
+        _check_width(name, y)
         return y, z, tuple(f"{shape.file}: {note}" for note in measured.notes)
     y, z = _from_zones(shape, name) if shape.zones is not None else _from_points(shape, name)
-    _check_samples(name, y)
+    _check_width(name, y)
     y = -y[::-1] if shape.mirror else y
     z = z[::-1] if shape.mirror else z
     return y, -z if shape.invert else z, ()
@@ -370,7 +370,7 @@ def _crown(curve: CubicSpline, y: Array, z: Array) -> float:
     return float(brentq(slope, low, high, xtol=1e-12))
 
 
-def _check_samples(name: str, y: Array) -> None:
+def _check_width(name: str, y: Array) -> None:
     width = SAMPLING * (len(y) - 1)
     if width < _NARROWEST:
         raise DataError(

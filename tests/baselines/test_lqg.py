@@ -189,16 +189,11 @@ def test_designs_are_blended_between_their_speeds(parameters: LqgConfig) -> None
     np.testing.assert_allclose(shares, expected, atol=1e-12)
 
 
-def test_more_states_than_count_are_refused(
-    plant: ReducedPlant, parameters: LqgConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def singular(*_: object) -> None:
-        raise np.linalg.LinAlgError
-
-    monkeypatch.setattr("sayd_env.baselines.lqg.reduced_plants", lambda *_: [plant])
-    monkeypatch.setattr("sayd_env.baselines.lqg.solve_discrete_are", singular)
-    with pytest.raises(ConfigError, match="lqg: states: no regulator is found for"):
-        baselines.make("lqg", SaydVectorEnv(num_envs=1, environment="nominal"))
+def test_a_period_for_which_there_is_no_regulator_is_refused() -> None:
+    """Ten decisions a second are too few for a vehicle that hunts at 4 Hz."""
+    env = SaydVectorEnv(num_envs=1, environment="nominal", control_period=0.1)
+    with pytest.raises(ConfigError, match=r"lqg: no regulator is found .* control period of 0.1 s"):
+        baselines.make("lqg", env)
 
 
 def test_plants_are_made_anew_where_a_measured_file_has_changed(

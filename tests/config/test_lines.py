@@ -153,6 +153,12 @@ def test_refusals(override: str, message: str) -> None:
         read_lines("highspeed", [override])
 
 
+def test_sections_are_as_long_as_their_blend_where_nothing_else_is_drawn() -> None:
+    plain = [f"{name}=null" for name in ("friction", "rail", "rails", "curves", "defects")]
+    config = read_lines("highspeed", [*plain, "length={distribution: fixed, value: 25.0}"])
+    assert draw_line(config, stream(0)).length == pytest.approx(10 * 25.0)
+
+
 def test_a_drawn_line_that_is_not_allowed_is_one_message() -> None:
     """Transitions of 20 to 50 m are too steep for the cant of some of the curves."""
     short = "curves.transition={distribution: uniform, low: 20.0, high: 50.0}"
