@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, Model
+from sayd_env.config.explain import shown
 from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
 
@@ -88,9 +89,15 @@ class Policy(ABC, Generic[Parameters, State]):
         if state is None:
             state = self._begin(rows)
         else:
-            if self._count(state) != len(rows):
+            try:
+                count = self._count(state)
+            except (AttributeError, TypeError):
                 raise ConfigError(
-                    f"{self.name}: the state is that of {self._count(state)} vehicles, "
+                    f"{self.name}: state: found {shown(state)}; expected what the call before has returned"
+                ) from None
+            if count != len(rows):
+                raise ConfigError(
+                    f"{self.name}: the state is that of {count} vehicles, "
                     f"the observation that of {len(rows)}; start with state=None"
                 )
             if episode_start is not None:

@@ -9,6 +9,8 @@ import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
+from io import TextIOWrapper
+from itertools import pairwise
 from typing import Any, NoReturn
 
 from threadpoolctl import threadpool_limits
@@ -109,6 +111,8 @@ def _prepare() -> None:
     # A program whose standard streams are closed writes nowhere.
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - as long as the process
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    if isinstance(sys.stdout, TextIOWrapper):  # in another encoding than UTF-8 it lacks signs of our tables
+        sys.stdout.reconfigure(errors="replace")
 
 
 def _run(arguments: Sequence[str] | None) -> int:
@@ -121,6 +125,9 @@ def _run(arguments: Sequence[str] | None) -> int:
 
     command = typer.main.get_command(app)
     typed[:] = sys.argv[1:] if arguments is None else arguments
+    if (option := _without_a_path(typed)) is not None:
+        _complain(f"error: {option}: found an empty place; expected a path")
+        return INPUT_ERROR
     verdicts = {
         Interrupted: ("interrupted; ", INTERRUPTED),
         StudyError: ("error: ", FAILURE),
@@ -135,7 +142,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except TyperException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see '{context.command_path} --help')" if context is not None else ""
-        _complain(f"error: {_reason(error).removesuffix('.')}{hint}")
+        if reason := _reason(error).removesuffix("."):  # without arguments the help has been shown instead
+            _complain(f"error: {reason}{hint}")
         return INPUT_ERROR
     except typer.Abort:
         return _interrupted()
@@ -144,10 +152,18 @@ def _run(arguments: Sequence[str] | None) -> int:
     return status if isinstance(status, int) else 0
 
 
+def _without_a_path(arguments: Sequence[str]) -> str | None:
+    """An option whose path is empty, which would be the working directory."""
+    for option in ("--out", "--file", "-o"):
+        if f"{option}=" in arguments or (option, "") in pairwise(arguments):
+            return option
+    return None
+
+
 def _reason(error: Any) -> str:
     """What is wrong with an argument: after its option's name, what our parser or Typer says."""
     if getattr(error, "param", None) is None or type(error).__name__ != "BadParameter":
-        return str(error.format_message())
+        return " ".join(error.format_message().split())  # lists of names have tabs
     return f"{error.param.opts[-1]} {error.message.removeprefix('Value error, ')}"
 
 

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import typer
 from rich.markup import escape
+from typer.models import OptionInfo
 
 from sayd_env.cli.options import Group, Out, OutputOptions, RunOptions, out_text, output, settled
-from sayd_env.cli.output import RESULTS, Output
-from sayd_env.config.errors import Interrupted
+from sayd_env.cli.output import RESULTS, Output, typed
+from sayd_env.config.errors import ConfigError, Interrupted
 
 if TYPE_CHECKING:
     from sayd_env.report.files import Result
@@ -91,6 +92,7 @@ def command(
         groups = _groups(own)
 
         def invoke(**given: Any) -> None:
+            _refuse_repeated(offered.values())
             plain = {name: given[name] for name in own if name not in groups}
             with _own_output(given["as_json"]):
                 plan = body(**plain, **{name: kind(**given) for name, kind in groups.items()})
@@ -117,6 +119,24 @@ def command(
         return body
 
     return register
+
+
+def _refuse_repeated(offered: Iterable[inspect.Parameter]) -> None:
+    """Refuse an option that is given twice, of which one would count.
+
+    Raises
+    ------
+    ConfigError
+        There is one.
+    """
+    for parameter in offered:
+        declared = (*getattr(parameter.annotation, "__metadata__", ()), parameter.default)
+        for info in declared:
+            if isinstance(info, OptionInfo) and "list" not in str(parameter.annotation):
+                names = [name for words in info.param_decls or () for name in words.split("/")]
+                given = [word for word in typed if word.partition("=")[0] in names]
+                if len(given) > 1:
+                    raise ConfigError(f"{names[0]}: found {len(given)} times; expected once")
 
 
 def _own_output(as_json: bool) -> AbstractContextManager[Any]:
@@ -205,5 +225,6 @@ def _compute(plan: Plan, output: Output, executor: ExecutorChoice, *, keeps: boo
         raise Interrupted(f"finished runs are in {folder}; the same command goes on") from None
     cache.forget_former()
     if cache.reused:
-        output.say(f"{cache.reused} runs had been finished by an earlier start")
+        kept_runs = f"{cache.reused} run{'s' * (cache.reused > 1)}"
+        output.say(f"{kept_runs} had been finished by an earlier start")
     return result

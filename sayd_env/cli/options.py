@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from sayd_env.config.environment import EnvironmentConfig
     from sayd_env.config.scenario import Scenario
     from sayd_env.config.sweep import Variant
-    from sayd_env.runs.policies import ForeignReader
+    from sayd_env.runs.policies import ForeignReader, PolicySpec
 
 WEAR_OF = {"new": 0.0, "worn": 1.0}
 SHARE = Number(0, 1)
@@ -97,8 +97,17 @@ def policy_names(incomplete: str) -> list[str]:
     return [f"{before}{comma}{name}" for name in one_of(*shipped, *pretrained.names())(last)]
 
 
+def scenario_names(incomplete: str) -> list[str]:
+    """Completion by the packaged scenarios."""
+    from sayd_env.config import scenario as scenarios  # noqa: PLC0415 - keeps --help fast
+
+    return one_of(*scenarios.scenario_names())(incomplete)
+
+
 CONFIG = "Configuration: a packaged name or a YAML file."
-Config = Annotated[str | None, scenario("--config NAME|FILE", CONFIG, autocompletion=one_of(kind="study"))]
+Config = Annotated[str | None, scenario("--config NAME|FILE", CONFIG, autocompletion=scenario_names)]
+PlanFile = Annotated[str | None, scenario("--config NAME|FILE", CONFIG)]
+"""Of what the command itself does, not of a vehicle."""
 SET_TEXT = (
     "One key of the configuration; repeatable. evaluate, critical-speed and simulate run each of several "
     "values, KEY=A,B,C, and of several such keys all combinations; a list is [1, 2], a text with commas is "
@@ -219,7 +228,7 @@ class ScenarioOptions(Group):
     assignments: Set = None
 
     def read(self, wear: float | None, friction: float | None, default: str | None = None) -> Scenario:
-        """Read the configuration and apply the flags, then the assignments of ``--set``.
+        """Read the configuration and apply the flags and the assignments of ``--set``.
 
         ``--profile new`` and ``worn`` are the scenario's own wheels at wear 0 and 1, anything else is the
         name or path of a wheel profile, unworn unless `wear` says otherwise.
@@ -234,7 +243,7 @@ class ScenarioOptions(Group):
         Raises
         ------
         ConfigError
-            A name, file or value that cannot be used.
+            A name, file or value that cannot be used, or one that is given twice.
         """
         from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
 
@@ -244,11 +253,22 @@ class ScenarioOptions(Group):
         config = default if self.config is None else self.config
         flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track}
         flags |= {"rail": self.rail, "track.gauge": self._gauge()}
+        self._refuse_twice({key for key, value in flags.items() if value is not None})
         # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.
         given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
         found = load_scenario(config, [*given, *self._damper(config), *(self.assignments or ())])
         say_notes(dict(found))
         return found
+
+    def _refuse_twice(self, keys: Iterable[str]) -> None:
+        """Refuse a key of the configuration that both an option and ``--set`` give."""
+        options = {"track.gauge": "gauge", "wheel": "profile"}
+        given = {key: options.get(key, key) for key in keys} | ({"damper": "damper"} if self.damper else {})
+        if self.profile in WEAR_OF and getattr(self, "wear", None) is None:
+            given["wear"] = "profile"
+        for key in assigned_keys(self.assignments):
+            if key in given:
+                raise ConfigError(f"--{given[key]}: sets what --set {key} does; give one")
 
     def refuse_said(self, line: str | None) -> None:
         """Refuse options that a line says itself, of a gauge, a track or a coefficient of friction.
@@ -265,6 +285,33 @@ class ScenarioOptions(Group):
         flags = {f"--{name}": name for name in ("gauge", "friction", "track") if getattr(self, name)}
         settings = options_of(assigned_keys(self.assignments))
         refuse_said(line, flags | {f"--set {key}": name for key, name in settings.items()})
+
+    def refuse_idle_dampers(
+        self, found: Iterable[Scenario], policies: Iterable[PolicySpec] = (), default: str | None = None
+    ) -> None:
+        """Refuse dampers of one's own that no run has.
+
+        Raises
+        ------
+        ConfigError
+            The vehicle has no yaw dampers; or all policies command valves, so that semi-active ones replace
+            passive ones, see `for_policy`.
+        """
+        from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.runs.policies import replaces_dampers  # noqa: PLC0415
+
+        given = "--set damper" if self.damper is None else f"--damper {self.damper}"
+        usual, replaced = load_scenario(self.config or default).damper, replaces_dampers(policies)
+        for each in found:
+            if each.damper == usual:
+                continue
+            if not each.vehicle.yaw_damped:
+                raise ConfigError(f"{given}: has no effect: vehicle '{each.vehicle.name}' has no yaw dampers")
+            if replaced and each.damper.type == "passive":
+                raise ConfigError(
+                    f"{given}: has no effect: every policy commands valves, so semi-active dampers replace "
+                    "passive ones; add the policy passive, or choose semi-active dampers"
+                )
 
     def _damper(self, config: str | None) -> list[str]:
         """What ``--damper`` sets."""
@@ -315,12 +362,7 @@ class ScenarioOptions(Group):
         """
         from sayd_env.config.sweep import variants  # noqa: PLC0415 - keeps --help fast
 
-        given = {name: getattr(self, name) for name in ("wear", "friction", "rail", "track", "damper")}
-        given |= {"track.gauge": self.gauge, "wheel": self.profile}
-        taken = {name for name, value in given.items() if value is not None}
-        if self.profile in WEAR_OF:  # the scenario's own wheels
-            taken = taken - {"wheel"} | {"wear"}
-        found = variants(self.assignments, runs, taken=taken, most=most)
+        found = variants(self.assignments, runs, most=most)
         return found, [self._with(variant).load(default) for variant in found]
 
     def _with(self, variant: Variant) -> ScenarioOptions:
@@ -352,6 +394,23 @@ def say_notes(parts: Mapping[str, Any]) -> None:
     """Tell `notes_of` on standard error; errors as there."""
     for note in notes_of(parts):
         sys.stderr.write(f"sayd: {note}\n")
+
+
+def say_same_tracks(scenarios: Iterable[Scenario], seeds: int, line: str | None = None) -> None:
+    """Tell on standard error where several seeds make no other track.
+
+    Raises
+    ------
+    ConfigError, DataError
+        The line cannot be used.
+    """
+    from sayd_env.measured.lines import irregularities_along  # noqa: PLC0415 - keeps --help fast
+
+    if seeds < 2 or any(
+        each.type == "spectrum" for own in scenarios for each in irregularities_along(own.track, line)
+    ):
+        return
+    sys.stderr.write("sayd: the track is the same for every seed: nothing of it is drawn; see --seeds\n")
 
 
 class VehicleOptions(ScenarioOptions):
@@ -393,9 +452,6 @@ class GridOptions(ScenarioOptions):
             raise ConfigError(
                 f"--reward {self.reward}: sets the weights, as --set {min(twice)} does; give one"
             )
-        for flag in ("wear", "friction"):
-            if getattr(self, flag) and flag in keys:
-                raise ConfigError(f"--{flag}: sets what --set {flag} does; give one")
         wear, friction = (values[0] if values else None for values in (self.wear, self.friction))
         found = self.read(wear, friction, default)
         return found if self.reward is None else with_reward(found, self.reward)

@@ -85,6 +85,8 @@ def evaluate(
         speeds = along.line_speeds(line, grid.speeds, SPEEDS)
     runs = seeds * max(1, len(specs)) * len(speeds) * max(1, len(wear)) * max(1, len(friction))
     variants, scenarios = grid.sweep(runs, default=setup.study)
+    grid.refuse_idle_dampers(scenarios, specs, setup.study)
+    options.say_same_tracks(scenarios, seeds, line)
     options.say_notes(where)
 
     def one(chosen: Scenario, run: RunContext) -> EvaluateResult | LineResult:
@@ -159,7 +161,9 @@ def map_(
     found = load_map(conditions or "map") if constants else None
     found = found.shortened() if found is not None and quick else found
     specs = policy_specs(policies or study.POLICIES, foreign.reader(setup, policies))
+    grid.refuse_idle_dampers([chosen], specs, setup.study)
     numbers = range(seed, seed + (seeds or (1 if quick else 2)))
+    options.say_same_tracks([chosen], len(numbers))
     return Plan(
         lambda run: study.stability_map(
             chosen, specs, numbers, grid=where, constants=found, environment=setup, context=run
@@ -428,7 +432,7 @@ def tune(
         "constant, speed-schedule, mppt2, hunting-schedule or lqg; or a training: ppo, sac.",
     ),
     *,
-    config: options.Config = None,
+    config: options.PlanFile = None,
     assignments: options.Set = None,
     quick: options.Quick = False,
     seed: int = runs("--seed S", "Seed of the search; the scenarios have theirs.", options.SEED, default=0),
@@ -472,7 +476,9 @@ def tune(
     target = file or (None if folder is None else folder / f"{controller}-tuned.yaml")
     if target is not None:
         study.refuse_packaged(target)
-        ResultDirectory(target.parent)  # cannot be written to? Say so before the work
+        ResultDirectory(
+            target.parent, "--out" if file is None else "-o"
+        )  # cannot be written to? Say so before the work
     name, typed = config or "configs/study/tuning.yaml", command_text()
 
     def store(result: TuneResult, output: Output) -> None:

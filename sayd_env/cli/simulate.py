@@ -104,11 +104,14 @@ def simulate(
     from sayd_env.studies.sweep import over_variants  # noqa: PLC0415
 
     target = study.chosen_target(file, kind, out or RESULTS / "simulate")
-    ResultDirectory(target.file.parent)  # cannot be written to? Say so before the work
+    ResultDirectory(
+        target.file.parent, "--out" if file is None else "-o"
+    )  # cannot be written to? Say so before the work
     setup = load_environment(environment)
     variants, scenarios = choice.sweep(1, MOST_FILES, setup.study)
     reader = foreign.reader(setup, None if who is None else [who])
     spec = None if who is None else policy_spec(who, reader)
+    choice.refuse_idle_dampers(scenarios, [] if spec is None else [spec], setup.study)
     metric = (300.0 if speed is None else speed) / KMH
     where = {} if line is None else {"line": line_content(line)}
     choice.refuse_said(line)

@@ -57,6 +57,8 @@ def critical_speed(
     grid = speeds or max(map(study.default_speeds, (0.0, 1.0)), key=len)
     runs = seeds * len(grid) * (1 + len(laws))
     variants, scenarios = scenario.sweep(runs)
+    scenario.refuse_idle_dampers(scenarios, [] if spec is None else [spec])
+    options.say_same_tracks(scenarios, seeds)
 
     def one(chosen: Scenario, run: RunContext) -> study.CriticalSpeedResult:
         return study.find_critical_speed(chosen, speeds, numbers, policy=spec, creep_laws=laws, context=run)
@@ -122,6 +124,7 @@ def reproduce(
         raise ConfigError("--set wear: has no effect; the rows are about new and worn wheels, wear 0 and 1")
     count = seeds or (plan.quick_seeds if quick else len(plan.seeds))
     numbers = plan.first_seeds(count) if seed is None else tuple(range(seed, seed + count))
+    options.say_same_tracks([chosen], count)
     damper, specs = load_sayd(sayd), row_policies(controllers or (), plan.fixed)
 
     def judge(result: ReproduceResult, _: Output) -> None:
@@ -155,7 +158,7 @@ def reproduce(
 @command(GROUP, "--out results/calibrate", runs=True)
 def calibrate(
     *,
-    config: options.Config = None,
+    config: options.PlanFile = None,
     assignments: options.Set = None,
     seed: options.Seed = 0,
 ) -> Plan:
@@ -239,6 +242,9 @@ def linearise(
     from sayd_env.studies import linearise as study  # noqa: PLC0415 - keeps --help fast
 
     chosen = scenario.load()
+    scenario.refuse_idle_dampers([chosen])
+    if stroke_speed is not None and not chosen.vehicle.yaw_damped:
+        raise ConfigError(f"--stroke-speed: vehicle '{chosen.vehicle.name}' has no yaw dampers")
 
     def store(result: study.LineariseResult, output: Output) -> None:
         if output.directory is not None:

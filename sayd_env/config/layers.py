@@ -119,6 +119,8 @@ def read_layered(
         A file, a key or a value cannot be used.
     """
     draft = layered(kind, name_or_path)
+    if isinstance(overrides, str):
+        raise ConfigError(f"overrides: found the text {shown(overrides)}; expected a list of key=value")
     for item in overrides:
         draft = _with_assignment(kind, draft, item, option)
     return validate(model, draft.data, draft.source, draft.origins)
@@ -138,7 +140,7 @@ def layered(kind: Kind, name_or_path: str) -> Draft:
 def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     """A file over its base; parts that nothing was set in are still names."""
     files = "a YAML file" if kind.measured is None else "a YAML file or a measured one"
-    content, source = _measured(kind, name) or read_config(kind.folder, name, files)
+    content, source = _measured(kind, name) or read_config(kind.folder, name, files, partial(_fitting, kind))
     own, folder = dict(section(content, source)), Path(source).parent
     _refuse_another_kind(kind, own, source)
     _refuse_other(kind, own, source)
@@ -228,11 +230,18 @@ def _refuse_other(kind: Kind, own: dict[str, Any], source: str) -> None:
     key, expected = kind.only
     found = own.get(key, expected)
     if found != expected:
-        every = Kind(kind.folder)
-        fitting = [n for n in packaged_names(kind.folder) if layered(every, n).data.get(key) == expected]
         raise ConfigError(
-            f"{source}: is a {found} {kind.folder}; as {expected} are available: {', '.join(fitting)}"
+            f"{source}: is a {found} {kind.folder}; as {expected} are available: {', '.join(_fitting(kind))}"
         )
+
+
+def _fitting(kind: Kind) -> list[str]:
+    """Packaged names of a kind: of profiles the wheels alone, or the rails."""
+    names = packaged_names(kind.folder)
+    if kind.only is None:
+        return names
+    key, expected = kind.only
+    return [name for name in names if layered(Kind(kind.folder), name).data.get(key) == expected]
 
 
 def _with_assignment(kind: Kind, draft: Draft, item: str, option: str) -> Draft:

@@ -235,7 +235,12 @@ def from_anywhere(name_or_path: str) -> str:
     return str(Path(name_or_path).resolve()) if is_path(name_or_path) else name_or_path
 
 
-def read_config(kind: str, name_or_path: str, files: str = "a YAML file") -> tuple[Any, str]:
+def read_config(
+    kind: str,
+    name_or_path: str,
+    files: str = "a YAML file",
+    fitting: Callable[[], list[str]] | None = None,
+) -> tuple[Any, str]:
     """Raw content of a configuration and where it came from.
 
     Parameters
@@ -246,6 +251,8 @@ def read_config(kind: str, name_or_path: str, files: str = "a YAML file") -> tup
         A packaged name (``emu``) or a path to a YAML file.
     files : str
         What else a path may lead to, as a message says it.
+    fitting : callable, optional
+        Gives the names that a message offers; by default all of the kind.
 
     Raises
     ------
@@ -254,8 +261,8 @@ def read_config(kind: str, name_or_path: str, files: str = "a YAML file") -> tup
     """
     if is_path(name_or_path):
         return parse_yaml(read_text(Path(name_or_path), largest=MIB), name_or_path), name_or_path
-    names = packaged_names(kind)
-    if name_or_path not in names:
+    if name_or_path not in packaged_names(kind):
+        names = packaged_names(kind) if fitting is None else fitting()
         raise ConfigError(
             f"unknown {kind} {shown(name_or_path)}{nearest(name_or_path, names)}; "
             f"available: {', '.join(names)}, or a path to {files}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -37,7 +37,6 @@ def variants(
     runs: int = 1,
     *,
     option: str = "--set",
-    taken: Collection[str] = (),
     most: int = 10_000,
 ) -> list[Variant]:
     """All configurations of some assignments, the last swept key changing fastest.
@@ -50,8 +49,6 @@ def variants(
         Runs of each configuration.
     option : str
         What a message calls their place.
-    taken : collection of str
-        Keys that something else sets.
     most : int
         Runs of all configurations together.
 
@@ -70,7 +67,7 @@ def variants(
     swept = {key: values for key, values in choices if len(values) > 1}
     keys = [key for key, _ in choices]
     for key in swept:
-        if keys.count(key) > 1 or key in taken:
+        if keys.count(key) > 1:
             raise ConfigError(
                 f"{option} {key}: has several values here and is set once more; expected one of both"
             )

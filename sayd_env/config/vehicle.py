@@ -312,6 +312,11 @@ class VehicleConfig(Part):
         return self
 
     @property
+    def yaw_damped(self) -> bool:
+        """Whether it has yaw dampers."""
+        return any(isinstance(element, YawDamper) for element in self.elements)
+
+    @property
     def structure(self) -> Hashable:
         """What vehicles have in common that differ in numbers alone: sets, bodies, roles and elements."""
         return (

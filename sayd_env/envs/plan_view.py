@@ -60,7 +60,7 @@ class Plan:
 
 
 def make_plan(vehicle: VehicleConfig, model: Multibody, gauge: float) -> Plan:
-    """Plan of a vehicle with a carbody, two bogies and eight yaw dampers."""
+    """Plan of a vehicle with a carbody and bogies."""
     by_role: dict[str, list[str]] = {"carbody": [], "frame": [], "wheelset": []}
     for name, instance in model.instances.items():
         if instance.body.role in by_role:
@@ -93,6 +93,8 @@ def _damper_ends(vehicle: VehicleConfig) -> Array:
                 origin = np.sum([member.origin for member in members], axis=0)
                 sign = np.prod([member.sign for member in members], axis=0)
                 ends.append([_seen_from_above(end, origin, sign) for end in (element.a, element.b)])
+    if not ends:
+        return np.empty((0, 2, 2))
     places = np.array(ends)
     height = places[:, :, 2] - places[:, :, 2].mean()
     outwards = np.sign(places[:, :, 1]) * np.sign(height) * PAIR_OFFSET

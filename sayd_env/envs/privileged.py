@@ -69,7 +69,7 @@ class Conditions:
         check_conditions(names)
         self.names = tuple(names)
         self._batch = batch
-        self._along = np.zeros((batch.count, 1, len(self.names)))
+        self._along = np.full((batch.count, 1, len(self.names)), np.nan)
         self._last = np.zeros(batch.count, dtype=np.intp)
 
     def begin(self, which: Sequence[int]) -> None:
@@ -82,7 +82,7 @@ class Conditions:
             self._along[i, : len(table)], self._last[i] = table, len(table) - 1
 
     def __call__(self) -> Array:
-        """Conditions where the vehicles are, shape (count, names)."""
+        """Conditions where the vehicles are, shape (count, names); NaN of one for which nothing began."""
         place = np.clip(np.nan_to_num(self._batch.distance()) / STEP, 0.0, self._last).astype(np.intp)
         found: Array = self._along[np.arange(self._batch.count), place]
         return found

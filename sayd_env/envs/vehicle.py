@@ -256,15 +256,26 @@ def check_vehicle(model: VehicleModel, settings: LoopSettings) -> None:
     ConfigError
         See `make_vehicle`.
     """
-    body, rate = model.multibody, model.scenario.assessment.sample_rate
+    check_places(model, "the environment")
+    if (rate := model.scenario.assessment.sample_rate) != settings.sample_rate:
+        raise ConfigError(
+            f"assessment.sample_rate: found {rate:g} Hz; the environment needs {settings.sample_rate:g} Hz"
+        )
+
+
+def check_places(model: VehicleModel, user: str) -> None:
+    """Refuse a vehicle whose measuring points and yaw dampers are not those of two bogies.
+
+    Raises
+    ------
+    ConfigError
+        With their numbers, and `user`, who needs others.
+    """
+    body = model.multibody
     if len(body.measuring_points) != POINTS or len(body.yaw_dampers) != DAMPERS:
         raise ConfigError(
             f"{model.scenario.vehicle.name}: {len(body.measuring_points)} measuring points and "
-            f"{len(body.yaw_dampers)} yaw dampers; the environment needs {POINTS} and {DAMPERS}"
-        )
-    if rate != settings.sample_rate:
-        raise ConfigError(
-            f"assessment.sample_rate: found {rate:g} Hz; the environment needs {settings.sample_rate:g} Hz"
+            f"{len(body.yaw_dampers)} yaw dampers; {user} needs {POINTS} and {DAMPERS}"
         )
 
 

@@ -45,16 +45,15 @@ def restored(resources: Path) -> Stepped:
     Raises
     ------
     ConfigError
-        Resources of another version of this software.
+        Resources of another version of this software, or a policy that does not fit.
     """
     try:
         content = json.loads((resources / MODEL).read_text())
         scenario = Scenario.model_validate(content["scenario"])
-        if content["kind"] == "vehicle":
-            return VehicleUnit(scenario)
-        return ControllerUnit(read_policy(content, resources), scenario)
+        policy = None if content["kind"] == "vehicle" else read_policy(content, resources)
     except (OSError, ValueError, KeyError) as error:
         raise ConfigError(f"{resources / MODEL}: another version of sayd-env has made it ({error})") from None
+    return VehicleUnit(scenario) if policy is None else ControllerUnit(policy, scenario)
 
 
 def serve(connection: socket.socket, resources: Path) -> None:

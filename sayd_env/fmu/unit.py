@@ -30,6 +30,7 @@ from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.storage import uninterrupted
 from sayd_env.config.units import Array
+from sayd_env.envs.vehicle import check_places
 from sayd_env.fmu.controller import ControllerUnit, controller_content
 from sayd_env.fmu.damper import damper_model
 from sayd_env.fmu.machine_code import ARRAY, FLOAT, LINUX, WINDOWS, object_file
@@ -37,6 +38,7 @@ from sayd_env.fmu.serve import MODEL
 from sayd_env.fmu.variable import INPUT, OUTPUT, PARAMETER, TIME, UNITS, Variable
 from sayd_env.fmu.vehicle import vehicle_variables
 from sayd_env.physics.coupled import couple
+from sayd_env.physics.simulator import VehicleModel
 from sayd_env.runs.policies import policy_spec
 
 VERSIONS = ("2", "3")
@@ -116,12 +118,14 @@ def vehicle_unit(scenario: Scenario, speed: float, seed: int) -> Unit:
     Raises
     ------
     ConfigError
-        Passive dampers.
+        Passive dampers, a speed or seed beyond those of a unit, a vehicle without two bogies' yaw dampers.
     """
+    variables = vehicle_variables(scenario, speed, seed)
+    check_places(VehicleModel(scenario), "the unit")
     return _process_unit(
         "sayd_vehicle",
         f"Rail vehicle '{scenario.vehicle.name}' with '{scenario.damper.name}' yaw dampers",
-        vehicle_variables(scenario, speed, seed),
+        variables,
         1e-3,
         {"kind": "vehicle", "scenario": scenario.content()},
     )

@@ -22,7 +22,7 @@ from sayd_env.config.conditions import (
 from sayd_env.config.errors import ConfigError, DataError
 from sayd_env.config.files import read_bytes
 from sayd_env.config.line import LineConfig, outline, read_line, resolve, resolve_rails
-from sayd_env.config.track import FileConfig
+from sayd_env.config.track import FileConfig, IrregularityConfig, TrackConfig
 from sayd_env.config.units import Array
 from sayd_env.measured.distance import CONDITIONS, IRREGULARITIES, DistanceColumn, DistanceTable, read_table
 from sayd_env.measured.table import LARGEST
@@ -93,6 +93,18 @@ def own_line(line: str | LineConfig) -> Line:
     """
     config = read_line(line) if isinstance(line, str) else line
     return outline(config) if config.file is None else read_measured_line(config)
+
+
+def irregularities_along(track: TrackConfig, line: str | None = None) -> list[IrregularityConfig]:
+    """Irregularities under a run on a track, or along a line, which takes the track's where it has none.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `load_line`.
+    """
+    pieces = () if line is None else own_line(line).tracks
+    return [piece.irregularity or track.irregularity for piece in pieces] or [track.irregularity]
 
 
 def refuse_said(line: str | LineConfig, given: Mapping[str, str]) -> None:

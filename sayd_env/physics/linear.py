@@ -28,7 +28,7 @@ import numpy as np
 from scipy.linalg import eig, eigvals, lstsq
 from scipy.optimize import brentq, linear_sum_assignment
 
-from sayd_env.config import StudyError
+from sayd_env.config import ConfigError, StudyError
 from sayd_env.config.damper import PassiveDamperConfig
 from sayd_env.config.track import NoIrregularityConfig
 from sayd_env.config.units import KMH, Array, ComplexArray
@@ -116,6 +116,13 @@ class OperatingPoint:
     """Acting current of semi-active dampers; None: their own before any command."""
     frequency: float | None = None
     """Of both, Hz; None: that of the least damped hunting mode."""
+
+    def __post_init__(self) -> None:
+        for name in ("shift", "stroke_speed"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ConfigError(f"{name}: found {getattr(self, name)}; expected a number from 0 on")
+        if self.frequency is not None and not 0.0 < self.frequency < math.inf:
+            raise ConfigError(f"frequency: found {self.frequency} Hz; expected a number above 0")
 
 
 @dataclass(frozen=True)

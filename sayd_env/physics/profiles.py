@@ -262,6 +262,12 @@ def gauge_point(rail: Profile) -> float:
     return float(np.interp(-rail.gauge_depth, rail.z[inner], rail.y[inner]))
 
 
+def flange_face(wheel: Profile, depth: float) -> float:
+    """Lateral position of the flange's face at a depth below the tape circle (m); -inf if it ends above."""
+    deep = wheel.y[(wheel.y < 0.0) & (wheel.z >= depth)]
+    return float(deep[-1]) if deep.size else -np.inf
+
+
 def mirrored(profile: Profile) -> Profile:
     """Return the profile seen in a mirror: y of the other sign."""
     return replace(profile, y=-profile.y[::-1], z=profile.z[::-1])

@@ -610,7 +610,17 @@ class Simulator:
     def run(
         self, distance: float, *, wheels: bool = False, motion: bool = False, sayds: bool = False
     ) -> Telemetry:
-        """Run over a distance (m) and return the signals."""
+        """Run over a distance (m) and return the signals.
+
+        Raises
+        ------
+        ConfigError
+            A distance below 0, or none.
+        StudyError
+            The state did not stay finite.
+        """
+        if not 0.0 <= distance < math.inf:
+            raise ConfigError(f"distance: found {distance} m; expected a number from 0 on")
         samples = math.ceil(distance / self.speed * self.model.scenario.assessment.sample_rate)
         return self.advance(samples, wheels=wheels, motion=motion, sayds=sayds)
 

@@ -105,12 +105,15 @@ class Listing:
     def print(self, console: Console, wide: bool = False) -> None:
         """Print the columns that have a heading, those of ``--wide`` only if `wide`.
 
-        Texts are wrapped where the console is narrow, unless `wide`. Numbers are not: a table that needs more
-        room gets it.
+        Texts are wrapped where the console is narrow, unless `wide`. Numbers are not: where there is no room
+        for all of them the last columns are left to ``--wide``.
         """
         shown = [column for column in self.columns if column.header and (wide or not column.wide)]
         gaps = _GAP * (len(shown) - 1)
         widths = _widths(shown, self.rows, math.inf if wide else console.width - gaps)
+        while not wide and sum(widths) + gaps > console.width and len(shown) > 1:
+            shown, gaps = shown[:-1], gaps - _GAP
+            widths = _widths(shown, self.rows, console.width - gaps)
         table = PrintedTable(
             box=box.SIMPLE_HEAD,
             pad_edge=False,

@@ -98,11 +98,16 @@ def reference_line(axes: Axes, value: float, *, vertical: bool = False) -> None:
 
 
 def log_axis(axes: Axes, which: str = "y") -> None:
-    """Make an axis logarithmic, as where costs differ a hundred times, with ticks that are plain numbers."""
+    """Make an axis logarithmic, as where costs differ a hundred times, with ticks that are plain numbers.
+
+    What it shows has been drawn: without any positive value the axis stays as it is.
+    """
     from matplotlib.ticker import FuncFormatter, NullFormatter  # noqa: PLC0415 - as above
 
     from sayd_env.report.ticks import PlainTicks  # noqa: PLC0415
 
+    if math.isinf(axes.dataLim.minposx if which == "x" else axes.dataLim.minposy):
+        return  # nothing that such an axis could show, as where every run derails at once
     axes.set(**{f"{which}scale": "log"})
     axis = axes.yaxis if which == "y" else axes.xaxis
     axis.set_major_locator(PlainTicks())

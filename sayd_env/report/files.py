@@ -63,6 +63,8 @@ class ResultDirectory:
     ----------
     path : Path
         The directory; it is made when there is something to write.
+    option : str
+        What gave it, for messages.
 
     Raises
     ------
@@ -71,15 +73,15 @@ class ResultDirectory:
         holds a folder of the name of a file of ours.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, option: str = "--out") -> None:
         self.path = path
         try:
             try_to_write(path)
         except (FileExistsError, NotADirectoryError):
-            raise ConfigError(f"--out {path}: a file is in the way, expected a directory") from None
+            raise ConfigError(f"{option} {path}: a file is in the way, expected a directory") from None
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else None
-            raise ConfigError(f"--out {path}: cannot be written ({reason or error})") from None
+            raise ConfigError(f"{option} {path}: cannot be written ({reason or error})") from None
         self._refuse_folders([RECORD])
 
     def save(self, result: Result, document: dict[str, Any]) -> list[Path]:

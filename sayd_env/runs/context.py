@@ -9,6 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from sayd_env.config.errors import ConfigError
 from sayd_env.config.software import floor_fingerprint
 from sayd_env.physics.formation import WIDTH
 from sayd_env.runs.cache import RunCache, fingerprint
@@ -22,6 +23,19 @@ class Progress(Protocol):
 
     def __call__(self, done: float, total: float, what: str = "") -> None:
         """Report `done` of `total` steps; `what` names the current one."""
+
+
+def refuse_empty(**given: Sequence[Any]) -> None:
+    """Refuse to make a study of nothing.
+
+    Raises
+    ------
+    ConfigError
+        A sequence has no elements; the message has its keyword.
+    """
+    for name, values in given.items():
+        if len(values) == 0:
+            raise ConfigError(f"{name}: found none; expected at least one")
 
 
 def silent(done: float, total: float, what: str = "") -> None:

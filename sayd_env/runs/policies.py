@@ -466,3 +466,9 @@ def for_policy(scenario: Scenario, policy: PolicySpec) -> Scenario:
             )
         return scenario
     return scenario.model_copy(update={"damper": load_sayd("sayd")}) if passive else scenario
+
+
+def replaces_dampers(policies: Iterable[PolicySpec]) -> bool:
+    """Whether all of some policies, and at least one, command valves: `for_policy` drops passive dampers."""
+    names = [policy.name for policy in policies]
+    return bool(names) and PASSIVE not in names

@@ -18,7 +18,7 @@ from sayd_env.config.units import Array
 from sayd_env.report.columns import DERAILED, LIMITED, PERCENT, Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
 from sayd_env.report.html import Grid, Page, Picture, Section
-from sayd_env.runs.context import RunContext
+from sayd_env.runs.context import RunContext, refuse_empty
 from sayd_env.runs.metrics import RATIOS, Row, rows
 from sayd_env.runs.policies import PolicySpec
 from sayd_env.runs.rollouts import conditions, own_policy, policy_runs
@@ -60,15 +60,17 @@ _COST_COLUMNS = (
     *_REPORTED,
     Column("J_acceleration", "acceleration", digits=4, best=True, wide=True),
     Column("J_force", "force", digits=4, best=True, wide=True),
-    Column("J_offline", "J off-line", digits=4, best=True),
+    Column("J_offline", "J off-line", digits=4, best=True, infinite=DERAILED),
     Column("acceleration_ratio", "acc. / limit", best=True, **LIMITED),
     Column("track_shift_ratio", "shift / limit", best=True, **LIMITED),
-    Column("comfort", "N_MV", digits=2, best=True, wide=True),
+    Column("comfort", "N_MV", digits=2, best=True, wide=True, infinite=DERAILED),
 )
 _DAMPER_COLUMNS = (
-    Column("force_rms_n", "force RMS", "kN", 1e-3, 2, best=True),
-    Column("force_peak_n", "peak", "kN", 1e-3, 1, best=True),
-    Column("force_power_above_10_hz_n2", "above 10 Hz", "kN²", 1e-6, 3, best=True, wide=True),
+    Column("force_rms_n", "force RMS", "kN", 1e-3, 2, best=True, infinite=DERAILED),
+    Column("force_peak_n", "peak", "kN", 1e-3, 1, best=True, infinite=DERAILED),
+    Column(
+        "force_power_above_10_hz_n2", "above 10 Hz", "kN²", 1e-6, 3, best=True, wide=True, infinite=DERAILED
+    ),
     Column("valve_mean", "mean V", digits=2),
     Column("valve_travel_per_km", "travel", "1/km", digits=1),
     Column("switching_per_s", "switching", "1/s", digits=1),
@@ -78,10 +80,10 @@ _POLICY_COLUMNS = (
     Column("policy", "policy"),
     Column("J", "J", digits=4, best=True),
     *_REPORTED,
-    Column("J_offline", "J off-line", digits=4, best=True),
+    Column("J_offline", "J off-line", digits=4, best=True, infinite=DERAILED),
     Column("largest_ratio", "largest ratio", best=True, **LIMITED),
-    Column("force_rms_n", "force", "kN", 1e-3, 2, best=True, wide=True),
-    Column("comfort", "N_MV", digits=2, best=True, wide=True),
+    Column("force_rms_n", "force", "kN", 1e-3, 2, best=True, wide=True, infinite=DERAILED),
+    Column("comfort", "N_MV", digits=2, best=True, wide=True, infinite=DERAILED),
     Column("derailed", "derailed", limit=0.0),
     Column("runs", "runs"),
 )
@@ -335,10 +337,12 @@ def evaluate(
     Raises
     ------
     ConfigError
-        A speed outside the vehicle's range, a profile that cannot be used, a policy that does not fit.
+        A speed outside the vehicle's range, a profile that cannot be used, a policy that does not fit; no
+        speed or no seed.
     StudyError
         A run that diverged.
     """
+    refuse_empty(speeds=speeds, seeds=seeds)
     specs = tuple(policies) or (own_policy(scenario),)
     chosen, setup = conditions(scenario, wear, friction), environment or load_environment()
     runs = list(policy_runs(specs, chosen, speeds, seeds, setup, initial_current=initial_current))

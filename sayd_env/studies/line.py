@@ -24,7 +24,7 @@ from sayd_env.report.columns import DERAILED, LIMITED, Column, Listing, Table, c
 from sayd_env.report.figures import Plot, label, legend_below, limit_line, log_axis, panels
 from sayd_env.report.html import Grid, Page, Picture, Section
 from sayd_env.runs.along import LineRecord, Trip, along_lines, line_runs
-from sayd_env.runs.context import RunContext
+from sayd_env.runs.context import RunContext, refuse_empty
 from sayd_env.runs.metrics import RATIOS
 from sayd_env.runs.policies import PolicySpec, refuse_duplicates
 from sayd_env.runs.rollouts import Run, conditions, own_policy
@@ -346,10 +346,11 @@ def evaluate_line(
     ------
     ConfigError
         A line that cannot be, or one that says the friction itself beside those given; a speed outside the
-        vehicle's range, a duplicate policy or one that does not fit.
+        vehicle's range, a duplicate policy or one that does not fit; no speed or no seed.
     StudyError
         A run that diverged.
     """
+    refuse_empty(speeds=speeds, seeds=seeds)
     if friction and not isinstance(line, Line):
         refuse_said(line, {"friction": "friction"})
     specs, setup = tuple(policies) or (own_policy(scenario),), environment or load_environment()

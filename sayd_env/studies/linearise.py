@@ -115,12 +115,14 @@ class LineariseResult:
             if point.shift > 0.0
             else "contact: tangent in the centred position"
         )
-        moving = "at rest, tangent"
-        if stroke is not None:
-            moving = f"{stroke.speed * 1e3:.3g} mm/s (RMS) at {stroke.frequency:.2f} Hz"
+        moving = "yaw dampers: at rest, tangent"
+        if not yaw_group(self.system, "force"):
+            moving = "no yaw dampers"
+        elif stroke is not None:
+            moving = f"yaw dampers: {stroke.speed * 1e3:.3g} mm/s (RMS) at {stroke.frequency:.2f} Hz"
         elif sayd is not None:
-            moving = "at rest, held by friction: a command moves nothing"
-        console.print(f"{shifted}; yaw dampers: {moving}", highlight=False)
+            moving = "yaw dampers: at rest, held by friction: a command moves nothing"
+        console.print(f"{shifted}; {moving}", highlight=False)
         if sayd is not None and stroke is not None:
             console.print(
                 f"pressure drop {sayd.drop * 1e-5:.3g} bar, command: "

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +159,8 @@ def new(kind: str, name: str, start: str | None = None, folder: Path | None = No
         )
     source, text = _text(kind, template, name, start or template.start)
     file = (folder or Path()) / f"{name}{Path(source).suffix}"
+    if kind == "controller" and not file.exists() and find_spec(name) is not None:
+        raise ConfigError(f"NAME {shown(name)}: is a module already, which {file.name} would hide")
     _create(file, text)
     uses = template.uses
     if template.special:

@@ -334,8 +334,10 @@ def run_of(
     Raises
     ------
     ConfigError
-        A line that cannot be, a speed outside the vehicle's range, a policy that does not fit.
+        A line that cannot be, a speed outside the vehicle's range, a policy that does not fit; no time.
     """
+    if seconds is not None and not 0.0 < seconds < math.inf:
+        raise ConfigError(f"seconds: found {seconds}; expected a number above 0")
     spec, setup = policy or own_policy(scenario), environment or load_environment()
     (here,) = conditions(scenario)
     given: dict[str, Any] = {"initial_current": initial_current}

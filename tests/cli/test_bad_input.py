@@ -73,7 +73,7 @@ def test_files_that_are_no_configuration_are_refused(refused: Refused):
         ("empty.yaml", "empty.yaml: is empty; expected keys and values"),
         ("list.yaml", "list.yaml: found [1, 2]; expected keys and values"),
         ("nominl", "did you mean 'nominal'?; available: "),
-        ("", "unknown study ''"),
+        ("", "unknown configuration ''"),
     ):
         assert message in refused("evaluate", "--config", file)
 
@@ -154,13 +154,13 @@ def test_bad_speeds_are_refused_before_any_work(command: str, speeds: str, messa
             ["--friction", "0.3", "--set", "friction=0.4"],
             "--friction: sets what --set friction does; give one",
         ),
-        (["--profile", "new", "--set", "wear=0.5,1"], "--set wear: has several values here"),
-        (["--wear", "0", "--set", "wear=0.5,1"], "--set wear: has several values here"),
-        (
-            ["--profile", "lma", "--set", "wheel=s1002,lma"],
-            "--set wheel: has several values here",
-        ),
-        (["--gauge", "1435", "--set", "track.gauge=1.43,1.44"], "--set track.gauge: has several values here"),
+        (["--profile", "new", "--set", "wear=0.5,1"], "--profile: sets what --set wear does; give one"),
+        (["--wear", "0", "--set", "wear=0.5,1"], "--wear: sets what --set wear does; give one"),
+        (["--profile", "lma", "--set", "wheel=s1002,lma"], "--profile: sets what --set wheel does; give one"),
+        (["--gauge", "1435", "--set", "track.gauge=1.43,1.44"], "--gauge: sets what --set track.gauge does"),
+        (["--policies", "mppt1", "--policies", "mppt2"], "--policies: found 2 times; expected once"),
+        (["--out", ""], "--out: found an empty place; expected a path"),
+        (["--gauge", "1400"], "gauge 1400 mm: the flanges of wheel 's1002cn-estimate', whose"),
         (["--environment", "line"], "environment: goes along lines of its own; expected one without"),
         (["--gauge", "2024.yaml"], "2024.yaml: no such"),
         (["--set", "track.gauge=1.6"], "check gauge and back-to-back distance"),
@@ -286,7 +286,7 @@ def test_a_bad_profile_file_is_named(content: str | bytes | None, message: str, 
     if content is not None:
         write("my/measured.csv", content)
     write("my/study.yaml", WHEEL)
-    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--json")
+    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--seeds", "1", "--json")
     assert found.startswith("sayd: error: my/measured.csv: ")
     assert message in found
 
@@ -309,7 +309,7 @@ def test_a_bad_irregularity_file_is_named(content: str | None, message: str, ref
     if content is not None:
         write("my/measured.csv", content)
     write("my/study.yaml", "track: {irregularity: {type: file, path: measured.csv}}\n")
-    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--json")
+    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--seeds", "1", "--json")
     assert found.startswith("sayd: error: my/measured.csv: ")
     assert message in found
 

@@ -349,7 +349,7 @@ def test_assess_judges_a_recording_by_the_limits_of_en_14363(ride: Path, sayd: S
         (["RIDE", "--speed", "300", "--bogie-mass", "5600"], "load: give --axle-load KN; or --config"),
         (["RIDE", "--speed", "300", "--axle-load", "15"], "--axle-load 15: expected"),
         (["RIDE", "--speed", "300", "--bogie-mass", "5.6"], "--bogie-mass 5.6: expected a number from 500"),
-        (["RIDE", "--speed", "300", "--config", "en14364"], "did you mean 'en14363'"),
+        (["RIDE", "--speed", "300", "--config", "manchestr"], "did you mean 'manchester'"),
     ],
 )
 def test_bad_input_of_assess_is_one_message(arguments: list[str], message: str, ride: Path, refused: Refused):

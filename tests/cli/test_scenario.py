@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,9 +77,26 @@ def test_a_named_profile_is_unworn():
     assert VehicleOptions(profile="lmb10").load().wear == 0.0
 
 
-def test_explicit_wear_is_stronger_than_new_and_worn_and_set_is_stronger_than_flags():
+def test_explicit_wear_is_stronger_than_new_and_worn():
     assert VehicleOptions(profile="new", wear=0.5).load().wear == 0.5
-    assert VehicleOptions(assignments=["friction=0.2"], friction=0.4).load().friction == 0.2
+
+
+@pytest.mark.parametrize(
+    ("flags", "assignment"),
+    [
+        ({"friction": 0.4}, "friction=0.2"),
+        ({"wear": 0.4}, "wear=0.2"),
+        ({"profile": "worn"}, "wear=0.2"),
+        ({"profile": "lma"}, "wheel=s1002"),
+        ({"gauge": "1435"}, "track.gauge=1.436"),
+        ({"track": "china"}, "track=german_low"),
+        ({"damper": "sayd"}, "damper=passive"),
+    ],
+)
+def test_what_an_option_and_an_assignment_give_is_refused(flags: dict[str, Any], assignment: str):
+    option, key = next(iter(flags)), assignment.partition("=")[0]
+    with pytest.raises(ConfigError, match=f"--{option}: sets what --set {key} does; give one"):
+        VehicleOptions(**flags, assignments=[assignment]).load()
 
 
 @pytest.mark.parametrize(

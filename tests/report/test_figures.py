@@ -141,6 +141,17 @@ def test_a_cost_axis_has_plain_numbers(low: float, high: float, expected: set[st
     assert {t.label1.get_text() for t in ticks if low <= t.get_loc() <= high * (1.0 + 1e-9)} == expected
 
 
+@pytest.mark.parametrize("values", [[], [np.nan, np.nan], [0.0, 0.0], [-2.0, -1.0]])
+def test_a_cost_axis_without_a_cost_stays_as_it_is(values: list[float]):
+    """As where every run derails at once; Matplotlib would warn or fail."""
+    figure = Figure()
+    (axes,) = panels(figure, 1)
+    axes.plot(range(len(values)), values)
+    log_axis(axes)
+    figure.draw_without_rendering()
+    assert axes.get_yscale() == "linear"
+
+
 def test_limits_are_dashed_and_maps_hold_their_words():
     figure = Figure()
     (axes,) = panels(figure, 1)

@@ -15,7 +15,8 @@ from sayd_env.physics.linear import OperatingPoint, equivalent, modes_of
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.state_space import state_space
 
-POINT = ["--config", "estimates", "--speed", "250", "--wear", "0", "--shift", "3", "--stroke-speed", "8"]
+VEHICLE = ["--config", "estimates", "--wear", "0"]
+POINT = [*VEHICLE, "--speed", "250", "--shift", "3", "--stroke-speed", "8"]
 
 
 def test_command_writes_the_system_that_python_gives(
@@ -52,7 +53,7 @@ def test_command_writes_the_system_that_python_gives(
 
 def test_semi_active_dampers_at_rest_and_one_track(capsys: pytest.CaptureFixture[str]) -> None:
     rest = ["--damper", "sayd-estimate", "--shift", "0", "--stroke-speed", "0", "--delay-order", "4"]
-    assert main(["linearise", *POINT[:6], *rest, "--json"]) == 0
+    assert main(["linearise", *VEHICLE, "--speed", "250", *rest, "--json"]) == 0
     captured = capsys.readouterr()
     result = json.loads(captured.out)
     assert result["damper"]["force_per_command_n"] == 0.0
@@ -72,7 +73,7 @@ def test_semi_active_dampers_at_rest_and_one_track(capsys: pytest.CaptureFixture
     ],
 )
 def test_bad_input_is_refused(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["linearise", *POINT[:6], *arguments]) == 2
+    assert main(["linearise", *VEHICLE, *arguments]) == 2
     assert message in capsys.readouterr().err.replace("\n", " ")
 
 

@@ -66,7 +66,7 @@ def equivalent_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike)
     Raises
     ------
     DataError
-        An amplitude is not positive or beyond the data.
+        An amplitude is not positive or beyond the data, or the data are no function of the position.
 
     Notes
     -----
@@ -138,6 +138,10 @@ def harmonic_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike) -
 def _checked(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike) -> tuple[Array, Array, Array]:
     position, difference = np.asarray(y, dtype=float), np.asarray(delta_r, dtype=float)
     amplitude = np.atleast_1d(np.asarray(amplitudes, dtype=float))
+    if position.ndim != 1 or position.shape != difference.shape or not np.all(np.diff(position) > 0.0):
+        raise DataError("conicity: expected positions that rise, and a difference of radii at each")
+    if not np.all(np.isfinite(difference)):
+        raise DataError("conicity: the difference of the radii has values that are not finite")
     largest = min(-position[0], position[-1])
     if not np.all((amplitude > 0.0) & (amplitude <= largest)):
         raise DataError(

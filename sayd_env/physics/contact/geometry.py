@@ -38,6 +38,7 @@ and yaw add to gap and slope, from the same columns, stands in `sayd_env.physics
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from pathlib import Path
@@ -54,7 +55,7 @@ from sayd_env.physics.contact import hertz, kalker
 from sayd_env.physics.contact.hertz import hertz_coefficients
 from sayd_env.physics.contact.kalker import kalker_coefficients
 from sayd_env.physics.kernel import kernel
-from sayd_env.physics.profiles import Profile, gauge_point
+from sayd_env.physics.profiles import Profile, flange_face, gauge_point
 
 DELTA_R, G0, Y_C, TAN_GAMMA, COMPLIANCE, A_S, B_S, C11, C22, C23, PHI_K, COMPLIANCE_SLOPE = range(12)
 """Columns of `ContactTable.packed`."""
@@ -349,8 +350,9 @@ def linearised(table: ContactTable, amplitude: float) -> ContactTable:
     """
     if not 0.0 < amplitude <= -table.dy_min:
         raise DataError(
-            f"linearisation amplitude: found {amplitude * 1e3:g} mm, "
-            f"allowed is up to {-table.dy_min * 1e3:g} mm"
+            f"linearisation amplitude: found {amplitude * 1e3:g} mm (an RMS of "
+            f"{amplitude * 1e3 / math.sqrt(2.0):g} mm), allowed is up to {-table.dy_min * 1e3:g} mm "
+            f"({-table.dy_min * 1e3 / math.sqrt(2.0):.3g} mm)"
         )
     sine = np.sin(2.0 * np.pi * (np.arange(720) + 0.5) / 720)
     dy = table.dy
@@ -402,10 +404,27 @@ def _sides(
     step: float,
     half_nodes: int,
 ) -> tuple[_Pair, ...]:
-    """A wheelset's sides, each as a left one: one that stands for both, or the own one and the other."""
+    """A wheelset's sides, each as a left one: one that stands for both, or the own one and the other.
+
+    Raises
+    ------
+    DataError
+        The flanges do not fit between the rails.
+    """
     pairs = (own,) if other is None else (own, other)
+    distances = [wheel.half_distance if e is None else e for wheel, _ in pairs]
+    faces = [
+        distance + flange_face(wheel, rail.gauge_depth)
+        for distance, (wheel, rail) in zip(distances, pairs, strict=True)
+    ]
+    if (across := faces[0] + faces[-1]) >= gauge:
+        raise DataError(
+            f"gauge {gauge * 1e3:g} mm: the flanges of wheel '{own[0].name}', whose faces are "
+            f"{across * 1e3:.1f} mm apart, do not fit between the rails; expected a wider gauge"
+        )
     return tuple(
-        _pair(*pair, gauge, pair[0].half_distance if e is None else e, step, half_nodes) for pair in pairs
+        _pair(*pair, gauge, distance, step, half_nodes)
+        for distance, pair in zip(distances, pairs, strict=True)
     )
 
 

@@ -221,7 +221,7 @@ class BoundResult:
         title = f"way from MPPT2 to the reference, the lowest J of all: {count} conditions"
         yield Listing(title, _SHARES, self.shares())
         yield Listing(
-            f"the search is the lowest in {self.won} of {count} conditions", _CONDITIONS, self.reached
+            f"the search alone is the lowest in {self.won} of {count} conditions", _CONDITIONS, self.reached
         )
         if self.convergence:
             few = self.convergence[0].conditions

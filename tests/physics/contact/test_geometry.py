@@ -14,7 +14,7 @@ from sayd_env.physics.contact import geometry
 from sayd_env.physics.contact.conicity import harmonic_conicity, radius_difference
 from sayd_env.physics.contact.geometry import cached_contact_table, contact_table, linearised, rigid_contact
 from sayd_env.physics.contact.hertz import hertz_coefficients
-from sayd_env.physics.profiles import Profile, rail_profile, wheel_profile
+from sayd_env.physics.profiles import Profile, flange_face, rail_profile, wheel_profile
 
 RADIUS, GAUGE, LOAD = 0.46, 1.435, 75e3
 CONFIG = ContactConfig(
@@ -194,11 +194,25 @@ def test_packed_columns(rail: Profile) -> None:
 
 def test_wheel_beside_its_rail(rail: Profile) -> None:
     wheel = wheel_profile(load_wheel("s1002cn"))
-    for gauge in (1.0, 1.2, 1.6, 2.0):
+    for gauge in (1.6, 2.0):
         with pytest.raises(DataError, match="runs off rail 'cn60'"):
             contact_table(wheel, rail, gauge, CONFIG, RADIUS, LOAD)
         with pytest.raises(DataError, match="runs off rail 'cn60'"):
             rigid_contact(wheel, rail, gauge, 12e-3, step=5e-5)
+
+
+def test_flanges_that_do_not_fit_between_the_rails(rail: Profile) -> None:
+    """EN 13715: the flange of S1002 is 32.5 mm thick, 10 mm below the tape circle, and 70 degrees steep."""
+    wheel = wheel_profile(load_wheel("s1002"))
+    across = 2.0 * (wheel.half_distance + flange_face(wheel, 10e-3))
+    assert across == pytest.approx(1.360 + 2.0 * 0.0325, abs=5e-4)
+    deeper = across - 2.0 * (rail.gauge_depth - 10e-3) / np.tan(np.radians(70.0))
+    for gauge in (1.0, 1.3, deeper - 1e-3):
+        with pytest.raises(DataError, match=f"gauge {gauge * 1e3:g} mm: the flanges .* do not fit"):
+            contact_table(wheel, rail, gauge, CONFIG, RADIUS, LOAD)
+        with pytest.raises(DataError, match="do not fit between the rails"):
+            rigid_contact(wheel, rail, gauge, 12e-3, step=5e-5)
+    assert np.all(np.isfinite(rigid_contact(wheel, rail, deeper + 1e-3, 12e-3, step=5e-5).delta_r))
 
 
 def test_a_kept_table_is_the_one_that_was_made(
