@@ -12,6 +12,7 @@ from sayd_env.cli.options import argument, option
 from sayd_env.cli.output import command_text
 from sayd_env.cli.parsers import SPEED, ListOf, Names, Number, Numbers, name, positive
 from sayd_env.config import ConfigError, StudyError
+from sayd_env.config.limits import AXLE_LOAD, BOGIE_MASS
 from sayd_env.config.loader import assigned_keys
 from sayd_env.config.storage import write_file
 from sayd_env.config.units import KMH
@@ -24,9 +25,8 @@ if TYPE_CHECKING:
     from sayd_env.studies.tuning.calibrate import CalibrationResult
 
 GROUP = "Vehicle and paper"
-# What no bogie and no wheelset has, in another unit as a rule.
-BOGIE_MASS, AXLE_LOAD = Number(500, 50_000, "kg"), Number(30, 500, "kN")
 COMPONENTS = "Components"
+_KILONEWTONS = Number(1e-3 * AXLE_LOAD.low, 1e-3 * AXLE_LOAD.high, "kN")
 
 
 @command(GROUP, "--profile worn --speeds 320:445:25 --seeds 2", runs=True, without=("wide",))
@@ -272,10 +272,12 @@ def assess(
     file: Path = argument("FILE", "Recording: text table (.csv, .txt), MDF, TDMS, MATLAB or Parquet."),
     *,
     bogie_mass: float | None = option(
-        "--bogie-mass KG", "Mass of the bogie with its wheelsets: limit of accelerations.", BOGIE_MASS
+        "--bogie-mass KG",
+        "Mass of the bogie with its wheelsets: limit of accelerations.",
+        Number(*BOGIE_MASS),
     ),
     axle_load: float | None = option(
-        "--axle-load KN", "Static load of a wheelset: limit of track shift forces.", AXLE_LOAD
+        "--axle-load KN", "Static load of a wheelset: limit of track shift forces.", _KILONEWTONS
     ),
     speed: float | None = option("--speed KMH", "Speed, if no column gives it.", SPEED),
     sample_rate: float | None = option(

@@ -1,4 +1,4 @@
-"""What the quantities of an episode may be: for its options and for what it draws alike."""
+"""What quantities may be: of an episode, for its options and its draws alike, and of a recorded train."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ same law. A fifth shows what a controller does with wheels that are turned too l
 
 
 class AllowedRange(NamedTuple):
-    """Values that a quantity of an episode may have."""
+    """Values that a quantity may have."""
 
     low: float
     high: float
@@ -39,6 +39,10 @@ LIMITS: Mapping[str, AllowedRange] = MappingProxyType(
     }
 )
 """For options of an episode and for what it draws alike. (The vehicle's speeds may reach less far.)"""
+
+
+BOGIE_MASS, AXLE_LOAD = AllowedRange(500.0, 50e3, "kg"), AllowedRange(30e3, 500e3, "N")
+"""Of the train whose run was recorded. What lies beyond is in another unit as a rule."""
 
 
 def within(distribution: Distribution, name: str) -> Distribution:

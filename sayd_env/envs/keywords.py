@@ -81,6 +81,7 @@ def configured(
     assignments = _assignments(given.pop("settings", None))
     weights = _weights(given.pop("reward", None))
     config = load_environment(environment)
+    rows = config.history
     if "sensors" in given:
         given["sensors"] = _sensors(given["sensors"])
     left = config.randomisation.without_keys(
@@ -96,6 +97,10 @@ def configured(
             config.lines.refuse_speed("speed_kmh")
         given["lines"] = config.lines.without(fixed_by(assigned_keys(assignments)))
     config = validate(EnvironmentConfig, dict(config) | given, "keywords")
+    if config.history != rows and config.observation != "history":
+        raise ConfigError(
+            f"history: has no effect on observation='{config.observation}'; give observation='history', too"
+        )
     scenario = environment_scenario(config, assignments, "settings")
     if scenario.damper.type != config.damper:
         raise ConfigError(

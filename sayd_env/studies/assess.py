@@ -14,6 +14,7 @@ import numpy as np
 
 from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
+from sayd_env.config.limits import AXLE_LOAD, BOGIE_MASS
 from sayd_env.config.palette import GREY, SKY, VERMILION, cycled
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
@@ -92,7 +93,19 @@ class Train:
         axle_load: float | None = None,
         scenario: Scenario | None = None,
     ) -> Train:
-        """Take numbers as given (kg, N), the others from the vehicle of a scenario, if there is one."""
+        """Take numbers as given (kg, N), the others from the vehicle of a scenario, if there is one.
+
+        Raises
+        ------
+        ConfigError
+            A number that no train has, such as one in t or kN.
+        """
+        for name, value, allowed in (
+            ("bogie_mass", bogie_mass, BOGIE_MASS),
+            ("axle_load", axle_load, AXLE_LOAD),
+        ):
+            if value is not None and not allowed.low <= value <= allowed.high:
+                raise ConfigError(f"{name}: found {value:g}; expected {allowed}")
         mass = None if bogie_mass is None else Stated(bogie_mass, "--bogie-mass")
         load = None if axle_load is None else Stated(axle_load, "--axle-load")
         if scenario is None:

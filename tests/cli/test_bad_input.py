@@ -159,6 +159,10 @@ def test_bad_speeds_are_refused_before_any_work(command: str, speeds: str, messa
         (["--profile", "lma", "--set", "wheel=s1002,lma"], "--profile: sets what --set wheel does; give one"),
         (["--gauge", "1435", "--set", "track.gauge=1.43,1.44"], "--gauge: sets what --set track.gauge does"),
         (["--policies", "mppt1", "--policies", "mppt2"], "--policies: found 2 times; expected once"),
+        (
+            ["--policies", "mppt1", "--set", "damper.series_stiffness=5e6"],
+            "--set damper: has no effect: every policy commands valves",
+        ),
         (["--out", ""], "--out: found an empty place; expected a path"),
         (["--gauge", "1400"], "gauge 1400 mm: the flanges of wheel 's1002cn-estimate', whose"),
         (["--environment", "line"], "environment: goes along lines of its own; expected one without"),

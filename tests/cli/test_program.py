@@ -99,6 +99,9 @@ def sayd(
         (["probe", "defect"], 1, "sayd: internal error: RuntimeError: first line second line; please report"),
         (["probe", "interrupt"], 130, "sayd: interrupted"),
         (["probe"], 2, "sayd: error: Missing argument 'what' (see 'sayd probe --help')"),
+        (["tune"], 2, "sayd: error: Missing argument 'CONTROLLER'. Choose from: constant, speed-schedule, "),
+        (["probe", "x", "--quick", "--quick"], 2, "sayd: error: --quick: found 2 times; expected once"),
+        (["probe", "x", "--out="], 2, "sayd: error: --out: found an empty place; expected a path"),
         (["probe", "escape"], 2, "sayd: error: unknown key '\\x1b[2J\\x00'"),
         (["probe", "long"], 2, "sayd: error: xxx"),
         (["probe", "x", "--seed", "3"], 2, "sayd: error: No such option: --seed"),
@@ -125,6 +128,13 @@ def test_every_error_is_one_line_with_its_status(
     assert len(done.stderr) < 2100
     assert done.stdout == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_command_there_is_the_help_alone(sayd: Sayd):
+    done = sayd()
+    assert done.returncode == 2
+    assert "sayd evaluate --policies" in done.stdout
+    assert done.stderr == ""
 
 
 def test_a_defect_shows_its_place_on_demand(sayd: Sayd, monkeypatch: pytest.MonkeyPatch):

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sayd_env.cli.options import VehicleOptions, gauge_text
+from sayd_env.cli.options import VehicleOptions, gauge_text, say_same_tracks
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import load_sayd
 from sayd_env.config.profile import load_wheel
 from sayd_env.config.scenario import load_scenario
 from sayd_env.config.track import read_track
 from sayd_env.physics.profiles import wheel_profile
+from sayd_env.runs.policies import policy_spec
 
 
 def test_without_flags_the_scenario_is_the_configured_one():
@@ -146,3 +147,36 @@ def test_a_damper_may_be_a_file(tmp_path: Path):
     damper = VehicleOptions(damper=str(own)).load().damper
     assert damper.name.startswith("my-")
     assert damper.type == "sayd"
+
+
+@pytest.mark.parametrize(
+    ("settings", "seeds", "line", "said"),
+    [
+        (["track=smooth"], 2, None, True),
+        (["track=smooth"], 1, None, False),
+        ([], 2, None, False),
+        (["track=smooth"], 2, "straight", True),  # which leaves the track to the episode
+        (["track=smooth"], 2, "conditions", False),  # which has spectra of its own
+    ],
+)
+def test_several_seeds_on_one_track_are_said(
+    settings: list[str], seeds: int, line: str | None, said: bool, capsys: pytest.CaptureFixture[str]
+):
+    """Each of them would be the same run, shown as a median."""
+    say_same_tracks([load_scenario(None, settings)], seeds, line)
+    assert ("the track is the same for every seed" in capsys.readouterr().err) == said
+
+
+def test_dampers_that_no_run_has_are_refused():
+    """Passive ones where valves are commanded, and any on a vehicle that has none."""
+    own = VehicleOptions(assignments=["damper.series_stiffness=5e6"])
+    scenario, mppt2, passive = own.load(), policy_spec("mppt2"), policy_spec("passive")
+    with pytest.raises(ConfigError, match="--set damper: has no effect: every policy commands valves"):
+        own.refuse_idle_dampers([scenario], [mppt2])
+    own.refuse_idle_dampers([scenario], [mppt2, passive])
+    own.refuse_idle_dampers([scenario])
+    usual = VehicleOptions(damper="passive")
+    usual.refuse_idle_dampers([usual.load()], [mppt2])  # naming a default changes nothing
+    without = VehicleOptions(config="manchester", damper="sayd")
+    with pytest.raises(ConfigError, match=r"--damper sayd: .* vehicle 'manchester' has no yaw dampers"):
+        without.refuse_idle_dampers([without.load()])

@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 
 from sayd_env.baselines import interface_of
 from sayd_env.config import ConfigError
+from sayd_env.config.environment import load_environment
 from sayd_env.envs.registration import IDS, VERSION, register_environments
 from sayd_env.envs.single import SaydEnv
 from sayd_env.envs.vector import SaydVectorEnv
@@ -147,6 +148,13 @@ def test_keywords_of_the_batch_are_checked(keywords: dict[str, Any], words: tupl
     with pytest.raises(ConfigError) as caught:
         SaydVectorEnv(**keywords)
     assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_a_history_that_no_observation_has_is_refused() -> None:
+    with pytest.raises(ConfigError, match="history: has no effect on observation='signals'"):
+        SaydEnv(history=3)
+    usual = load_environment().history
+    assert SaydEnv(history=usual).observation_space == SaydEnv().observation_space
 
 
 def test_keywords_do_what_they_say(quick: str) -> None:

@@ -140,6 +140,7 @@ def test_passive_dampers_are_refused() -> None:
     [
         (["--speed", "5000"], r"--speed: found 5000 km/h; vehicle 'emu' runs at 28.8 to 504"),
         (["--seed", "3000000000"], r"--seed: found 3000000000; a unit's whole numbers end at 2147483647"),
+        (["--config", "manchester", "--damper", "sayd"], "0 yaw dampers; the unit needs 4 and 8"),
     ],
 )
 def test_what_no_unit_can_hold_is_refused(

@@ -136,6 +136,12 @@ def test_the_limit_asks_for_the_train(ride: Path) -> None:
         assess_file(ride, SETTINGS, Train.of(bogie_mass=5600.0))
     with pytest.raises(ConfigError, match=r"--bogie-mass KG; .* --axle-load KN; or --config"):
         assess_file(ride, SETTINGS, Train.of())
+    for wrong, what in (
+        ({"bogie_mass": 5.6}, "500 to 50000 kg"),
+        ({"axle_load": 150.0}, "30000 to 500000 N"),
+    ):
+        with pytest.raises(ConfigError, match=what):  # in t and kN
+            Train.of(**wrong)
     emu = Train.of(scenario=load_scenario("estimates"), bogie_mass=6000.0)
     assert emu.bogie_mass == Stated(6000.0, "--bogie-mass")
     # Carbody 49,962 kg, two frames of 2,500 kg and four wheelsets of 1,550 kg on four wheelsets.

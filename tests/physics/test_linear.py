@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from sayd_env.config.scenario import load_scenario
 from sayd_env.config.units import Array, ComplexArray
 from sayd_env.physics.linear import (
     HUNTING_BAND,
+    OperatingPoint,
     critical_speed,
     linear_critical_speed,
     linearise,
@@ -19,7 +22,7 @@ from sayd_env.physics.linear import (
 )
 from sayd_env.physics.mode_names import describe, numbered
 from sayd_env.physics.multibody import Multibody
-from sayd_env.physics.simulator import VehicleModel
+from sayd_env.physics.simulator import Simulator, VehicleModel
 
 AMPLITUDE = 3e-3
 SPEED = 250.0 / 3.6
@@ -137,6 +140,11 @@ def test_a_speed_or_amplitude_out_of_range_is_refused(emu: VehicleModel) -> None
         state_matrix(emu, 300.0, AMPLITUDE)
     with pytest.raises(DataError, match="linearisation amplitude: found 50 mm"):
         state_matrix(emu, SPEED, 0.05)
+    for wrong in ({"shift": -1e-3}, {"stroke_speed": math.nan}, {"frequency": 0.0}):
+        with pytest.raises(ConfigError, match=f"{next(iter(wrong))}: found .*; expected a number"):
+            OperatingPoint(SPEED, **{"shift": 1e-3, "stroke_speed": 1e-2} | wrong)
+    with pytest.raises(ConfigError, match=r"distance: found -1\.0 m"):
+        Simulator(emu, SPEED, 0).run(-1.0)
 
 
 class TestNames:

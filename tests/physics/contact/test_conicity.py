@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
 from sayd_env.config import DataError
+from sayd_env.config.units import Array
 from sayd_env.physics.contact.conicity import equivalent_conicity, harmonic_conicity
 
 Y = np.linspace(-8e-3, 8e-3, 1601)
@@ -67,3 +68,12 @@ def test_wheelsets_that_do_not_centre() -> None:
 def test_amplitude_outside_the_data(amplitude: float) -> None:
     with pytest.raises(DataError, match="allowed is above 0 up to 8 mm"):
         equivalent_conicity(Y, Y, [amplitude])
+
+
+@pytest.mark.parametrize(
+    ("y", "delta_r"),
+    [(Y[::-1], Y), (np.where(Y[3] == Y, np.nan, Y), Y), (Y, Y[:-1]), (Y, np.where(Y[3] == Y, np.inf, Y))],
+)
+def test_data_that_are_no_function_of_the_position(y: Array, delta_r: Array) -> None:
+    with pytest.raises(DataError, match=r"^conicity: "):
+        equivalent_conicity(y, delta_r, [2e-3])
