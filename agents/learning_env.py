@@ -281,7 +281,7 @@ def environment_keywords(config: TrainConfig, beside: BesideConfig | None = None
         "environment": settings.name if beside is None else beside.name,
         "valves": settings.valves,
         "observation": settings.observation,
-        "history": settings.history,
+        "history": settings.history if settings.observation == "history" else None,
         "control_period": settings.control_period,
         "episode_s": settings.episode_s if beside is None else beside.episode_s,
         "reward": settings.reward,

@@ -92,9 +92,11 @@ class Policy(ABC, Generic[Parameters, State]):
             try:
                 count = self._count(state)
             except (AttributeError, TypeError):
+                count = None
+            if not isinstance(count, int):
                 raise ConfigError(
-                    f"{self.name}: state: found {shown(state)}; expected what the call before has returned"
-                ) from None
+                    f"{self.name}: state: found {shown(state)}; expected what the last call returned"
+                )
             if count != len(rows):
                 raise ConfigError(
                     f"{self.name}: the state is that of {count} vehicles, "

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import io
 import os
+import re
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from html.parser import HTMLParser
@@ -20,6 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from sayd_env.agents import pretrained
 from sayd_env.agents.config import load_train
@@ -98,6 +101,25 @@ def make_sweep(
 def synthetic() -> MakeSweep:
     """Maker of sweeps with known crossings."""
     return make_sweep
+
+
+def print_of(result: Any) -> str:
+    """What a result prints in 80 columns; what is left to ``--wide`` is what would be on a wider screen."""
+    found = []
+    for width in (80, 400):
+        console = Console(file=io.StringIO(), width=width)
+        result.summary(console)
+        found.append(console.file.getvalue())  # type: ignore[attr-defined]
+    narrow, wide = (re.findall(r"\d+ more columns? with --wide", text) for text in found)
+    assert narrow == wide
+    assert max(map(len, found[0].splitlines())) <= 80
+    return found[0]
+
+
+@pytest.fixture(scope="session")
+def printed() -> Callable[[Any], str]:
+    """Printer of results."""
+    return print_of
 
 
 @pytest.fixture(scope="session")

@@ -126,7 +126,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     command = typer.main.get_command(app)
     typed[:] = sys.argv[1:] if arguments is None else arguments
     if (option := _without_a_path(typed)) is not None:
-        _complain(f"error: {option}: found an empty place; expected a path")
+        _complain(f"error: {option}: found nothing; expected a path")
         return INPUT_ERROR
     verdicts = {
         Interrupted: ("interrupted; ", INTERRUPTED),

@@ -21,6 +21,7 @@ from sayd_env.config import ConfigError, packaged_names
 from sayd_env.config.loader import YAML, assigned_keys, is_path
 
 if TYPE_CHECKING:
+    from sayd_env.cli.output import Output
     from sayd_env.config.environment import EnvironmentConfig
     from sayd_env.config.scenario import Scenario
     from sayd_env.config.sweep import Variant
@@ -97,15 +98,16 @@ def policy_names(incomplete: str) -> list[str]:
     return [f"{before}{comma}{name}" for name in one_of(*shipped, *pretrained.names())(last)]
 
 
-def scenario_names(incomplete: str) -> list[str]:
+def config_names(incomplete: str) -> list[str]:
     """Completion by the packaged scenarios."""
-    from sayd_env.config import scenario as scenarios  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.layers import names_of  # noqa: PLC0415 - keeps --help fast
+    from sayd_env.config.scenario import STUDY  # noqa: PLC0415
 
-    return one_of(*scenarios.scenario_names())(incomplete)
+    return one_of(*names_of(STUDY))(incomplete)
 
 
 CONFIG = "Configuration: a packaged name or a YAML file."
-Config = Annotated[str | None, scenario("--config NAME|FILE", CONFIG, autocompletion=scenario_names)]
+Config = Annotated[str | None, scenario("--config NAME|FILE", CONFIG, autocompletion=config_names)]
 PlanFile = Annotated[str | None, scenario("--config NAME|FILE", CONFIG)]
 """Of what the command itself does, not of a vehicle."""
 SET_TEXT = (
@@ -247,28 +249,27 @@ class ScenarioOptions(Group):
         """
         from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
 
+        self._refuse_twice()
         if wear is None and self.profile is not None:
             wear = WEAR_OF.get(self.profile, 0.0)
         wheel = None if self.profile in WEAR_OF else self.profile
         config = default if self.config is None else self.config
         flags = {"wheel": wheel, "wear": wear, "friction": friction, "track": self.track}
         flags |= {"rail": self.rail, "track.gauge": self._gauge()}
-        self._refuse_twice({key for key, value in flags.items() if value is not None})
         # JSON is YAML: quoting keeps a name like "1e3" or "no" a name.
         given = [f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None]
         found = load_scenario(config, [*given, *self._damper(config), *(self.assignments or ())])
         say_notes(dict(found))
         return found
 
-    def _refuse_twice(self, keys: Iterable[str]) -> None:
-        """Refuse a key of the configuration that both an option and ``--set`` give."""
-        options = {"track.gauge": "gauge", "wheel": "profile"}
-        given = {key: options.get(key, key) for key in keys} | ({"damper": "damper"} if self.damper else {})
-        if self.profile in WEAR_OF and getattr(self, "wear", None) is None:
-            given["wear"] = "profile"
-        for key in assigned_keys(self.assignments):
-            if key in given:
-                raise ConfigError(f"--{given[key]}: sets what --set {key} does; give one")
+    def _refuse_twice(self) -> None:
+        """Refuse a key of the configuration, or one above it, that both an option and ``--set`` give."""
+        keys = {"gauge": "track.gauge", "profile": "wear" if self.profile in WEAR_OF else "wheel"}
+        for option in ("wear", "friction", "profile", "rail", "gauge", "track", "damper"):
+            own = keys.get(option, option)
+            for key in assigned_keys(self.assignments):
+                if getattr(self, option, None) and (own == key or own.startswith(f"{key}.")):
+                    raise ConfigError(f"--{option}: sets what --set {key} does; give one")
 
     def refuse_said(self, line: str | None) -> None:
         """Refuse options that a line says itself, of a gauge, a track or a coefficient of friction.
@@ -300,7 +301,8 @@ class ScenarioOptions(Group):
         from sayd_env.config.scenario import load_scenario  # noqa: PLC0415 - keeps --help fast
         from sayd_env.runs.policies import replaces_dampers  # noqa: PLC0415
 
-        given = "--set damper" if self.damper is None else f"--damper {self.damper}"
+        keys = [key for key in assigned_keys(self.assignments) if key.partition(".")[0] == "damper"]
+        given = f"--set {keys[0]}" if keys else f"--damper {self.damper}"
         usual, replaced = load_scenario(self.config or default).damper, replaces_dampers(policies)
         for each in found:
             if each.damper == usual:
@@ -396,21 +398,15 @@ def say_notes(parts: Mapping[str, Any]) -> None:
         sys.stderr.write(f"sayd: {note}\n")
 
 
-def say_same_tracks(scenarios: Iterable[Scenario], seeds: int, line: str | None = None) -> None:
-    """Tell on standard error where several seeds make no other track.
-
-    Raises
-    ------
-    ConfigError, DataError
-        The line cannot be used.
-    """
+def say_same_tracks(
+    output: Output, scenarios: Iterable[Scenario], seeds: int, line: str | None = None
+) -> None:
+    """Tell, below a result, where several seeds made no other track."""
     from sayd_env.measured.lines import irregularities_along  # noqa: PLC0415 - keeps --help fast
 
-    if seeds < 2 or any(
-        each.type == "spectrum" for own in scenarios for each in irregularities_along(own.track, line)
-    ):
-        return
-    sys.stderr.write("sayd: the track is the same for every seed: nothing of it is drawn; see --seeds\n")
+    found = irregularities_along([each.track for each in scenarios], line)
+    if seeds > 1 and all(each.type != "spectrum" for each in found):
+        output.say("the track is the same for every seed: nothing of it is drawn")
 
 
 class VehicleOptions(ScenarioOptions):

@@ -86,7 +86,6 @@ def evaluate(
     runs = seeds * max(1, len(specs)) * len(speeds) * max(1, len(wear)) * max(1, len(friction))
     variants, scenarios = grid.sweep(runs, default=setup.study)
     grid.refuse_idle_dampers(scenarios, specs, setup.study)
-    options.say_same_tracks(scenarios, seeds, line)
     options.say_notes(where)
 
     def one(chosen: Scenario, run: RunContext) -> EvaluateResult | LineResult:
@@ -107,10 +106,11 @@ def evaluate(
         lambda run: over_variants(variants, scenarios, runs, one, run),
         {**dict(scenarios[0]), "environment": setup, **where},
         seed,
+        after=lambda _, output: options.say_same_tracks(output, scenarios, seeds, line),
     )
 
 
-@command(GROUP, "--quick --policies passive,mppt2", name="map", runs=True, without=("wide", "reward"))
+@command(GROUP, "--quick --policies passive,mppt2", name="map", runs=True, without=("reward",))
 def map_(
     grid: options.GridOptions,
     foreign: options.ForeignOptions,
@@ -163,13 +163,13 @@ def map_(
     specs = policy_specs(policies or study.POLICIES, foreign.reader(setup, policies))
     grid.refuse_idle_dampers([chosen], specs, setup.study)
     numbers = range(seed, seed + (seeds or (1 if quick else 2)))
-    options.say_same_tracks([chosen], len(numbers))
     return Plan(
         lambda run: study.stability_map(
             chosen, specs, numbers, grid=where, constants=found, environment=setup, context=run
         ),
         {**dict(chosen), "environment": setup, "conditions": found},
         seed,
+        after=lambda _, output: options.say_same_tracks(output, [chosen], len(numbers)),
     )
 
 
@@ -476,9 +476,8 @@ def tune(
     target = file or (None if folder is None else folder / f"{controller}-tuned.yaml")
     if target is not None:
         study.refuse_packaged(target)
-        ResultDirectory(
-            target.parent, "--out" if file is None else "-o"
-        )  # cannot be written to? Say so before the work
+        # Cannot be written to? Say so before the work.
+        ResultDirectory(target.parent, "--out" if file is None else "-o: folder")
     name, typed = config or "configs/study/tuning.yaml", command_text()
 
     def store(result: TuneResult, output: Output) -> None:

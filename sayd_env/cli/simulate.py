@@ -104,9 +104,8 @@ def simulate(
     from sayd_env.studies.sweep import over_variants  # noqa: PLC0415
 
     target = study.chosen_target(file, kind, out or RESULTS / "simulate")
-    ResultDirectory(
-        target.file.parent, "--out" if file is None else "-o"
-    )  # cannot be written to? Say so before the work
+    # Cannot be written to? Say so before the work.
+    ResultDirectory(target.file.parent, "--out" if file is None else "-o: folder")
     setup = load_environment(environment)
     variants, scenarios = choice.sweep(1, MOST_FILES, setup.study)
     reader = foreign.reader(setup, None if who is None else [who])

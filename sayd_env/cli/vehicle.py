@@ -29,7 +29,7 @@ COMPONENTS = "Components"
 _KILONEWTONS = Number(1e-3 * AXLE_LOAD.low, 1e-3 * AXLE_LOAD.high, "kN")
 
 
-@command(GROUP, "--profile worn --speeds 320:445:25 --seeds 2", runs=True, without=("wide",))
+@command(GROUP, "--profile worn --speeds 320:445:25 --seeds 2", runs=True)
 def critical_speed(
     scenario: options.VehicleOptions,
     *,
@@ -58,7 +58,6 @@ def critical_speed(
     runs = seeds * len(grid) * (1 + len(laws))
     variants, scenarios = scenario.sweep(runs)
     scenario.refuse_idle_dampers(scenarios, [] if spec is None else [spec])
-    options.say_same_tracks(scenarios, seeds)
 
     def one(chosen: Scenario, run: RunContext) -> study.CriticalSpeedResult:
         return study.find_critical_speed(chosen, speeds, numbers, policy=spec, creep_laws=laws, context=run)
@@ -68,6 +67,7 @@ def critical_speed(
         lambda run: over_variants(variants, scenarios, runs, one, run),
         {**dict(first), "policy": None if spec is None else spec.identity()},
         seed,
+        after=lambda _, output: options.say_same_tracks(output, scenarios, seeds),
     )
 
 
@@ -124,10 +124,10 @@ def reproduce(
         raise ConfigError("--set wear: has no effect; the rows are about new and worn wheels, wear 0 and 1")
     count = seeds or (plan.quick_seeds if quick else len(plan.seeds))
     numbers = plan.first_seeds(count) if seed is None else tuple(range(seed, seed + count))
-    options.say_same_tracks([chosen], count)
     damper, specs = load_sayd(sayd), row_policies(controllers or (), plan.fixed)
 
-    def judge(result: ReproduceResult, _: Output) -> None:
+    def judge(result: ReproduceResult, output: Output) -> None:
+        options.say_same_tracks(output, [chosen], count)
         failed = [row for row in result.failed if row not in allowed]
         if strict and failed:
             raise StudyError(f"rows that do not hold: {', '.join(failed)}")
@@ -244,7 +244,9 @@ def linearise(
     chosen = scenario.load()
     scenario.refuse_idle_dampers([chosen])
     if stroke_speed is not None and not chosen.vehicle.yaw_damped:
-        raise ConfigError(f"--stroke-speed: vehicle '{chosen.vehicle.name}' has no yaw dampers")
+        raise ConfigError(
+            f"--stroke-speed: has no effect: vehicle '{chosen.vehicle.name}' has no yaw dampers"
+        )
 
     def store(result: study.LineariseResult, output: Output) -> None:
         if output.directory is not None:

@@ -66,6 +66,8 @@ class Kind:
         On what a file stands that names no base.
     only : tuple of str, optional
         A key and its value, where the folder holds other kinds as well: ``("kind", "wheel")``.
+    mark : str, optional
+        A key that its packaged files have, where the folder holds other kinds as well.
     optional : tuple of str
         Parts that may be null.
     sided : bool
@@ -82,6 +84,7 @@ class Kind:
     data: tuple[str, ...] = ()
     base: str | None = None
     only: tuple[str, str] | None = None
+    mark: str | None = None
     optional: tuple[str, ...] = ()
     sided: bool = False
     measured: str | None = None
@@ -140,10 +143,10 @@ def layered(kind: Kind, name_or_path: str) -> Draft:
 def _overlaid(kind: Kind, name: str, users: tuple[str, ...]) -> Draft:
     """A file over its base; parts that nothing was set in are still names."""
     files = "a YAML file" if kind.measured is None else "a YAML file or a measured one"
-    content, source = _measured(kind, name) or read_config(kind.folder, name, files, partial(_fitting, kind))
+    content, source = _measured(kind, name) or read_config(kind.folder, name, files, partial(names_of, kind))
     own, folder = dict(section(content, source)), Path(source).parent
     _refuse_another_kind(kind, own, source)
-    _refuse_other(kind, own, source)
+    _refuse_other(kind, own, name, source)
     below = _base(kind, own, source, (*users, from_anywhere(name)))
     numbers = own.pop("set", None)
     own = _placed(kind, own, folder)
@@ -195,7 +198,7 @@ def _base(kind: Kind, own: dict[str, Any], source: str, users: tuple[str, ...]) 
         raise ConfigError(f"{source}: base: found {shown(base)}; expected a name, a path or null")
     base = beside(base, Path(source).parent)
     if not is_path(base) and base not in packaged_names(kind.folder):
-        names = packaged_names(kind.folder)
+        names = names_of(kind)
         other = next((each for each in _KEYS_OF if base in packaged_names(each)), None)
         hint = nearest(base, names) if other is None else f", which is a {other}"
         raise ConfigError(
@@ -223,21 +226,27 @@ def _refuse_another_kind(kind: Kind, own: dict[str, Any], source: str) -> None:
             )
 
 
-def _refuse_other(kind: Kind, own: dict[str, Any], source: str) -> None:
-    """Refuse a rail where a wheel is expected, and the like."""
+def _refuse_other(kind: Kind, own: dict[str, Any], name: str, source: str) -> None:
+    """Refuse a rail where a wheel is expected, the plan of a study where a scenario is, and the like."""
+    if kind.mark is not None and kind.mark not in own and not is_path(name):
+        raise ConfigError(
+            f"{source}: has no {kind.mark}; with one are available: {', '.join(names_of(kind))}"
+        )
     if kind.only is None:
         return
     key, expected = kind.only
     found = own.get(key, expected)
     if found != expected:
         raise ConfigError(
-            f"{source}: is a {found} {kind.folder}; as {expected} are available: {', '.join(_fitting(kind))}"
+            f"{source}: is a {found} {kind.folder}; as {expected} are available: {', '.join(names_of(kind))}"
         )
 
 
-def _fitting(kind: Kind) -> list[str]:
-    """Packaged names of a kind: of profiles the wheels alone, or the rails."""
+def names_of(kind: Kind) -> list[str]:
+    """Packaged names of a kind: of profiles the wheels alone or the rails, of studies the scenarios."""
     names = packaged_names(kind.folder)
+    if kind.mark is not None:
+        return [name for name in names if kind.mark in read_config(kind.folder, name)[0]]
     if kind.only is None:
         return names
     key, expected = kind.only

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +12,8 @@ from sayd_env.config.assessment import ASSESSMENT, AssessmentConfig
 from sayd_env.config.base import Model, Part, quantity
 from sayd_env.config.contact import ContactConfig
 from sayd_env.config.damper import DAMPER, DamperConfig
-from sayd_env.config.errors import ConfigError
-from sayd_env.config.explain import nearest, shown
 from sayd_env.config.layers import Kind, read_layered
 from sayd_env.config.limits import WORN_OUT
-from sayd_env.config.loader import is_path, packaged_names, packaged_text
 from sayd_env.config.profile import RAIL, WHEEL, RailProfileConfig, WheelProfileConfig
 from sayd_env.config.track import TRACK, TrackConfig
 from sayd_env.config.vehicle import VEHICLE, VehicleConfig
@@ -34,6 +29,7 @@ STUDY = Kind(
         "assessment": ASSESSMENT,
     },
     base="nominal",
+    mark="vehicle",
 )
 
 
@@ -97,7 +93,7 @@ def load_scenario(
     Parameters
     ----------
     config : str, optional
-        A packaged study (``nominal``) or a path to a YAML file. A file needs only the keys in which it
+        A packaged scenario (``nominal``) or a path to a YAML file. A file needs only the keys in which it
         differs from its ``base`` (``nominal`` unless it names another); a section may be given by name, by
         path (relative to that file) or by content, and single numbers under ``set``, as key: value with
         dotted keys.
@@ -111,17 +107,4 @@ def load_scenario(
     ConfigError
         A file, key or value that cannot be used; the message names it and what is allowed.
     """
-    name = "nominal" if config is None else config
-    if not is_path(name) and name not in (known := scenario_names()):
-        raise ConfigError(
-            f"unknown configuration {shown(name)}{nearest(name, known)}; available: {', '.join(known)}, "
-            "or a path to a YAML file"
-        )
-    return read_layered(Scenario, STUDY, name, overrides, option)
-
-
-@cache
-def scenario_names() -> tuple[str, ...]:
-    """Packaged scenarios: of configs/study/ what has a vehicle; the others are plans of studies."""
-    texts = {name: packaged_text("study", name)[1] for name in packaged_names("study")}
-    return tuple(name for name, text in texts.items() if re.search("^vehicle:", text, re.MULTILINE))
+    return read_layered(Scenario, STUDY, "nominal" if config is None else config, overrides, option)

@@ -53,7 +53,7 @@ class Plan:
     rest: Mapping[str, tuple[float, float]]
     """x and y of the bodies' centres, m."""
     dampers: Array
-    """(DAMPERS, 2, 2) x and y of the yaw dampers' ends on bogie and carbody, drawn side by side, m."""
+    """(d, 2, 2) x and y of the yaw dampers' ends on bogie and carbody, drawn side by side, m."""
     wheel_radius: float
     rail_y: float
     """Half the distance of the rails' centres, m."""

@@ -95,8 +95,8 @@ def own_line(line: str | LineConfig) -> Line:
     return outline(config) if config.file is None else read_measured_line(config)
 
 
-def irregularities_along(track: TrackConfig, line: str | None = None) -> list[IrregularityConfig]:
-    """Irregularities under a run on a track, or along a line, which takes the track's where it has none.
+def irregularities_along(tracks: Iterable[TrackConfig], line: str | None = None) -> list[IrregularityConfig]:
+    """Irregularities under runs on some tracks, or along a line, which takes a track's where it has none.
 
     Raises
     ------
@@ -104,7 +104,8 @@ def irregularities_along(track: TrackConfig, line: str | None = None) -> list[Ir
         As `load_line`.
     """
     pieces = () if line is None else own_line(line).tracks
-    return [piece.irregularity or track.irregularity for piece in pieces] or [track.irregularity]
+    said = [piece.irregularity for piece in pieces] or [None]
+    return [each or track.irregularity for track in tracks for each in said]
 
 
 def refuse_said(line: str | LineConfig, given: Mapping[str, str]) -> None:

@@ -15,7 +15,7 @@ from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array, Integers
 from sayd_env.physics.batch import BatchSimulator
 from sayd_env.physics.simulator import RUN_OUT, Simulator, VehicleModel
-from sayd_env.runs.context import RunContext, refuse_empty
+from sayd_env.runs.context import RunContext
 from sayd_env.stability import (
     CriticalSpeed,
     Crossing,
@@ -167,11 +167,10 @@ def sweep(
     Raises
     ------
     ConfigError
-        A speed outside the vehicle's range; no speed or no seed.
+        A speed outside the vehicle's range.
     StudyError
         A run that diverged.
     """
-    refuse_empty(speeds=speeds, seeds=seeds)
     model = VehicleModel(scenario)
     for speed in speeds:
         model.check_speed(speed)  # refused before any work

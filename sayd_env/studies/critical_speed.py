@@ -21,7 +21,7 @@ from sayd_env.physics.contact.creep import LAWS
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.report.columns import LIMITED, Column, Listing, Table, csv_table
 from sayd_env.report.figures import Plot, legend_below, limit_line, panels, with_band
-from sayd_env.runs.context import RunContext, silent
+from sayd_env.runs.context import RunContext, refuse_empty, silent
 from sayd_env.runs.controlled import controlled_runs
 from sayd_env.runs.passive import (
     Criterion,
@@ -354,13 +354,14 @@ def find_critical_speed(
     ------
     ConfigError
         A speed outside the vehicle's range, a profile that cannot be used, a name that is no creep law, a
-        policy that does not fit.
+        policy that does not fit; no speed or no seed.
     StudyError
         A run that diverged.
     """
     check_laws(creep_laws, "creep laws")
     context = context or RunContext()
     chosen = default_speeds(scenario.wear) if speeds is None else tuple(speeds)
+    refuse_empty(speeds=chosen, seeds=seeds)
     each = len(chosen) * len(seeds)
     total = each * (1 + len(creep_laws))
     own = _found(scenario, chosen, seeds, context.part(0, total), policy)

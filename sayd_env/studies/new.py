@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import sys
+import sysconfig
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
-from importlib.util import find_spec
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +149,8 @@ def new(kind: str, name: str, start: str | None = None, folder: Path | None = No
     Raises
     ------
     ConfigError
-        A name that is none, no such packaged file, or there is a file of this name already.
+        A name that is none, or of a module that a controller's file would hide; no such packaged file; or
+        there is a file of this name already.
     StudyError
         The file cannot be written.
     """
@@ -159,7 +162,8 @@ def new(kind: str, name: str, start: str | None = None, folder: Path | None = No
         )
     source, text = _text(kind, template, name, start or template.start)
     file = (folder or Path()) / f"{name}{Path(source).suffix}"
-    if kind == "controller" and not file.exists() and find_spec(name) is not None:
+    installed = [sysconfig.get_path(place) for place in ("purelib", "platlib")]
+    if kind == "controller" and (name in sys.stdlib_module_names or PathFinder.find_spec(name, installed)):
         raise ConfigError(f"NAME {shown(name)}: is a module already, which {file.name} would hide")
     _create(file, text)
     uses = template.uses

@@ -234,8 +234,8 @@ def test_shapes_that_do_not_fit_are_refused(interface, name):
         policy.predict(good[:2], state)
     with pytest.raises(ConfigError, match="found episode_start of shape"):
         policy.predict(good, state, episode_start=[True])
-    with pytest.raises(ConfigError, match="state: found 3; expected what the call before has returned"):
-        policy.predict(good, 3)
+    with pytest.raises(ConfigError, match=r"state: found .*; expected what the last call returned"):
+        policy.predict(good, object())
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

@@ -73,7 +73,7 @@ def test_files_that_are_no_configuration_are_refused(refused: Refused):
         ("empty.yaml", "empty.yaml: is empty; expected keys and values"),
         ("list.yaml", "list.yaml: found [1, 2]; expected keys and values"),
         ("nominl", "did you mean 'nominal'?; available: "),
-        ("", "unknown configuration ''"),
+        ("", "unknown study ''"),
     ):
         assert message in refused("evaluate", "--config", file)
 
@@ -161,9 +161,9 @@ def test_bad_speeds_are_refused_before_any_work(command: str, speeds: str, messa
         (["--policies", "mppt1", "--policies", "mppt2"], "--policies: found 2 times; expected once"),
         (
             ["--policies", "mppt1", "--set", "damper.series_stiffness=5e6"],
-            "--set damper: has no effect: every policy commands valves",
+            "--set damper.series_stiffness: has no effect: every policy commands valves",
         ),
-        (["--out", ""], "--out: found an empty place; expected a path"),
+        (["--out", ""], "--out: found nothing; expected a path"),
         (["--gauge", "1400"], "gauge 1400 mm: the flanges of wheel 's1002cn-estimate', whose"),
         (["--environment", "line"], "environment: goes along lines of its own; expected one without"),
         (["--gauge", "2024.yaml"], "2024.yaml: no such"),
@@ -290,7 +290,7 @@ def test_a_bad_profile_file_is_named(content: str | bytes | None, message: str, 
     if content is not None:
         write("my/measured.csv", content)
     write("my/study.yaml", WHEEL)
-    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--seeds", "1", "--json")
+    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--json")
     assert found.startswith("sayd: error: my/measured.csv: ")
     assert message in found
 
@@ -313,7 +313,7 @@ def test_a_bad_irregularity_file_is_named(content: str | None, message: str, ref
     if content is not None:
         write("my/measured.csv", content)
     write("my/study.yaml", "track: {irregularity: {type: file, path: measured.csv}}\n")
-    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--seeds", "1", "--json")
+    found = refused("evaluate", "--config", "my/study.yaml", "--speeds", "300", "--json")
     assert found.startswith("sayd: error: my/measured.csv: ")
     assert message in found
 

@@ -52,7 +52,7 @@ OFFERED = {
     "soak": {*SHOWN, "set", "steps", "environment", "environments", "seed", "workers"},
     "new": {"from", "json", "help"},
 }
-for _plain in ("render", "critical-speed", "map", "tune"):
+for _plain in ("render", "tune"):
     OFFERED[_plain] -= {"wide"}
 
 

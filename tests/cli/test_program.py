@@ -101,7 +101,7 @@ def sayd(
         (["probe"], 2, "sayd: error: Missing argument 'what' (see 'sayd probe --help')"),
         (["tune"], 2, "sayd: error: Missing argument 'CONTROLLER'. Choose from: constant, speed-schedule, "),
         (["probe", "x", "--quick", "--quick"], 2, "sayd: error: --quick: found 2 times; expected once"),
-        (["probe", "x", "--out="], 2, "sayd: error: --out: found an empty place; expected a path"),
+        (["probe", "x", "--out="], 2, "sayd: error: --out: found nothing; expected a path"),
         (["probe", "escape"], 2, "sayd: error: unknown key '\\x1b[2J\\x00'"),
         (["probe", "long"], 2, "sayd: error: xxx"),
         (["probe", "x", "--seed", "3"], 2, "sayd: error: No such option: --seed"),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sayd_env.cli.options import VehicleOptions, gauge_text, say_same_tracks
+from sayd_env.cli.output import Output
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import load_sayd
 from sayd_env.config.profile import load_wheel
@@ -92,6 +93,7 @@ def test_explicit_wear_is_stronger_than_new_and_worn():
         ({"gauge": "1435"}, "track.gauge=1.436"),
         ({"track": "china"}, "track=german_low"),
         ({"damper": "sayd"}, "damper=passive"),
+        ({"gauge": "1435"}, "track=china"),
     ],
 )
 def test_what_an_option_and_an_assignment_give_is_refused(flags: dict[str, Any], assignment: str):
@@ -162,16 +164,24 @@ def test_a_damper_may_be_a_file(tmp_path: Path):
 def test_several_seeds_on_one_track_are_said(
     settings: list[str], seeds: int, line: str | None, said: bool, capsys: pytest.CaptureFixture[str]
 ):
-    """Each of them would be the same run, shown as a median."""
-    say_same_tracks([load_scenario(None, settings)], seeds, line)
-    assert ("the track is the same for every seed" in capsys.readouterr().err) == said
+    """But for the sensors' errors each of them is the same run, shown as a median."""
+    output = Output("evaluate", None, as_json=False, wide=False)
+    say_same_tracks(output, [load_scenario(None, settings)], seeds, line)
+    assert ("the track is the same for every seed" in capsys.readouterr().out) == said
+
+
+def test_wear_of_a_named_profile_may_be_assigned():
+    """Its wear is 0 by default, which nobody has typed."""
+    assert VehicleOptions(profile="s1002cn", assignments=["wear=0.5"]).load().wear == 0.5
 
 
 def test_dampers_that_no_run_has_are_refused():
     """Passive ones where valves are commanded, and any on a vehicle that has none."""
     own = VehicleOptions(assignments=["damper.series_stiffness=5e6"])
     scenario, mppt2, passive = own.load(), policy_spec("mppt2"), policy_spec("passive")
-    with pytest.raises(ConfigError, match="--set damper: has no effect: every policy commands valves"):
+    with pytest.raises(
+        ConfigError, match=r"--set damper.series_stiffness: has no effect: every policy commands valves"
+    ):
         own.refuse_idle_dampers([scenario], [mppt2])
     own.refuse_idle_dampers([scenario], [mppt2, passive])
     own.refuse_idle_dampers([scenario])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from rich.console import Console
 
 from sayd_env.cli import main
 from sayd_env.config.damper import SaydDamperConfig
@@ -167,10 +165,9 @@ def test_what_is_asked_is_judged_condition_by_condition() -> None:
     assert found["off", "power lost"].derailed == 1
 
 
-def test_a_result_is_shown(read_page: Callable[[str], Any]) -> None:
-    result, text = made_up(RESULT), io.StringIO()
-    result.summary(Console(file=text, width=80))
-    assert max(map(len, text.getvalue().splitlines())) <= 80
+def test_a_result_is_shown(read_page: Callable[[str], Any], printed: Callable[[Any], str]) -> None:
+    result = made_up(RESULT)
+    printed(result)
     assert result.as_dict()["verdicts"][0]["faults_met"] == 1
     drawings = {name: drawing(draw) for name, draw in result.plots().items()}
     page = read_page(page_html(result.page(), drawings, {"config": {}}))

@@ -138,7 +138,12 @@ def harmonic_conicity(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike) -
 def _checked(y: ArrayLike, delta_r: ArrayLike, amplitudes: ArrayLike) -> tuple[Array, Array, Array]:
     position, difference = np.asarray(y, dtype=float), np.asarray(delta_r, dtype=float)
     amplitude = np.atleast_1d(np.asarray(amplitudes, dtype=float))
-    if position.ndim != 1 or position.shape != difference.shape or not np.all(np.diff(position) > 0.0):
+    if (
+        position.ndim != 1
+        or position.size < 2
+        or position.shape != difference.shape
+        or not np.all(np.diff(position) > 0.0)
+    ):
         raise DataError("conicity: expected positions that rise, and a difference of radii at each")
     if not np.all(np.isfinite(difference)):
         raise DataError("conicity: the difference of the radii has values that are not finite")
