@@ -8,7 +8,7 @@ the static wheel load presses, is the contact table of the simulation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,30 +51,27 @@ CURVE = (
 
 
 @dataclass(frozen=True)
-class RightSide:
-    """Right wheel and rail as left ones: their contact, and the table that is read at minus the shift."""
+class Side:
+    """Wheel and rail of one side; of the right one as left ones, whose table is read at minus the shift."""
 
     wheel: Profile
     rail: Profile
     contact: RigidContact
+    """Touching points of the rigid profiles."""
     table: ContactTable
+    """The regularised table."""
 
     def as_dict(self) -> dict[str, str]:
         """Return names of the profiles."""
         return {"wheel": self.wheel.name, "rail": self.rail.name}
 
 
-def _both(left: str, right: str) -> str:
-    return left if left == right else f"{left} and {right}"
-
-
 @dataclass(frozen=True)
 class ConicityResult:
     """Conicity and rolling radii of a wheelset; SI units."""
 
-    wheel: Profile
-    """Left wheel, and the right one if that has no profile of its own; so `rail`, `contact` and `table`."""
-    rail: Profile
+    sides: tuple[Side, ...]
+    """The left one, and the right one where it differs."""
     wear: float
     """0 new to 1 worn."""
     gauge: float
@@ -88,36 +85,25 @@ class ConicityResult:
     """(m,) the same of the regularised contact, the table that a simulation uses."""
     harmonic: Array
     """(m,) conicity of the regularised contact by harmonic linearisation; it exists for every profile."""
-    contact: RigidContact
-    """Touching points of the rigid profiles."""
-    table: ContactTable
-    """The regularised table."""
-    right: RightSide | None = None
-    """The right side, where it differs."""
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was recognised and changed in measured profiles."""
-        own = (self.wheel, self.rail, *((self.right.wheel, self.right.rail) if self.right else ()))
+        own = [profile for side in self.sides for profile in (side.wheel, side.rail)]
         return tuple(dict.fromkeys(note for profile in own for note in profile.notes))
 
     @property
     def title(self) -> str:
         """Wheels on rails, left and right ones where they differ."""
-        left, right = (self.wheel.name, self.rail.name), self.right
-        wheels, rails = (
-            left
-            if right is None
-            else (
-                _both(name, other.name) for name, other in zip(left, (right.wheel, right.rail), strict=True)
-            )
-        )
+        names = [side.as_dict().values() for side in self.sides]
+        wheels, rails = (" and ".join(dict.fromkeys(each)) for each in zip(*names, strict=True))
         return f"{wheels} (wear {self.wear:g}) on {rails}, gauge {self.gauge * _MILLI:g} mm"
 
     def delta_r(self) -> tuple[Array, Array, Array]:
         """Lateral position, rigid and regularised difference of the rolling radii (m), every 0.1 mm."""
-        rigid_y, rigid = radius_difference(self.contact, None if self.right is None else self.right.contact)
-        table_y, soft = radius_difference(self.table, None if self.right is None else self.right.table)
+        left, right = self.sides[0], self.sides[-1]
+        rigid_y, rigid = radius_difference(left.contact, right.contact)
+        table_y, soft = radius_difference(left.table, right.table)
         reach = round(rigid_y[-1] * 1e4)
         y = np.arange(-reach, reach + 1) * 1e-4
         return y, np.interp(y, rigid_y, rigid), np.interp(y, table_y, soft)
@@ -126,13 +112,12 @@ class ConicityResult:
         """Return the keys of ``--json``."""
         y, rigid, soft = self.delta_r()
         return {
-            "wheel": self.wheel.name,
-            "rail": self.rail.name,
-            "right": None if self.right is None else self.right.as_dict(),
+            **self.sides[0].as_dict(),
+            "right": self.sides[1].as_dict() if len(self.sides) > 1 else None,
             "notes": self.notes,
             "wear": self.wear,
             "gauge_mm": self.gauge * _MILLI,
-            "load_kn": self.table.load / _MILLI,
+            "load_kn": self.sides[0].table.load / _MILLI,
             "simulation_uses": "regularised",
             "amplitude_mm": self.amplitude * _MILLI,
             "tan_gamma_e": self.tan_gamma_e,
@@ -171,7 +156,7 @@ class ConicityResult:
         Listing(self.title, CURVE, rows).print(console, wide)
         console.print(
             "rigid: touching points of the profiles. regularised: mean over the patch under "
-            f"{self.table.load / _MILLI:g} kN a wheel, as a simulation has it."
+            f"{self.sides[0].table.load / _MILLI:g} kN a wheel, as a simulation has it."
         )
 
 
@@ -197,70 +182,70 @@ def conicity(scenario: Scenario, amplitudes: Array = AMPLITUDES) -> ConicityResu
         (wheel_profile(wheel, scenario.wear), rail_profile(rail))
         for wheel, rail in dict.fromkeys(sides(scenario.wheel, scenario.rail))
     ]
-    contacts, tables = [], []
+    radius, made = scenario.vehicle.wheel_radius, []
     for pair, other in zip(pairs, [*pairs[1:], *pairs[:1]] if len(pairs) > 1 else [None], strict=True):
-        contacts.append(rigid_contact(*pair, gauge, contact.table_half_width, other=other))
-        radius = scenario.vehicle.wheel_radius
-        tables.append(contact_table(*pair, gauge, contact, radius, load, other=other))
-    y, delta_r = radius_difference(contacts[0], contacts[-1])
-    table_y, table_delta_r = radius_difference(tables[0], tables[-1])
+        rigid = rigid_contact(*pair, gauge, contact.table_half_width, other=other)
+        table = contact_table(*pair, gauge, contact, radius, load, other=other)
+        made.append(Side(*pair, rigid, table))
+    y, delta_r = radius_difference(made[0].contact, made[-1].contact)
+    table_y, table_delta_r = radius_difference(made[0].table, made[-1].table)
     return ConicityResult(
-        wheel=pairs[0][0],
-        rail=pairs[0][1],
+        sides=tuple(made),
         wear=scenario.wear,
         gauge=gauge,
         amplitude=np.asarray(amplitudes, dtype=float),
         tan_gamma_e=equivalent_conicity(y, delta_r, amplitudes),
         tan_gamma_e_table=equivalent_conicity(table_y, table_delta_r, amplitudes),
         harmonic=harmonic_conicity(table_y, table_delta_r, amplitudes),
-        contact=contacts[0],
-        table=tables[0],
-        right=RightSide(*pairs[1], contacts[1], tables[1]) if len(pairs) > 1 else None,
     )
 
 
 def plot_conicity(figure: Figure, results: Sequence[ConicityResult]) -> None:
     """Draw profiles in contact with their contact lines, and conicity and rolling radii of all wheels."""
-    pairs = [pair for result in results for pair in _pairs(result)]
-    figure.set_size_inches(10.0, 3.2 * (1 + len(pairs)))
-    grid = figure.add_gridspec(1 + len(pairs), 2)
+    shown = [(side, result.wear) for result in results for side in result.sides]
+    figure.set_size_inches(10.0, 3.2 * (1 + len(shown)))
+    grid = figure.add_gridspec(1 + len(shown), 2)
     first: Any = None
-    for row, pair in enumerate(pairs):
+    for row, (side, wear) in enumerate(shown):
         # All to the same scale, one below the other.
         axes = figure.add_subplot(grid[row, :], sharex=first, sharey=first)
         first = first or axes
-        _draw_pair(axes, pair)
+        _draw_side(axes, side, wear)
     curves, radii = figure.add_subplot(grid[-1, 0]), figure.add_subplot(grid[-1, 1])
-    _draw_curves(curves, results)
-    _draw_radii(radii, results)
+    for i, each in enumerate(results):
+        name = _label(each.sides[0], each.wear)
+        conicities = (each.tan_gamma_e, each.tan_gamma_e_table, each.harmonic)
+        _draw_ways(curves, i, name, each.amplitude, conicities)
+        y, *differences = each.delta_r()
+        near = np.abs(y) <= _CONTACT_LINES_REACH
+        _draw_ways(radii, i, name, y[near], [difference[near] * _MILLI for difference in differences])
+    curves.set(
+        xlabel="amplitude (mm)", ylabel="equivalent conicity (-)", title="equivalent conicity, EN 15302"
+    )
+    radii.set(
+        xlabel="lateral position (mm)",
+        ylabel="difference (mm)",
+        title="difference of rolling radii",
+    )
     legend_below(figure, curves, columns=3)
 
 
-def _pairs(result: ConicityResult) -> list[ConicityResult]:
-    """A result as it is for each of its sides."""
-    right = result.right
-    if right is None:
-        return [result]
-    other = replace(result, wheel=right.wheel, rail=right.rail, contact=right.contact, table=right.table)
-    return [result, other]
+def _label(side: Side, wear: float) -> str:
+    return label(f"{side.wheel.name}, wear {wear:g}")
 
 
-def _label(result: ConicityResult) -> str:
-    return label(f"{result.wheel.name}, wear {result.wear:g}")
-
-
-def _draw_pair(axes: Axes, result: ConicityResult) -> None:
-    """Left wheel above its rail in the centred position, points that touch joined by lines."""
-    contact, lift = result.contact, 0.010
+def _draw_side(axes: Axes, side: Side, wear: float) -> None:
+    """Wheel above its rail in the centred position, points that touch joined by lines."""
+    wheel, rail, contact, lift = side.wheel, side.rail, side.contact, 0.010
     offset = float(np.interp(0.0, contact.y, contact.s - contact.t))
-    axes.plot(result.wheel.y * _MILLI, (lift - result.wheel.z) * _MILLI, BLUE, label=label(result.wheel.name))
-    axes.plot((result.rail.y + offset) * _MILLI, result.rail.z * _MILLI, GREY, label=label(result.rail.name))
-    wheel, named = result.wheel, np.array([])
+    axes.plot(wheel.y * _MILLI, (lift - wheel.z) * _MILLI, BLUE, label=label(wheel.name))
+    axes.plot((rail.y + offset) * _MILLI, rail.z * _MILLI, GREY, label=label(rail.name))
+    named = np.array([])
     steps = int(min(_CONTACT_LINES_REACH, contact.y[-1]) / _CONTACT_LINES_EVERY + 1e-6)
     # The ends first, which always have their names.
     for y in _CONTACT_LINES_EVERY * np.array(sorted(range(-steps, steps + 1), key=lambda k: (-abs(k), k))):
         s, t = np.interp(y, contact.y, contact.s), np.interp(y, contact.y, contact.t)
-        ends = lift - np.interp(s, result.wheel.y, result.wheel.z), np.interp(t, result.rail.y, result.rail.z)
+        ends = lift - np.interp(s, wheel.y, wheel.z), np.interp(t, rail.y, rail.z)
         axes.plot(np.array([s, t + offset]) * _MILLI, np.array(ends) * _MILLI, VERMILION, linewidth=0.7)
         if np.all(np.abs(s - named) >= _NAMES_APART):
             # Beside a flank, above what is flat.
@@ -271,7 +256,7 @@ def _draw_pair(axes: Axes, result: ConicityResult) -> None:
             axes.annotate(words, place, fontsize=7, ha="right" if steep else "center")
             named = np.append(named, s)
     axes.set(
-        title=f"{_label(result)} on {result.rail.name}: contact lines for y in mm",
+        title=f"{_label(side, wear)} on {rail.name}: contact lines for y in mm",
         xlabel="distance from the tape circle (mm), field side positive",
         ylabel="height (mm)",
         aspect="equal",
@@ -283,28 +268,8 @@ _WAYS = {"rigid": "-", "regularised (simulated)": "--", "regularised, harmonic":
 """Lines of the contacts, and of the way of taking the conicity."""
 
 
-def _draw_curves(axes: Axes, results: Sequence[ConicityResult]) -> None:
-    for i, each in enumerate(results):
-        curves = (each.tan_gamma_e, each.tan_gamma_e_table, each.harmonic)
-        _draw_ways(axes, i, each, each.amplitude, curves)
-    axes.set(xlabel="amplitude (mm)", ylabel="equivalent conicity (-)", title="equivalent conicity, EN 15302")
-
-
-def _draw_radii(axes: Axes, results: Sequence[ConicityResult]) -> None:
-    for i, each in enumerate(results):
-        y, *radii = each.delta_r()
-        near = np.abs(y) <= _CONTACT_LINES_REACH
-        _draw_ways(axes, i, each, y[near], [radius[near] * _MILLI for radius in radii])
-    axes.set(
-        xlabel="lateral position (mm)",
-        ylabel="difference (mm)",
-        title="difference of rolling radii",
-    )
-
-
-def _draw_ways(axes: Axes, number: int, result: ConicityResult, x: Array, curves: Sequence[Array]) -> None:
+def _draw_ways(axes: Axes, number: int, name: str, x: Array, curves: Sequence[Array]) -> None:
     """Draw a wheel's curves by each contact in the wheel's colour."""
     for (way, line), values in zip(_WAYS.items(), curves, strict=False):
-        named = f"{_label(result)}: {way}"
-        axes.plot(x * _MILLI, values, CYCLE[number % len(CYCLE)], linestyle=line, label=named)
+        axes.plot(x * _MILLI, values, CYCLE[number % len(CYCLE)], linestyle=line, label=f"{name}: {way}")
     axes.grid(alpha=0.3)
