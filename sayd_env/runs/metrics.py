@@ -11,7 +11,7 @@ import numpy as np
 
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.environment import EnvironmentConfig
-from sayd_env.config.scenario import CostConfig, Scenario
+from sayd_env.config.scenario import CostConfig
 from sayd_env.config.units import KMH, Array, Array32, Flags
 from sayd_env.envs.cost import charged
 from sayd_env.envs.loop import (
@@ -30,7 +30,7 @@ from sayd_env.runs.controlled import controlled_run_of, refuse_divergence
 from sayd_env.runs.passive import assessed_part
 from sayd_env.runs.policies import PASSIVE
 from sayd_env.runs.rollouts import Run, roll_out_runs
-from sayd_env.stability import Limits, assessed_span, averaged_spectra, band_pass, distance_run
+from sayd_env.stability import assessed_span, averaged_spectra, band_pass, distance_run
 from sayd_env.stability.comfort import mean_comfort
 
 LOWER, UPPER = 0.25, 0.75
@@ -218,34 +218,6 @@ def row_of(
     )
 
 
-def offline_cost(
-    acceleration: Array, force: Array, rate: float, speed: float, scenario: Scenario, bounds: Limits
-) -> tuple[float, float]:
-    """Unweighted (psi_y / y_lim)^2 and (psi_F / F_max)^2 over the assessed length, with the off-line filter.
-
-    Means over time, points or dampers, and bogies. A bogie has one f_0, from the sum of the spectra of its
-    points.
-
-    Parameters
-    ----------
-    acceleration : ndarray, shape (t, 4)
-        Lateral accelerations of the bogie frames (m/s2), from the start of the run-in.
-    force : ndarray, shape (t, 8)
-        Hydraulic forces of the dampers (N).
-    rate, speed : float
-        Hz, m/s.
-    """
-    settings = scenario.assessment
-    distance = distance_run(speed, rate, len(acceleration))
-    part = assessed_part(len(acceleration), rate, speed, settings)
-    span = assessed_span(distance, settings)
-    filtered = band_passed(acceleration, rate, distance, span, settings)[part]
-    return (
-        float(np.mean((filtered / bounds.acceleration) ** 2)),
-        float(np.mean((force[part] / scenario.cost.force_reference) ** 2)),
-    )
-
-
 def band_passed(
     acceleration: Array, rate: float, distance: Array, span: tuple[float, float], settings: AssessmentConfig
 ) -> Array:
@@ -300,17 +272,20 @@ def switchings(command: Array32, lower: float = LOWER, upper: float = UPPER) -> 
 
 
 def _measured(run: Run, rollout: Rollout) -> dict[str, float]:
-    scenario, speed = run.scenario, rollout.episode.speed
+    scenario, speed, rate = run.scenario, rollout.episode.speed, rollout.sample_rate
     settings, bounds = scenario.assessment, model_limits(VehicleModel(scenario))
     weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
     controlled = controlled_run_of("", rollout, settings)
-    offline = offline_cost(
-        rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT],
-        rollout.true[:, LOG_HYDRAULIC:LOG_CURRENT],
-        rollout.sample_rate,
-        speed,
-        scenario,
-        bounds,
+    acceleration = rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]
+    distance = distance_run(speed, rate, len(acceleration))
+    part = assessed_part(len(acceleration), rate, speed, settings)
+    span = assessed_span(distance, settings)
+    filtered = band_passed(acceleration, rate, distance, span, settings)[part]
+    force = rollout.true[part, LOG_HYDRAULIC:LOG_CURRENT]
+    # Unweighted means over time, points or dampers, and bogies.
+    offline = (
+        float(np.mean((filtered / bounds.acceleration) ** 2)),
+        float(np.mean((force / scenario.cost.force_reference) ** 2)),
     )
     return {
         "J_run": float(np.dot(weights, rollout.cost(math.floor((settings.length or 0.0) / speed)))),

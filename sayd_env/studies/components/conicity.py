@@ -52,7 +52,7 @@ CURVE = (
 
 @dataclass(frozen=True)
 class Side:
-    """Wheel and rail of one side; of the right one as left ones, whose table is read at minus the shift."""
+    """Wheel and rail of one side. Right ones stand as left ones: their table is read at minus the shift."""
 
     wheel: Profile
     rail: Profile
