@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -56,31 +56,12 @@ KEPT = 50
 """Seconds that the table of the worst holds."""
 
 
-@dataclass(frozen=True)
-class Second:
-    """One second of an episode, and what it ran under."""
-
-    J: float
-    """Mean of the bogies' J; what came together until then, where the episode was terminated within it."""
-    cut: bool
-    """The episode was terminated within this second."""
-    second: int
-    """Number of the second in its episode, from 0."""
-    seed: int
-    episode: int
-    speed_kmh: float
-    wear: float
-    friction: float
-    track: str
-    faults: str
-    """Kinds of the episode's faults that had happened."""
-    commands: str
-    """The last kind of command in this second."""
-
-
 WORST = (
+    # Mean of the bogies' J; what came together until then, where the episode was terminated within it.
     Column("J", "J", digits=4),
+    # The episode was terminated within this second.
     Column("cut", "cut"),
+    # Number of the second in its episode, from 0.
     Column("second", "second", wide=True),
     Column("seed", "seed"),
     Column("episode", "episode", wide=True),
@@ -88,10 +69,12 @@ WORST = (
     Column("wear", "wear", digits=2),
     Column("friction", "friction", digits=2),
     Column("track", "track"),
+    # Kinds of the episode's faults that had happened.
     Column("faults", "faults"),
+    # The last kind of command in this second.
     Column("commands", "commands"),
 )
-"""Of the table of the worst seconds."""
+"""Of the table of the worst seconds: one second of an episode, and what it ran under."""
 _COUNTS = (Column("what", "what"), Column("count", "count"))
 _DEFECT_COUNTS = (Column("what", "what"), Column("count", "count", limit=0))
 
@@ -113,8 +96,8 @@ class SoakResult:
     """Counts by the keys of `DEFECTS`."""
     costs: Array
     """J of every whole second."""
-    worst: tuple[Second, ...]
-    """The seconds of the largest J, cut ones among them, largest first."""
+    worst: Sequence[Mapping[str, Any]]
+    """By `WORST`: the seconds of the largest J, cut ones among them, largest first."""
     termination_cost: float
     """What the environment charges now."""
     wall_s: float
@@ -122,7 +105,7 @@ class SoakResult:
     @property
     def largest(self) -> float:
         """Largest J of a second; NaN where none was run."""
-        return self.worst[0].J if self.worst else math.nan
+        return float(self.worst[0]["J"]) if self.worst else math.nan
 
     @property
     def recommended(self) -> float:
@@ -144,7 +127,7 @@ class SoakResult:
             "seconds": len(self.costs),
             "largest_j": self.largest,
             "quantiles_j": {f"{q:g}": value for q, value in self.quantiles.items()},
-            "worst": [asdict(second) for second in self.worst[:SHOWN]],
+            "worst": self.worst[:SHOWN],
             "termination_cost": self.termination_cost,
             "recommended_termination_cost": self.recommended,
             "wall_s": self.wall_s,
@@ -330,7 +313,7 @@ class _Watch:
         self._sum = np.zeros(env.num_envs)
         self._per_second = round(1.0 / env.interface.control_period)
         self._costs: list[Array] = []
-        self._worst: list[Second] = []
+        self._worst: list[dict[str, Any]] = []
         space: Any = env.observation_space
         self._low, self._high = space.low, space.high
 
@@ -377,33 +360,34 @@ class _Watch:
         if not done.any():
             return
         self._costs.append(self._sum[whole])
-        least = self._worst[-1].J if len(self._worst) >= KEPT else -math.inf
+        least = self._worst[-1]["J"] if len(self._worst) >= KEPT else -math.inf
         high = [int(i) for i in np.flatnonzero(done) if self._sum[i] > least]
         if high:
             names = self.commands.names()
             self._worst += [self._second(i, bool(terminated[i]), names[i]) for i in high]
-            self._worst = sorted(self._worst, key=lambda second: -second.J)[:KEPT]
+            self._worst = sorted(self._worst, key=lambda second: -second["J"])[:KEPT]
         self._sum[done] = 0.0
 
-    def _second(self, i: int, cut: bool, commands: str) -> Second:
+    def _second(self, i: int, cut: bool, commands: str) -> dict[str, Any]:
+        """A second by `WORST`."""
         batch = self.env.batch
         episode, scenario, elapsed = batch.episodes[i], batch.scenario, int(batch.elapsed[i])
         assert episode is not None  # it has been run
         time_s = elapsed * batch.config.control_period
         happened = [fault.kind for fault in episode.faults if fault.start_s <= time_s]
-        return Second(
-            J=float(self._sum[i]),
-            cut=cut,
-            second=max(elapsed - 1, 0) // self._per_second,
-            seed=episode.seed,
-            episode=episode.number,
-            speed_kmh=episode.speed * KMH,
-            wear=scenario.wear if episode.wear is None else episode.wear,
-            friction=scenario.friction if episode.friction is None else episode.friction,
-            track="of the study" if episode.track is None else episode.track,
-            faults=" ".join(happened),
-            commands=commands,
-        )
+        return {
+            "J": float(self._sum[i]),
+            "cut": cut,
+            "second": max(elapsed - 1, 0) // self._per_second,
+            "seed": episode.seed,
+            "episode": episode.number,
+            "speed_kmh": episode.speed * KMH,
+            "wear": scenario.wear if episode.wear is None else episode.wear,
+            "friction": scenario.friction if episode.friction is None else episode.friction,
+            "track": "of the study" if episode.track is None else episode.track,
+            "faults": " ".join(happened),
+            "commands": commands,
+        }
 
     def result(self, environment: str, wall: float) -> SoakResult:
         """What was counted."""
@@ -416,7 +400,7 @@ class _Watch:
             endings=dict(self.endings),
             defects=self.defects,
             costs=np.concatenate([np.zeros(0), *self._costs]),
-            worst=tuple(self._worst),
+            worst=self._worst,
             termination_cost=self.env.config.termination_cost,
             wall_s=wall,
         )
