@@ -38,7 +38,7 @@ def play(
     'sayd-env[render]'.
     """
     from sayd_env.config.environment import load_environment  # noqa: PLC0415 - keeps --help fast
-    from sayd_env.studies.play import play as study  # noqa: PLC0415
+    from sayd_env.studies.play import Cab  # noqa: PLC0415
 
     setup = load_environment(environment)
     chosen = choice.load(setup.study)
@@ -46,7 +46,7 @@ def play(
     left = drawn_conditions(choice, setup)
     fixed = {} if speed is None else {"speed_kmh": speed}
     return Plan(
-        lambda _: study(chosen, left, seed=seed, options=fixed),
+        lambda _: Cab(chosen, left, seed, fixed).drive(),
         {**dict(chosen), "environment": setup},
         seed,
         stored=False,

@@ -34,40 +34,27 @@ ESTIMATE = "-estimate"
 """How a packaged track ends that differs from that of the shorter name by its calibration only."""
 
 COLUMNS = (
+    # At its start.
     Column("speed_kmh", "speed", "km/h"),
     Column("wear", "wear"),
     Column("friction", "friction"),
     Column("track", "track"),
     Column("seconds", "time", "s", digits=1),
+    # Mean over the run, eq. (27), on-line filter.
     Column("J", "J", digits=4),
     Column("J_acceleration", "of acceleration", digits=4),
     Column("J_force", "of force", digits=4),
     Column("ending", "ended early"),
 )
-
-
-@dataclass(frozen=True)
-class Driven:
-    """A run that was driven by hand."""
-
-    speed_kmh: float
-    """At its start."""
-    wear: float
-    friction: float
-    track: str
-    seconds: float
-    J: float
-    """Mean over the run, eq. (27), on-line filter."""
-    J_acceleration: float
-    J_force: float
-    ending: str | None
+"""Of the table of the runs that were driven by hand."""
 
 
 @dataclass(eq=False)
 class PlayResult(Result):
     """All runs until the window was closed."""
 
-    runs: list[Driven] = field(default_factory=list)
+    runs: list[dict[str, Any]] = field(default_factory=list)
+    """By `COLUMNS`."""
 
     def as_dict(self) -> dict[str, Any]:
         """Keys of ``--json``."""
@@ -250,17 +237,18 @@ class Cab:
         self.paused, self._note = False, ""
         self._show_keys()
 
-    def _driven(self) -> Driven:
+    def _driven(self) -> dict[str, Any]:
+        """The run of now by `COLUMNS`."""
         frame, ride = self.frame, self.ride
-        return Driven(
-            speed_kmh=ride.batch.mean_speed(0) * KMH,
-            wear=frame.wear,
-            friction=frame.friction,
-            track=frame.track,
-            seconds=ride.seconds,
-            ending=frame.ending,
+        return {
+            "speed_kmh": ride.batch.mean_speed(0) * KMH,
+            "wear": frame.wear,
+            "friction": frame.friction,
+            "track": frame.track,
+            "seconds": ride.seconds,
+            "ending": frame.ending,
             **ride.costs(),
-        )
+        }
 
     def _show_keys(self) -> None:
         frame = self.frame
@@ -274,14 +262,3 @@ class Cab:
             ("Q", "quit"),
             *([("!", self._note)] if self._note else []),
         )
-
-
-def play(
-    scenario: Scenario,
-    environment: EnvironmentConfig,
-    *,
-    seed: int = 0,
-    options: Mapping[str, Any] | None = None,
-) -> PlayResult:
-    """Open a window and let a hand drive until it is closed; see `Cab`."""
-    return Cab(scenario, environment, seed, options).drive()

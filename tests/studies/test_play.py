@@ -113,8 +113,8 @@ def test_speed_wear_and_track_begin_the_train_anew(make: Make) -> None:
     assert cab.frame.wear == 0.25
     assert cab.frame.track != own
     result = cab.result.runs
-    assert [round(run.speed_kmh) for run in result] == [300, 320]
-    assert [run.seconds for run in result] == pytest.approx([0.01, 0.01])
+    assert [round(run["speed_kmh"]) for run in result] == [300, 320]
+    assert [run["seconds"] for run in result] == pytest.approx([0.01, 0.01])
 
 
 def test_all_tracks_come_in_turn(make: Make) -> None:
@@ -203,7 +203,7 @@ def test_a_key_quits(make: Make, key: int) -> None:
     press(key)
     result = cab.drive()
     assert not cab.window.open
-    assert [run.seconds for run in result.runs] == pytest.approx([0.01])
+    assert [run["seconds"] for run in result.runs] == pytest.approx([0.01])
 
 
 def test_the_command_ends_with_the_runs(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
