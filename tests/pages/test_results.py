@@ -256,15 +256,17 @@ def compared(folder: Path) -> CompareResult:
             for k, policy in enumerate(policies)
         }
 
-    def critical(_: Any, settings: Any, policies: Sequence[PolicySpec], *__: Any) -> Any:
-        ratios = {name: {kmh: (0.5,) for kmh in settings.speeds_kmh} for name in CRITERIA}
+    config = load_comparison(str(folder / "small.yaml"))
+
+    def stability_map(_: Any, policies: Sequence[PolicySpec], *__: Any, **___: Any) -> Any:
+        ratios = {name: {kmh: (0.5,) for kmh in config.critical_speed.speeds_kmh} for name in CRITERIA}
         crossing = dict.fromkeys(CRITERIA, (None, Crossing.NOT_REACHED))
         return SimpleNamespace(cells=[Cell(each.title, 1.0, 0.35, crossing, ratios) for each in policies])
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "run_all", run_all)
-        patch.setattr(comparison, "_critical_speeds", critical)
-        return comparison.compare(load_comparison(str(folder / "small.yaml")), read_entrants(MANY))
+        patch.setattr(comparison, "stability_map", stability_map)
+        return comparison.compare(config, read_entrants(MANY))
 
 
 def disturbed() -> RobustnessResult:

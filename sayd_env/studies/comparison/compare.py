@@ -7,12 +7,11 @@ from itertools import product
 
 import numpy as np
 
-from sayd_env.config.comparison import BootstrapConfig, ComparisonConfig, CriticalSpeedConfig
+from sayd_env.config.comparison import BootstrapConfig, ComparisonConfig
 from sayd_env.config.environment import load_environment
-from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.policies import PolicySpec, constant_spec
+from sayd_env.runs.policies import constant_spec
 from sayd_env.studies.comparison.entrants import Entrant, provenance
 from sayd_env.studies.comparison.grid import (
     FILTERS,
@@ -33,7 +32,7 @@ from sayd_env.studies.comparison.scores import (
     stability_of,
 )
 from sayd_env.studies.comparison.statistics import Bootstrap
-from sayd_env.studies.map import MapGrid, MapResult, stability_map
+from sayd_env.studies.map import MapGrid, stability_map
 
 
 def compare(
@@ -65,7 +64,14 @@ def compare(
     runs = run_all(grid, members, context, "conditions")
     new = [policy for policy in bounding if policy.title not in runs]
     constants = runs | run_all(grid, new, context, "constant currents")
-    cells = _critical_speeds(study, worn, members, context)
+    mapped = stability_map(
+        study,
+        members,
+        worn.seeds,
+        grid=MapGrid((study.wear,), (study.friction,), tuple(kmh / KMH for kmh in worn.speeds_kmh)),
+        environment=load_environment(),
+        context=context,
+    )
     ways = [Variant(*each) for each in product(FILTERS, grid.factors)]
     costs = {
         variant: {
@@ -93,7 +99,7 @@ def compare(
         scores=scores,
         parts=parts or {STATIONARY: scores},
         bounds=bounds,
-        stability={cell.policy: stability_of(cell) for cell in cells.cells},
+        stability={cell.policy: stability_of(cell) for cell in mapped.cells},
         learned=learned,
         quick=quick,
     )
@@ -117,21 +123,6 @@ def _scores(
         bound = np.ascontiguousarray(bounds[variant].costs[:, which])
         found[variant] = {name: score(name, mine, bound, conditions, bootstrap, controllers) for name in mine}
     return found
-
-
-def _critical_speeds(
-    study: Scenario, settings: CriticalSpeedConfig, policies: Sequence[PolicySpec], context: RunContext
-) -> MapResult:
-    """One cell of the map for each policy."""
-    speeds = tuple(kmh / KMH for kmh in settings.speeds_kmh)
-    return stability_map(
-        study,
-        policies,
-        settings.seeds,
-        grid=MapGrid(wear=(study.wear,), friction=(study.friction,), speeds=speeds),
-        environment=load_environment(),
-        context=context,
-    )
 
 
 def fewer(config: ComparisonConfig) -> ComparisonConfig:
