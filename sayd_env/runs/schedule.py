@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,33 +15,28 @@ from sayd_env.runs.policies import PolicySpec
 
 @dataclass(frozen=True)
 class Schedule:
-    """Commands in turn, each for so many seconds: what a `PolicySpec` can hold as its content."""
+    """Gives commands in turn to all valves, each for so many seconds: what a `PolicySpec` can hold.
+
+    The state of the policy is the number of control periods so far.
+    """
 
     commands: tuple[float, ...]
     """0 to 1."""
     until: tuple[float, ...]
     """Time from step 0 at which each of them ends, s; the last one stays."""
+    interface: Interface | None = None
+    """Of the vehicles, once it is bound to them."""
     where: str = "schedule"
     needs: Mapping[str, Any] = field(default_factory=lambda: {"damper": "sayd"})
+    name = "schedule"
 
     def identity(self) -> Any:
         """What changes with its content."""
         return {"schedule": [self.commands, self.until]}
 
-    def bound(self, interface: Interface) -> ScheduledCommands:
+    def bound(self, interface: Interface) -> Schedule:
         """The policy for vehicles with this interface."""
-        return ScheduledCommands(self, interface)
-
-
-class ScheduledCommands:
-    """Gives the commands of a schedule to all valves; its state is the number of control periods so far."""
-
-    name = "schedule"
-
-    def __init__(self, schedule: Schedule, interface: Interface) -> None:
-        self.interface = interface
-        self._commands = np.array(schedule.commands)
-        self._ends = np.array(schedule.until[:-1])
+        return replace(self, interface=interface)
 
     def predict(
         self,
@@ -51,9 +46,10 @@ class ScheduledCommands:
         deterministic: bool = True,
     ) -> tuple[Array32, int]:
         """Commands for N vehicles, which have all begun together."""
+        assert self.interface is not None  # it is bound
         period = 0 if state is None else int(state)
         time = (period + 0.5) * self.interface.control_period
-        command = self._commands[np.searchsorted(self._ends, time, side="right")]
+        command = self.commands[np.searchsorted(self.until[:-1], time, side="right")]
         shape = (len(observation), self.interface.actions)
         return np.full(shape, command, dtype=np.float32), period + 1
 
