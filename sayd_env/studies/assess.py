@@ -15,7 +15,7 @@ import numpy as np
 from sayd_env.config import ConfigError, DataError, StudyError
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.limits import AXLE_LOAD, BOGIE_MASS
-from sayd_env.config.palette import GREY, SKY, VERMILION, cycled
+from sayd_env.config.palette import GREY, SKY, cycled
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
 from sayd_env.physics.multibody import assemble
@@ -432,31 +432,25 @@ class RecordingResult:
         part = slice(int(np.searchsorted(self.distance, start)), None)
         axes = panels(figure, len(group), size=(8.0, 1.9), sharex=True)
         for axis, k in zip(axes, group, strict=True):
-            unit = _UNITS[self.recording.channels[k].quantity]
+            channel, f0 = self.recording.channels[k], self.assessment.dominant_frequency[k]
+            unit = _UNITS[channel.quantity]
             x, measured = extremes(self.distance[part], self.recording.signals[part, k] * unit.scale)
             axis.plot(x, measured, color=GREY, alpha=0.5, linewidth=0.5, label="measured signal")
             x, filtered = extremes(self.distance[part], self.filtered[part, k] * unit.scale)
             axis.plot(x, filtered, color=SKY, linewidth=0.5, label="band-passed signal")
-            self._head(axis, k)
+            axis.set_ylabel(unit.name)
+            axis.set_title(f"{_short(channel.name)}, f0 = {f0:.2f} Hz", fontsize="small")
         axes[-1].set_xlabel("distance (m)")
         legend_below(figure, axes[0])
 
     def _draw_rms(self, figure: Figure) -> None:
-        axes = panels(figure, len(self._quantities), size=(8.0, 3.0), sharex=True)
+        found = self.assessment
+        names = [_short(channel.name) for channel in self.recording.channels]
+        axes = self._draw_channels(figure, found.position, found.rms, names, "sliding RMS")
         for axis, quantity in zip(axes, self._quantities, strict=True):
-            unit = _UNITS[quantity]
-            for number, k in enumerate(self._of(quantity)):
-                axis.plot(
-                    self.assessment.position,
-                    self.assessment.rms[:, k] * unit.scale,
-                    **cycled(number).plain,
-                    linewidth=1.0,
-                    label=_short(self.recording.channels[k].name),
-                )
-            limit = self.train.limit(quantity) * unit.scale
+            limit = self.train.limit(quantity) * _UNITS[quantity].scale
             limit_line(axis, limit, "limit")
             axis.set_ylim(0.0, 1.15 * max(limit, axis.dataLim.y1))
-            axis.set(ylabel=f"sliding RMS ({unit.name})", title=_TITLES[quantity])
             _legend_beside(axis)
         axes[-1].set_xlabel("distance (m)")
 
@@ -466,28 +460,28 @@ class RecordingResult:
         frequency, spectra = averaged_spectra(
             found.signals, found.sample_rate, self.distance, self.settings, span
         )
+        names = [
+            f"{_short(channel.name)}: f0 = {f0:.2f} Hz"
+            for channel, f0 in zip(found.channels, self.assessment.dominant_frequency, strict=True)
+        ]
+        axes = self._draw_channels(figure, frequency, np.sqrt(spectra).T, names, "RMS")
+        for axis in axes:
+            axis.set_ylim(bottom=0.0)
+            _legend_beside(axis)
+        axes[-1].set_xlabel("frequency (Hz)")
+
+    def _draw_channels(
+        self, figure: Figure, x: Array, values: Array, names: Sequence[str], what: str
+    ) -> list[Axes]:
+        """Draw curves of all channels, shape (n, channels), a panel for each quantity."""
         axes = panels(figure, len(self._quantities), size=(8.0, 3.0), sharex=True)
         for axis, quantity in zip(axes, self._quantities, strict=True):
             unit = _UNITS[quantity]
             for number, k in enumerate(self._of(quantity)):
-                f0 = self.assessment.dominant_frequency[k]
-                axis.plot(
-                    frequency,
-                    np.sqrt(spectra[k]) * unit.scale,
-                    **cycled(number).plain,
-                    linewidth=1.0,
-                    label=f"{_short(found.channels[k].name)}: f0 = {f0:.2f} Hz",
-                )
-            axis.set_ylim(bottom=0.0)
-            axis.set(ylabel=f"RMS ({unit.name})", title=_TITLES[quantity])
-            _legend_beside(axis)
-        axes[-1].set_xlabel("frequency (Hz)")
-
-    def _head(self, axis: Axes, k: int) -> None:
-        channel = self.recording.channels[k]
-        axis.set_ylabel(_UNITS[channel.quantity].name)
-        frequency = self.assessment.dominant_frequency[k]
-        axis.set_title(f"{_short(channel.name)}, f0 = {frequency:.2f} Hz", fontsize="small")
+                style = cycled(number).plain
+                axis.plot(x, values[:, k] * unit.scale, **style, linewidth=1.0, label=names[k])
+            axis.set(ylabel=f"{what} ({unit.name})", title=_TITLES[quantity])
+        return axes
 
     def _of(self, quantity: Quantity) -> list[int]:
         return [k for k, channel in enumerate(self.recording.channels) if channel.quantity is quantity]
@@ -504,13 +498,6 @@ def _short(name: str) -> str:
 
 def _legend_beside(axis: Axes) -> None:
     axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-
-
-def draw_assessed(axis: Axes, x: Array, filtered: Array, position: Array, rms: Array, limit: float) -> None:
-    """Draw a band-passed signal, its sliding RMS at other places and the limit of this."""
-    axis.plot(x, filtered, color=SKY, linewidth=0.5, label="band-passed signal")
-    axis.plot(position, rms, "x-", color=VERMILION, markersize=3, linewidth=0.8, label="sliding RMS")
-    limit_line(axis, limit, "limit")
 
 
 _SLIDING = (

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sayd_env.config import ConfigError
 from sayd_env.config.environment import load_environment
-from sayd_env.config.palette import GREY, wheelset_style
+from sayd_env.config.palette import GREY, SKY, VERMILION, wheelset_style
 from sayd_env.config.reproduction import load_reproduction
 from sayd_env.config.scenario import Scenario
 from sayd_env.config.units import KMH, Array
@@ -34,7 +34,6 @@ from sayd_env.runs.passive import (
 from sayd_env.runs.policies import PolicySpec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
 from sayd_env.stability import CriticalSpeed, Crossing, Limits, assess, band_pass, distance_run
-from sayd_env.studies.assess import draw_assessed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -150,8 +149,13 @@ class CriticalSpeedResult:
 
     def plots(self) -> dict[str, Plot]:
         """Counterparts of figure 10 (trends over speed) and figure 8 (a) (time history)."""
-        histories = {"time_history": self._draw_histories} if self.histories else {}
-        return {"critical_speed": self._draw_trends, **histories}
+        shown = partial(draw_histories, histories=self.histories, bounds=self.limits)
+        histories = {"time_history": shown} if self.histories else {}
+        title = f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}"
+        trends = partial(
+            draw_trends, sweep=self.sweep, bounds=self.limits, wheelsets=self.wheelsets, title=title
+        )
+        return {"critical_speed": trends, **histories}
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the trends over speed and the critical speed."""
@@ -192,13 +196,6 @@ class CriticalSpeedResult:
         grid = ", sensitive to the speed grid" if self._sensitive(name) else ""
         return f"{c.speed * KMH:.0f} km/h{spread}{grid}"
 
-    def _draw_trends(self, figure: Figure) -> None:
-        title = f"{self.scenario.vehicle.name}, wear {self.scenario.wear:g}"
-        draw_trends(figure, self.sweep, self.limits, self.wheelsets, title)
-
-    def _draw_histories(self, figure: Figure) -> None:
-        draw_histories(figure, self.histories, self.limits)
-
 
 TRENDS = (
     Column("speed_kmh", "km/h", digits=0),
@@ -216,7 +213,9 @@ def draw_histories(figure: Figure, histories: Sequence[AccelerationHistory], bou
     """Draw band-passed accelerations, their sliding RMS and its limit, one below the other (figure 8 a)."""
     axes = panels(figure, len(histories), size=(8.0, 3.0), sharex=True)
     for axis, h in zip(axes, histories, strict=True):
-        draw_assessed(axis, h.distance, h.filtered, h.position, h.rms, bounds.acceleration)
+        axis.plot(h.distance, h.filtered, color=SKY, linewidth=0.5, label="band-passed signal")
+        axis.plot(h.position, h.rms, "x-", color=VERMILION, markersize=3, linewidth=0.8, label="sliding RMS")
+        limit_line(axis, bounds.acceleration, "limit")
         where = f"{h.wheelset} wheelset at {h.speed * KMH:.0f} km/h, seed {h.seed}"
         axis.set(title=f"{where}: f0 = {h.frequency:.1f} Hz", ylabel="acceleration (m/s²)")
         axis.set_xlim(h.position[0], h.position[-1])
@@ -230,20 +229,18 @@ def draw_trends(
     bounds: Limits,
     wheelsets: Sequence[str],
     title: str,
-    *,
-    track_shift: bool = True,
     scatter: tuple[float, float] | None = None,
 ) -> None:
     """Draw dominant frequency, track shift force and acceleration over speed, with the limits of EN 14363.
 
-    As figure 10 of the paper; without the track shift force as its figure 11, and with the frequencies (Hz)
-    between which those of a vehicle that does not hunt `scatter`.
+    As figure 10 of the paper; with the frequencies (Hz) between which those of a vehicle that does not hunt
+    `scatter` as its figure 11, which has no track shift force.
     """
     shown = [
         (sweep.track_shift, 1e-3, "track shift force, RMS (kN)", bounds.track_shift_force * 1e-3),
         (sweep.acceleration, 1.0, "acceleration, RMS (m/s²)", bounds.acceleration),
     ]
-    if not track_shift:
+    if scatter is not None:
         del shown[0]
     top, *axes = panels(figure, 1 + len(shown), size=(8.0, 3.0), sharex=True)
     top.set_title(f"{title}: every seed, medians and range")

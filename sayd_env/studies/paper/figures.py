@@ -34,9 +34,9 @@ def controlled_plots(runs: ControlledRuns, limits: Limits, wheelsets: Sequence[s
         One of `required_runs` is missing.
     """
 
-    def trends(policy: str, title: str, **shown: Any) -> Plot:
+    def trends(policy: str, title: str, scatter: tuple[float, float] | None = None) -> Plot:
         sweep = runs.sweep(policy, CLOSED)
-        return lambda figure: draw_trends(figure, sweep, limits, wheelsets, title, **shown)
+        return lambda figure: draw_trends(figure, sweep, limits, wheelsets, title, scatter)
 
     def first(policy: str, kmh: float, initial: float = CLOSED) -> ControlledRun:
         return runs.at(policy, kmh, initial)[0]
@@ -49,9 +49,9 @@ def controlled_plots(runs: ControlledRuns, limits: Limits, wheelsets: Sequence[s
         return partial(draw_switching, run=first(policy, 400), title=f"{title}, 400 km/h")
 
     return {
-        "figure_11_mppt1": trends(MPPT1, "MPPT1", track_shift=False, scatter=SCATTER),
+        "figure_11_mppt1": trends(MPPT1, "MPPT1", SCATTER),
         "figure_12_mppt1_command": starts(MPPT1, 400, "MPPT1"),
-        "figure_13_mppt2": trends(MPPT2, "MPPT2", track_shift=False, scatter=SCATTER),
+        "figure_13_mppt2": trends(MPPT2, "MPPT2", SCATTER),
         "figure_14_mppt2_command": starts(MPPT2, 300, "MPPT2"),
         "figure_15_skyhook_onoff": trends(ON_OFF, "on-off skyhook"),
         "figure_16_skyhook_onoff_command": switching(ON_OFF, "on-off skyhook"),
