@@ -384,10 +384,11 @@ def _sliding_rms(run: Run, rollout: Rollout, trip: Trip) -> tuple[Array, Array]:
     """Maxima by EN 14363 on the straight parts of the sections: acceleration (m/s2), track shift force (N).
 
     NaN where there is no straight part as long as a segment of the spectrum; infinite where the run ended.
+    What lies around a part starts its filter.
     """
     settings, signals = run.scenario.assessment, rollout.true[:, LOG_ACCELERATION:LOG_FORCE]
-    times = rollout.times
-    distance = trip.distance(times)
+    distance, rate = trip.distance(rollout.times), rollout.sample_rate
+    around = round(settings.filter_padding * rate)
     found = np.full((2, len(trip.line.sections)), np.nan)
     shortest = max(settings.segment_length, settings.window_length)
     reached = float(distance[-1])
@@ -398,29 +399,15 @@ def _sliding_rms(run: Run, rollout: Rollout, trip: Trip) -> tuple[Array, Array]:
         if rollout.ending is not None and reached < section.end:
             found[:, k] = math.inf
             continue
-        peak = _assessed(signals, distance, trip, (start, section.end), settings, rollout.sample_rate)
+        first, last = np.searchsorted(distance, (start, section.end))
+        part = slice(max(int(first) - around, 0), int(last) + around)
+        s = distance[part]
+        # The distance that the assessment adds up from speeds is shorter by rounding than what the line says.
+        length = min(section.end, float(s[-1])) - start - 1e-6 * (float(s[-1]) - float(s[0]))
+        own = settings.model_copy(update={"run_in": start - float(s[0]), "length": length})
+        peak = assess(signals[part], rate, trip.speed_at(s), own).maximum
         found[:, k] = peak[: len(peak) // 2].max(), peak[len(peak) // 2 :].max()
     return found[0], found[1]
-
-
-def _assessed(
-    signals: Array,
-    distance: Array,
-    trip: Trip,
-    span: tuple[float, float],
-    settings: AssessmentConfig,
-    rate: float,
-) -> Array:
-    """Maxima of the sliding RMS of each channel between two distances; what lies around starts the filter."""
-    around = round(settings.filter_padding * rate)
-    first, last = np.searchsorted(distance, span)
-    part = slice(max(int(first) - around, 0), int(last) + around)
-    s = distance[part]
-    lead = span[0] - float(s[0])
-    # The distance that the assessment adds up from speeds is shorter by rounding than what the line says.
-    length = min(span[1], float(s[-1])) - span[0] - 1e-6 * (float(s[-1]) - float(s[0]))
-    own = settings.model_copy(update={"run_in": lead, "length": length})
-    return assess(signals[part], rate, trip.speed_at(s), own).maximum
 
 
 def _for_pictures(run: Run, rollout: Rollout, trip: Trip) -> Mapping[str, Array]:

@@ -26,6 +26,7 @@ from concurrent.futures import (
 )
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.synchronize import Lock
 from queue import Empty, SimpleQueue
@@ -330,16 +331,6 @@ def _connecting(choice: ExecutorChoice) -> Iterator[None]:
         signal.signal(signal.SIGTERM, terminate)
 
 
-def _start_ray(choice: ExecutorChoice) -> Executor:
-    try:
-        import ray  # noqa: PLC0415 - an extra
-    except ModuleNotFoundError:
-        raise ConfigError(
-            "--executor ray: Ray is not installed; install it with pip install 'sayd-env[ray]'"
-        ) from None
-    return _Ray(ray, choice)
-
-
 class _Ray(Executor):
     """Ray's tasks behind the interface of the standard library."""
 
@@ -370,25 +361,15 @@ def _ray_address(address: str) -> str:
     return f"ray://{address}" if address.endswith(":10001") else address
 
 
-def _start_dask(choice: ExecutorChoice) -> Executor:
-    try:
-        from distributed import Client  # noqa: PLC0415 - an extra
-    except ModuleNotFoundError:
-        raise ConfigError(
-            "--executor dask: Dask is not installed; install it with pip install 'sayd-env[dask]'"
-        ) from None
-    return _Dask(Client, choice)
-
-
 class _Dask(Executor):
     """A client of Dask, whose executor leaves its cluster open."""
 
-    def __init__(self, client: Any, choice: ExecutorChoice) -> None:
+    def __init__(self, distributed: Any, choice: ExecutorChoice) -> None:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is computed again
         where = {"address": f"tcp://{choice.address}"} if choice.address else {"n_workers": choice.count}
         alone = {} if choice.address else {"threads_per_worker": 1, "dashboard_address": None}
         with _connecting(choice):
-            self._client = client(**where, **alone, timeout=CONNECT_SECONDS)
+            self._client = distributed.Client(**where, **alone, timeout=CONNECT_SECONDS)
 
     def submit(self, function: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         future: Future[T] = self._client.get_executor(pure=False).submit(function, *args, **kwargs)
@@ -398,9 +379,25 @@ class _Dask(Executor):
         self._client.close()
 
 
+def _start_cluster(choice: ExecutorChoice) -> Executor:
+    made: dict[str, tuple[str, Callable[[Any, ExecutorChoice], Executor]]] = {
+        RAY: ("ray", _Ray),
+        DASK: ("distributed", _Dask),
+    }
+    name, executor = made[choice.kind]
+    try:
+        library = import_module(name)
+    except ModuleNotFoundError:
+        raise ConfigError(
+            f"--executor {choice.kind}: {choice.kind.capitalize()} is not installed; "
+            f"install it with pip install 'sayd-env[{choice.kind}]'"
+        ) from None
+    return executor(library, choice)
+
+
 _STARTED: dict[str, Callable[[ExecutorChoice], Executor]] = {
     THREADS: _start_threads,
     PROCESSES: _start_processes,
-    RAY: _start_ray,
-    DASK: _start_dask,
+    RAY: _start_cluster,
+    DASK: _start_cluster,
 }

@@ -194,14 +194,8 @@ class GuardedPolicy:
         return baselines.SafeFallback(self.inside.make(interface), interface)
 
 
-def safe_spec(inside: PolicySpec) -> PolicySpec:
-    """A policy inside the safe fallback.
-
-    Raises
-    ------
-    ConfigError
-        A fallback already, or passive dampers.
-    """
+def _guarded(inside: PolicySpec) -> PolicySpec:
+    """A policy inside the safe fallback; passive dampers, and a fallback already, are refused."""
     if inside.name == PASSIVE or isinstance(inside.stored, GuardedPolicy):
         raise ConfigError(
             f"policy '{baselines.SAFE}{inside.name}': expected a policy that commands valves after the colon"
@@ -240,7 +234,7 @@ def policy_spec(text: str, foreign: ForeignReader | None = None) -> PolicySpec:
         raise ConfigError(f"policy: found {shown(text)}; expected a name, a file or code as text")
     given = text.strip()
     if given.startswith(baselines.SAFE):
-        return safe_spec(policy_spec(given.removeprefix(baselines.SAFE), foreign))
+        return _guarded(policy_spec(given.removeprefix(baselines.SAFE), foreign))
     if given.endswith((LEARNED, FOREIGN, ONNX, *PARAMETERS)):
         return _file_spec(given, foreign)
     name, parameters = baselines.parse(given)

@@ -18,7 +18,7 @@ from sayd_env.physics.contact.conicity import AMPLITUDE
 from sayd_env.physics.linear import Linearisation, Mode, OperatingPoint, equivalent, modes_of
 from sayd_env.physics.simulator import VehicleModel
 from sayd_env.physics.state_space import StateSpace, state_space_of, wheelset_delays
-from sayd_env.report.columns import Column, Listing, Table, csv_table
+from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.context import Progress, silent
 from sayd_env.studies.modes import SHOWN_FREQUENCY, SHOWN_MODES
@@ -65,7 +65,7 @@ class LineariseResult:
                 "pressure_drop_bar": sayd.drop * 1e-5,
                 "force_per_command_n": sayd.force_per_command,
             },
-            "modes": self._rows(),
+            "modes": json_rows(_MODES, self.modes),
             "states": len(self.system.states),
             "inputs": {name: self.system.units[name] for name in self.system.inputs},
             "outputs": {name: self.system.units[name] for name in self.system.outputs},
@@ -89,7 +89,7 @@ class LineariseResult:
             for f, h in zip(FREQUENCIES, values, strict=True)
         ]
         return {
-            "modes": csv_table([Column(key) for key in _KEYS], self._rows()),
+            "modes": csv_table(_MODES, self.modes),
             "names": csv_table([Column(key) for key in ("kind", "number", "name", "unit")], names),
             "responses": csv_table(columns, rows),
         }
@@ -146,12 +146,6 @@ class LineariseResult:
         title = f"least damped modes below {SHOWN_FREQUENCY:g} Hz"
         Listing(title, columns, rows).print(console, wide)
 
-    def _rows(self) -> list[dict[str, Any]]:
-        return [
-            dict(zip(_KEYS, (mode.frequency_hz, mode.damping_ratio, mode.name), strict=True))
-            for mode in self.modes
-        ]
-
     def _draw(self, figure: Figure) -> None:
         magnitude, phase = panels(figure, 2, 1, (7.5, 3.2), sharex=True)
         for k, (name, values) in enumerate(self.responses.items()):
@@ -165,7 +159,7 @@ class LineariseResult:
         legend_below(figure, magnitude, columns=1)
 
 
-_KEYS = ("frequency_hz", "damping_ratio", "name")
+_MODES = [Column(name) for name in ("frequency_hz", "damping_ratio", "name")]
 
 
 def linearise(

@@ -100,13 +100,16 @@ def test_no_other_configuration_has_a_held_out_seed_or_condition(held_out: Compa
 
 
 def test_its_size_is_what_the_file_says(held_out: ComparisonConfig):
-    """3000 m with run-in at each speed, 8 lines of 120 s with 500 m before them."""
+    """Every condition with every seed: the assessed length or the episode, and the run-in before it."""
     grid = ScenarioGrid.of(held_out)
     assert grid.drawn is not None
-    straight = 16 * sum(3000.0 * 3.6 / kmh for kmh in held_out.speeds_kmh)
-    lines = sum(120.0 + 500.0 / float(line.speed_at(0.0)) for line in grid.drawn.lines.values())
-    assert grid.seconds(1) == pytest.approx(3 * (straight + lines))
-    assert f"{grid.seconds(1):,.0f} s of simulation" in (CONFIGS / "study" / f"{HELD_OUT}.yaml").read_text()
+    way, along = held_out.length + grid.environment.run_in, grid.drawn.environment
+    straight = sum(way * 3.6 / each.speed_kmh for each in grid.conditions if each.speed_kmh is not None)
+    lines = sum(
+        along.episode_s + along.run_in / float(line.speed_at(0.0)) for line in grid.drawn.lines.values()
+    )
+    seconds = len(held_out.seeds) * (straight + lines)
+    assert f"{seconds:,.0f} s of simulation" in (CONFIGS / "study" / f"{HELD_OUT}.yaml").read_text()
 
 
 def test_trainings_draw_from_seeds_beyond_the_held_out_ones(held_out: ComparisonConfig):

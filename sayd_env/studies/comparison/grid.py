@@ -217,16 +217,6 @@ class ScenarioGrid:
                 straight.append(Run(policy, made, environment, each.speed_kmh / KMH, *rest))
         return straight, lines
 
-    def seconds(self, policies: int) -> float:
-        """Simulated time (s) of so many policies in all conditions, run-in included."""
-        way = self.config.length + self.environment.run_in
-        straight = sum(way * KMH / each.speed_kmh for each in self.conditions if each.speed_kmh is not None)
-        lines = 0.0
-        if self.drawn is not None:
-            run_in, episode = self.drawn.environment.run_in, self.drawn.environment.episode_s
-            lines = sum(episode + run_in / first_speed(line) for line in self.drawn.lines.values())
-        return policies * len(self.config.seeds) * (straight + lines)
-
     def costs(self, runs: Runs, variant: Variant) -> Array:
         """J of runs, charge for derailments included.
 
