@@ -104,7 +104,6 @@ class HistorySignal:
 class History:
     """Signals of one run over t samples, from the start of the run-in."""
 
-    run: Run
     signals: tuple[HistorySignal, ...]
     time: Array
     """(t,) from step 0, where the policy begins, s; negative in the run-in."""
@@ -239,7 +238,6 @@ def history(run: Run, signals: Sequence[HistorySignal], *, episode: bool = False
         refuse_divergence(rollout)
     place = {column: k for k, column in enumerate(columns)}
     return History(
-        run=run,
         signals=tuple(signals),
         time=rollout.times[: rollout.samples],
         values=tuple(_values(rollout, signal, place) for signal in signals),

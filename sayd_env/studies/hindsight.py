@@ -93,7 +93,6 @@ class OnLine:
 class HindsightResult:
     """J of commands, schedules and controllers on lines."""
 
-    config: HindsightConfig
     lines: tuple[OnLine, ...]
     current: float
     """Best single command for all lines."""
@@ -277,7 +276,7 @@ def hindsight(
         derailed |= {SINGLE: study.derailed(name, best), FOR_ALL: study.derailed(name, single)}
         sections = tuple(section.name for section in study.lines[name].sections)
         lines.append(OnLine(name, sections, study.time(name), found[name], tuple(chosen), costs, derailed))
-    return HindsightResult(config, tuple(lines), single, tuple(specs))
+    return HindsightResult(tuple(lines), single, tuple(specs))
 
 
 class _Study:

@@ -129,7 +129,6 @@ class LineResult:
 
     name: str
     scenario: Scenario
-    environment: EnvironmentConfig
     runs: tuple[Run, ...]
     records: tuple[LineRecord, ...]
     rows: list[SectionRow] = field(init=False)
@@ -362,7 +361,7 @@ def evaluate_line(
     ]
     records = (context or RunContext()).records(along_lines, runs, LineRecord)
     called = name or (line if isinstance(line, str) else "line")
-    return LineResult(called, scenario, setup, tuple(runs), tuple(records))
+    return LineResult(called, scenario, tuple(runs), tuple(records))
 
 
 def line_speeds(

@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sayd_env.config.bound import load_bound
 from sayd_env.config.comparison import load_comparison
 from sayd_env.config.environment import load_environment
-from sayd_env.config.hindsight import load_hindsight
 from sayd_env.config.map import load_map
 from sayd_env.config.robustness import load_robustness, single_faults
 from sayd_env.config.scenario import Scenario
@@ -174,7 +172,7 @@ def along_lines() -> HindsightResult:
         constants = {0.0: J[SINGLE], 1.0: np.array([0.5, 0.15])}
         return OnLine(name, ("a", "b"), np.array([10.0, 30.0]), constants, (0.0, 1.0), J, dict.fromkeys(J, 0))
 
-    return HindsightResult(load_hindsight(), (line("first", 1.1), line("second", 1.6)), 0.0, ("mppt2",))
+    return HindsightResult((line("first", 1.1), line("second", 1.6)), 0.0, ("mppt2",))
 
 
 def simulated(scenario: Scenario) -> SimulateResult:
@@ -222,7 +220,7 @@ def lined(scenario: Scenario) -> LineResult:
         )
         runs.append(run)
         records.append(record)
-    return LineResult("slow_curve", scenario, environment, tuple(runs), tuple(records))
+    return LineResult("slow_curve", scenario, tuple(runs), tuple(records))
 
 
 COMPARISON = """
@@ -313,7 +311,7 @@ def bounded() -> BoundResult:
         )
         for condition, level in (("350 km/h", 0.02), ("400 km/h", 0.03))
     )
-    return BoundResult(load_bound(), reached, MANY)
+    return BoundResult(reached, MANY)
 
 
 @dataclass(frozen=True)

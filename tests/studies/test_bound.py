@@ -105,7 +105,7 @@ def test_shares_by_hand(printed: Callable[[Any], str]) -> None:
         made("first", {"mppt2": 4.0, "own": 2.0, **lowest}),
         made("second", {"mppt2": 2.0, "own": 1.0, **lowest, CLAIRVOYANT: 1.5}),
     )
-    result = BoundResult(load_bound(), reached, ("mppt2", "own"))
+    result = BoundResult(reached, ("mppt2", "own"))
     shares = {share.rule: share for share in result.shares()}
     assert shares["own"].share == pytest.approx(np.log(4.0) / np.log(8.0))
     assert shares["own"].share_of_mean == pytest.approx(3.0 / 4.0)

@@ -49,8 +49,7 @@ def test_gaps_are_geometric_means(printed: Callable[[Any], str]) -> None:
         constants = {0.0: J[SINGLE], 1.0: np.array([0.5, 0.15])}
         return OnLine(name, ("a", "b"), time, constants, (0.0, 1.0), J, dict.fromkeys(J, 0))
 
-    config = load_hindsight()
-    result = HindsightResult(config, (made("first", 1.1), made("second", 1.6)), 0.0, ("mppt2",))
+    result = HindsightResult((made("first", 1.1), made("second", 1.6)), 0.0, ("mppt2",))
     gaps = {gap.rule: gap for gap in result.gaps()}
     assert gaps[HINDSIGHT].gap == pytest.approx(0.0)
     assert gaps[SINGLE].gap == pytest.approx((1.1 * 1.6) ** 0.5 - 1.0)
@@ -61,7 +60,7 @@ def test_gaps_are_geometric_means(printed: Callable[[Any], str]) -> None:
     assert result.lines[0].composed == pytest.approx((0.11 * 10 + 0.15 * 30) / 40)
     assert "mppt2" in printed(result)
     assert result.notes == []
-    (note,) = HindsightResult(config, (made("calm", 0.9), made("rough", 1.1)), 0.0, ("mppt2",)).notes
+    (note,) = HindsightResult((made("calm", 0.9), made("rough", 1.1)), 0.0, ("mppt2",)).notes
     assert note.startswith("calm: one command costs less")
 
 

@@ -70,7 +70,6 @@ def bound(
     table = [(config.search, searched[:width]), *zip(others, ends, strict=True)] if convergence else []
     without = [each.without_search for each in reached[:few]]
     return BoundResult(
-        config=config,
         reached=reached,
         policies=tuple(spec.title for spec in specs),
         convergence=tuple(sorted(_converged(settings, ends, without) for settings, ends in table)),

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sayd_env.config.bound import BoundConfig
 from sayd_env.config.palette import policy_style
 from sayd_env.config.units import Array
 from sayd_env.report.columns import PERCENT, Column, Listing, Table, csv_table, json_rows
@@ -113,7 +112,6 @@ class Converged(NamedTuple):
 class BoundResult:
     """J of policies, constant commands and the search in all conditions."""
 
-    config: BoundConfig
     reached: tuple[Reached, ...]
     policies: tuple[str, ...]
     convergence: tuple[Converged, ...] = ()

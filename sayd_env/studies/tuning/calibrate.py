@@ -116,7 +116,6 @@ class CalibrationResult:
     trials: dict[str, list[Trial]]
     """By stage, ``passive`` and ``semi_active``."""
     sensitivity: list[dict[str, Any]]
-    seed: int
 
     def best(self, stage: str) -> Trial:
         """Best evaluation of the last search of a stage."""
@@ -262,7 +261,7 @@ def calibrate(
     best = best_of(found["passive"], found["passive"][-1].stage)
     semi_active = _SemiActive(config, config.passive.values(best.place), runs)
     found["semi_active"] = _searched("semi_active", config.semi_active, semi_active.outcomes, seed, progress)
-    result = CalibrationResult(config, found, [], seed)
+    result = CalibrationResult(config, found, [])
     return replace(result, sensitivity=_sensitivity(passive, semi_active, result, progress))
 
 

@@ -6,7 +6,7 @@ import json
 import math
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -79,7 +79,6 @@ class SearchResult:
     trials: list[Trial]
     commit: str | None
     command: str
-    folder: Path = field(compare=False)
 
     @property
     def best(self) -> Trial:
@@ -231,7 +230,7 @@ def search(
         run.run()
         trials = run.repeated(run.trials())
     whole = load_train(settings.training)
-    return SearchResult(algorithm, settings, whole, trials, git_state()[0], command, folder)
+    return SearchResult(algorithm, settings, whole, trials, git_state()[0], command)
 
 
 def with_settings(base: TrainConfig, found: Mapping[str, Any]) -> TrainConfig:
