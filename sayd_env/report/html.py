@@ -25,6 +25,8 @@ _SHORT = 10  # characters of a cell that is not broken
 _MANY = 12  # columns, beyond which a table is printed smaller
 Drawings: TypeAlias = Mapping[str, Drawing]
 """Figures by the names of a result's plots."""
+Cell: TypeAlias = tuple[str, str]
+"""Text of a cell and how it stands out: ``bold`` and ``red``, as on the console."""
 
 
 class Block(Protocol):
@@ -58,15 +60,6 @@ class Code:
 
 
 @dataclass(frozen=True)
-class Cell:
-    """A cell of a table."""
-
-    text: str
-    style: str = ""
-    """``bold`` and ``red``, as on the console."""
-
-
-@dataclass(frozen=True)
 class Grid:
     """A table."""
 
@@ -93,7 +86,7 @@ class Grid:
         parts: list[list[list[Cell]]] = []
         links: dict[tuple[int, int], str] = {}
         for i, part in enumerate(styled(shown, rows, listing.section)):
-            parts.append([[Cell(*cell) for cell in cells] for _, cells in part])
+            parts.append([cells for _, cells in part])
             named = {(i, k): figure(row) for k, (row, _) in enumerate(part)} if figure else {}
             links |= {place: name for place, name in named.items() if name}
         right = frozenset(k for k, column in enumerate(shown) if is_numeric(column, rows))
@@ -102,9 +95,8 @@ class Grid:
     @classmethod
     def facts(cls, pairs: Mapping[str, Any]) -> Grid:
         """Make a table of names and values, without those that are missing."""
-        return cls(
-            (), [[(Cell(name), Cell(_shown(value))) for name, value in pairs.items() if value is not None]]
-        )
+        shown = [((name, ""), (_shown(value), "")) for name, value in pairs.items() if value is not None]
+        return cls((), [shown])
 
     def html(self, drawings: Drawings) -> str:
         """Return the table; only figures that there are have links."""
@@ -123,16 +115,16 @@ class Grid:
 
     def _row(self, place: tuple[int, int], row: Sequence[Cell], drawings: Drawings) -> str:
         figure = self.links.get(place)
-        cells = [escape(cell.text) for cell in row]
+        cells = [escape(text) for text, _ in row]
         if figure in drawings:
             # Where rows have what their part has in common once, the first cell of the others is empty.
             first = next((k for k, text in enumerate(cells) if text), 0)
             cells[first] = f'<a href="#{_anchor(str(figure))}">{cells[first] or "figure"}</a>'
         texts = (
-            f"<td{self._class(k, cell.style)}>{text}</td>"
-            for k, (cell, text) in enumerate(zip(row, cells, strict=True))
+            f"<td{self._class(k, style)}>{text}</td>"
+            for k, ((_, style), text) in enumerate(zip(row, cells, strict=True))
         )
-        mark = ' class="marked"' if any("red" in cell.style for cell in row) else ""
+        mark = ' class="marked"' if any("red" in style for _, style in row) else ""
         return f"<tr{mark}>{''.join(texts)}</tr>\n"
 
     @cached_property
@@ -140,7 +132,7 @@ class Grid:
         """Columns of words that are too short to be broken, such as ``> 430``."""
         rows = [row for part in self.parts for row in part]
         columns = range(min(map(len, rows), default=0))
-        return frozenset(k for k in columns if all(len(row[k].text) <= _SHORT for row in rows)) - self.right
+        return frozenset(k for k in columns if all(len(row[k][0]) <= _SHORT for row in rows)) - self.right
 
     def _class(self, column: int, style: str = "") -> str:
         kind = "number" if column in self.right else "short" if column in self._short else ""

@@ -9,7 +9,7 @@ from typing import Any
 
 from sayd_env.report.columns import Column, Listing
 from sayd_env.report.figures import Drawing
-from sayd_env.report.html import Cell, Code, Grid, Page, Picture, Section, Text, Verdict, page_html
+from sayd_env.report.html import Code, Grid, Page, Picture, Section, Text, Verdict, page_html
 
 PNG = b"\x89PNG\r\n\x1a\n"
 NASTY = "<script>alert('x')</script> & \"quotes\" $title"
@@ -39,7 +39,7 @@ def test_the_library_that_draws_is_there_once_and_only_where_it_is_needed():
 
 
 def test_every_text_is_escaped(read_page: Callable[[str], Any]):
-    grid = Grid((NASTY,), [[[Cell(NASTY)]]], title=NASTY)
+    grid = Grid((NASTY,), [[[(NASTY, "")]]], title=NASTY)
     live = Drawing(PNG, {"data": [{"name": "</script><script>alert('y')</script>"}]})
     picture = Picture("a", NASTY, (NASTY,))
     text = page(Text(NASTY), grid, picture, Code(NASTY, NASTY), title=NASTY, words=NASTY, a=live)
