@@ -6,7 +6,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,11 +63,13 @@ class Output:
 
     def finish(self, result: Result, config: Any, seed: int | None, *, quick: bool) -> None:
         """Store the result, then show it: JSON or the study's summary."""
-        from sayd_env.report.files import document, json_text  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.cli.options import notes_of  # noqa: PLC0415 - keeps --help fast
+        from sayd_env.report.files import document, json_text  # noqa: PLC0415
 
         content = document(result, config, seed, command_text()) | ({"quick": True} if quick else {})
-        if notes := _notes(config):
-            content.setdefault("notes", notes)
+        with suppress(SaydError):  # a measured file that was taken away since: no reason to lose the result
+            if notes := notes_of(dict(config) if isinstance(config, BaseModel | Mapping) else {}):
+                content.setdefault("notes", notes)
         former = None if self.directory is None else self.directory.former_command()
         files = [] if self.directory is None else self.directory.save(result, content)
         self.stored = self.directory is not None
@@ -110,17 +112,6 @@ typed: list[str] = []
 def command_text() -> str:
     """What was typed, as a shell would take it again."""
     return shlex.join(["sayd", *typed])
-
-
-def _notes(config: Any) -> tuple[str, ...]:
-    """What was recognised in measured files that a configuration names, and done to their numbers."""
-    from sayd_env.cli.options import notes_of  # noqa: PLC0415 - keeps --help fast
-
-    parts = dict(config) if isinstance(config, BaseModel | Mapping) else {}
-    try:
-        return notes_of(parts)
-    except SaydError:  # a file that was taken away since: no reason to lose the result
-        return ()
 
 
 @contextmanager

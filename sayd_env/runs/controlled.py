@@ -17,7 +17,15 @@ from sayd_env.config.units import KMH, Array, Array32
 from sayd_env.envs.loop import LOG_ACCELERATION, LOG_FORCE, LOG_HYDRAULIC, LOG_TRACK_SHIFT
 from sayd_env.envs.rollout import Rollout
 from sayd_env.runs.context import RunContext
-from sayd_env.runs.passive import Assessed, Sweep, assessed_part, assessed_run, gathered, runs_table
+from sayd_env.runs.passive import (
+    Assessed,
+    Sweep,
+    assessed_part,
+    assessed_run,
+    beyond_limits,
+    gathered,
+    runs_table,
+)
 from sayd_env.runs.policies import PolicySpec, for_policy, policy_spec
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
 
@@ -113,7 +121,7 @@ def assessed_or_derailed(runs: list[Run]) -> list[ControlledRun]:
     return [
         controlled_run_of(run.policy.title, rollout, run.scenario.assessment)
         if rollout.ending is None
-        else derailed_run_of(run.policy.title, rollout)
+        else _derailed(run.policy.title, rollout)
         for run, rollout in zip(runs, roll_out_runs(runs), strict=True)
     ]
 
@@ -176,25 +184,13 @@ def refuse_divergence(rollout: Rollout) -> None:
         )
 
 
-def derailed_run_of(policy: str, rollout: Rollout) -> ControlledRun:
-    """Make the record of a run that a derailment ended: beyond every limit.
-
-    Raises
-    ------
-    StudyError
-        The simulation diverged.
-    """
+def _derailed(policy: str, rollout: Rollout) -> ControlledRun:
+    """Make the record of a run that a derailment ended: beyond every limit; a divergence is refused."""
     refuse_divergence(rollout)
-    episode, wheelsets = rollout.episode, LOG_TRACK_SHIFT - LOG_ACCELERATION
-    none, beyond = np.full(wheelsets, np.nan), np.full(wheelsets, np.inf)
+    episode = rollout.episode
     at_rest = np.full((1, rollout.actions.shape[1]), episode.initial_current, dtype=np.float32)
     return ControlledRun(
-        speed=episode.speed,
-        seed=episode.seed,
-        frequency=none,
-        frequency_force=none,
-        acceleration=beyond,
-        track_shift=beyond,
+        **vars(beyond_limits(episode.speed, episode.seed, LOG_TRACK_SHIFT - LOG_ACCELERATION)),
         policy=policy,
         initial_current=episode.initial_current,
         force_rms=np.inf,

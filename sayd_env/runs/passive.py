@@ -193,13 +193,15 @@ def assessed_or_derailed(runs: list[PassiveRun]) -> list[Assessed]:
     except Diverged:
         if len(runs) > 1:
             return [record for run in runs for record in assessed_or_derailed([run])]
-        return [_beyond(runs[0])]
+        (run,) = runs
+        wheelsets = len(VehicleModel(run.scenario).multibody.wheelset_x)
+        return [beyond_limits(run.speed, run.seed, wheelsets)]
 
 
-def _beyond(run: PassiveRun) -> Assessed:
-    w = len(VehicleModel(run.scenario).multibody.wheelset_x)
-    none, beyond = np.full(w, np.nan), np.full(w, np.inf)
-    return Assessed(run.speed, run.seed, none, none, beyond, beyond)
+def beyond_limits(speed: float, seed: int, wheelsets: int) -> Assessed:
+    """The record of a run at a speed (m/s) that ended early: beyond every limit, with no frequency."""
+    none, beyond = np.full(wheelsets, np.nan), np.full(wheelsets, np.inf)
+    return Assessed(speed, seed, none, none, beyond, beyond)
 
 
 def simulated(runs: Sequence[PassiveRun]) -> list[tuple[Array, Array]]:

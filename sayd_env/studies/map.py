@@ -88,6 +88,13 @@ class Cell:
         return self.lowest[1].name.lower()
 
 
+def rank(kmh: float | None, crossing: Crossing) -> float:
+    """Place of a critical speed (km/h) among others; infinite beyond the grid of speeds."""
+    if kmh is not None:
+        return kmh
+    return -math.inf if crossing is Crossing.BELOW_GRID else math.inf
+
+
 Value = TypeVar("Value")
 
 
@@ -167,7 +174,7 @@ class MapResult:
         words = []
         for policy in self.policies:
             lowest = [cell.lowest for cell in self.cells if cell.policy == policy]
-            ends = sorted(lowest, key=self._rank)
+            ends = sorted(lowest, key=lambda found: rank(*found))
             low, high = self._verdict(*ends[0]), self._verdict(*ends[-1])
             words.append(
                 f"{policy}: critical speed " + (low if low == high else f"from {low} to {high}") + " km/h."
@@ -175,12 +182,6 @@ class MapResult:
         if self.constants is not None:
             words.append(self.constants.worth())
         return Verdict(words)
-
-    @staticmethod
-    def _rank(found: tuple[float | None, Crossing]) -> float:
-        if found[1] is Crossing.NOT_REACHED:
-            return math.inf
-        return -math.inf if found[0] is None else found[0]
 
     def summary(self, console: Console, wide: bool = False) -> None:
         """Print the critical speeds of all policies, then the best commands."""

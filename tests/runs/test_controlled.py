@@ -18,8 +18,8 @@ from sayd_env.envs.rollout import Rollout
 from sayd_env.runs.controlled import (
     ControlledRun,
     ControlledRuns,
+    _derailed,
     controlled_run_of,
-    derailed_run_of,
     high_frequency_power,
 )
 
@@ -142,7 +142,7 @@ def test_a_rollout_that_cannot_be_assessed_is_refused(rollout: Rollout, settings
     with pytest.raises(StudyError, match=r"'mppt1' at 360 km/h, seed 7, ended: a wheel climbed"):
         controlled_run_of("mppt1", dataclasses.replace(rollout, ending="a wheel climbed"), settings)
     with pytest.raises(StudyError, match="the run of seed 7 at 360 km/h diverged"):
-        derailed_run_of("mppt1", dataclasses.replace(rollout, ending="non-finite state"))
+        _derailed("mppt1", dataclasses.replace(rollout, ending="non-finite state"))
     with pytest.raises(ConfigError, match="found 500 m, while the environment runs in for 200 m"):
         controlled_run_of("mppt1", dataclasses.replace(rollout, run_in=2000), settings)
 
@@ -150,7 +150,7 @@ def test_a_rollout_that_cannot_be_assessed_is_refused(rollout: Rollout, settings
 @pytest.mark.parametrize("steps", [0, 700])
 def test_a_derailed_vehicle_exceeds_every_limit(steps: int, rollout: Rollout):
     short = dataclasses.replace(rollout, ending="a wheel climbed", actions=rollout.actions[:steps])
-    run = derailed_run_of("mppt1", short)
+    run = _derailed("mppt1", short)
     assert np.isinf([*run.acceleration, *run.track_shift, run.force_rms, run.force_peak]).all()
     assert run.command.shape == (max(steps, 1), 2)
 

@@ -24,7 +24,7 @@ from sayd_env.studies.comparison.statistics import (
     iqm,
     reduction,
 )
-from sayd_env.studies.map import Cell
+from sayd_env.studies.map import Cell, rank
 
 CostsByPolicy = Mapping[str, Array]
 """J by policy, over training seeds, conditions and seeds: shape (R, C, S)."""
@@ -236,7 +236,7 @@ def stability_of(cell: Cell) -> Stability:
 
 def least_stable(members: Sequence[Stability]) -> Stability:
     """Stability of several trainings together: the lowest critical speed, the largest ratios."""
-    lowest = min(members, key=_rank)
+    lowest = min(members, key=lambda member: rank(member.critical_speed_kmh, Crossing(member.status)))
     return replace(
         lowest,
         speeds_kmh=max((member.speeds_kmh for member in members), key=len),
@@ -324,9 +324,3 @@ def _stable(stability: Stability, largest: float) -> tuple[str, str, bool]:
 
 
 _FILTER = {"online": "on-line filter", "offline": "off-line filter"}
-
-
-def _rank(stability: Stability) -> float:
-    if stability.critical_speed_kmh is not None:
-        return stability.critical_speed_kmh
-    return -np.inf if stability.status == Crossing.BELOW_GRID.value else np.inf
