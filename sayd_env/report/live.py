@@ -306,7 +306,8 @@ class _Converter:
         cells: Any = np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
         bars = [axes.get_ylabel() for axes in figure.axes if axes.get_label() == "<colorbar>"]
         trace = {"type": "heatmap", "coloraxis": "coloraxis", "hoverongaps": False, **panel.on()}
-        self.data.append(trace | {"z": [[_plain(value) for value in row] for row in cells.tolist()]})
+        values = [[value if np.isfinite(value) else None for value in row] for row in cells.tolist()]
+        self.data.append(trace | {"z": values})
         title = {"text": _escaped(bars[0]), "side": "right"} if bars else {}
         self.layout["coloraxis"] = {
             "cmin": float(image.norm.vmin),
@@ -400,10 +401,6 @@ def _errors(container: Any, line: Line2D, spans: Sequence[Any]) -> dict[str, Any
             "color": _colour(span.get_color()[0]),
         }
     return found
-
-
-def _plain(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _escaped(text: str) -> str:

@@ -24,14 +24,8 @@ COLOURS = 255
 """Of a GIF; one more means that nothing has changed."""
 
 
-def write_png(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
-    """Write the last picture.
-
-    Raises
-    ------
-    StudyError
-        There is none.
-    """
+def _write_png(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
+    """Write the last picture."""
     del fps, colours
     last = None
     for last in pictures:  # noqa: B007 - all of them are made on the way to the last
@@ -41,7 +35,7 @@ def write_png(path: Path, pictures: Iterable[Picture], fps: float, colours: Pict
     Image.fromarray(last).save(path, format="PNG", optimize=True)
 
 
-def write_gif(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
+def _write_gif(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
     """Write pictures that repeat endlessly, with one palette for all, so that no colour flickers."""
     waiting = iter(pictures)
     first = next(waiting)
@@ -57,14 +51,8 @@ def write_gif(path: Path, pictures: Iterable[Picture], fps: float, colours: Pict
         start.save(stream, "GIF", save_all=True, append_images=frames, duration=duration, loop=0)
 
 
-def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
-    """Write a video (H.264) that browsers and slides play.
-
-    Raises
-    ------
-    StudyError
-        The encoder failed.
-    """
+def _write_mp4(path: Path, pictures: Iterable[Picture], fps: float, colours: Picture) -> None:
+    """Write a video (H.264) that browsers and slides play."""
     del colours
     waiting = iter(pictures)
     first = next(waiting)
@@ -91,7 +79,7 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, colours: Pict
 
 Writer = Callable[[Path, Iterable[Picture], float, Picture], None]
 WRITERS: MappingProxyType[str, Writer] = MappingProxyType(
-    {".gif": write_gif, ".mp4": write_mp4, ".png": write_png}
+    {".gif": _write_gif, ".mp4": _write_mp4, ".png": _write_png}
 )
 """Writers of pictures by the suffix of the file's name."""
 

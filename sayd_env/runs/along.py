@@ -198,17 +198,11 @@ def along_lines(runs: list[Run]) -> list[LineRecord]:
         A run that diverged.
     """
     rollouts = roll_out_runs(runs, episode=True, keep=_WHEEL_LOADS)
-    return [line_record(run, rollout) for run, rollout in zip(runs, rollouts, strict=True)]
+    return [_record(run, rollout) for run, rollout in zip(runs, rollouts, strict=True)]
 
 
-def line_record(run: Run, rollout: Rollout) -> LineRecord:
-    """Judge a run along a line from its rollout.
-
-    Raises
-    ------
-    StudyError
-        The simulation diverged.
-    """
+def _record(run: Run, rollout: Rollout) -> LineRecord:
+    """Judge a run along a line from its rollout; one that diverged is refused."""
     assert run.line is not None
     if rollout.ending is not None:
         refuse_divergence(rollout)

@@ -21,7 +21,7 @@ from sayd_env.physics.state_space import StateSpace, state_space_of, wheelset_de
 from sayd_env.report.columns import Column, Listing, Table, csv_table, json_rows
 from sayd_env.report.figures import Plot, label, legend_below, log_axis, panels
 from sayd_env.runs.context import Progress, silent
-from sayd_env.studies.modes import SHOWN_FREQUENCY, SHOWN_MODES
+from sayd_env.studies.modes import SHOWN_FREQUENCY, SHOWN_MODES, is_unstable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -141,7 +141,7 @@ class LineariseResult:
         columns = [
             Column("name", "mode"),
             Column("frequency", "frequency (Hz)"),
-            Column("damping", "damping ratio", bad=lambda words: words is not None and "-" in words),
+            Column("damping", "damping ratio", bad=is_unstable),
         ]
         title = f"least damped modes below {SHOWN_FREQUENCY:g} Hz"
         Listing(title, columns, rows).print(console, wide)

@@ -89,7 +89,7 @@ class ModesResult:
             for b in self._least_damped()[:SHOWN_MODES]
         ]
         columns = [
-            Column(kmh, f"{kmh} km/h", bad=_is_unstable, wide=len(speeds) > _NARROW_SPEEDS and i % 2 == 1)
+            Column(kmh, f"{kmh} km/h", bad=is_unstable, wide=len(speeds) > _NARROW_SPEEDS and i % 2 == 1)
             for i, kmh in enumerate(speeds)
         ]
         title = f"least damped modes below {SHOWN_FREQUENCY:g} Hz: frequency (Hz), damping ratio"
@@ -158,7 +158,8 @@ class ModesResult:
         legend_below(figure, right)
 
 
-def _is_unstable(words: str | None) -> bool:
+def is_unstable(words: str | None) -> bool:
+    """Whether the printed damping ratio of a mode is negative."""
     return words is not None and "-" in words
 
 

@@ -147,7 +147,9 @@ def train_seeds(
         for each in waiting:
             each.refuse_changes()
         _run(waiting, parallel, config.total_steps * len(seeds), progress)
-    found = {seed: _rows(run / "evaluations.csv") for seed, run in runs.items()}
+    found = {
+        seed: Growing(run / "evaluations.csv", numbers=("steps", "J")).rows for seed, run in runs.items()
+    }
     return SeedsResult(config.learning.algorithm, runs, found, MEANS[config.evaluation.criterion])
 
 
@@ -250,10 +252,6 @@ class _Process:
         return (
             f"seed {self.seed}: {' '.join(line.strip() for line in last) or 'ended without a word'} ({path})"
         )
-
-
-def _rows(path: Path) -> list[dict[str, Any]]:
-    return Growing(path, numbers=("steps", "J")).rows
 
 
 def _last_steps(path: Path) -> float:

@@ -27,6 +27,8 @@ TIGHT = ("DOP853", 1e-6)
 """Method and tolerance of the solution that all are compared with."""
 SCALES = (1e-3, 1e-1, 1e4)
 """Absolute tolerances over relative ones: displacements (m, rad), velocities (1/s), damper forces (N)."""
+CALLS = 1000
+"""Evaluations over which the time of one is taken."""
 SETTLING = 1.0
 """Time that a vehicle runs before the parts of its step are measured (s)."""
 
@@ -172,7 +174,6 @@ def match_accuracy(model: VehicleModel, speed: float, span: float) -> Reference:
     """
     exact, _ = FirstOrder(model, speed, span).solve(*TIGHT)
     own = Simulator(model, speed, seed=0).advance(samples_of(model, span), motion=True).motion
-    system = FirstOrder(model, speed, span)
     step_error = _difference(own @ measuring_rows(model).T, exact)
     candidates: list[tuple[float, Reference]] = []
     for method in METHODS:
@@ -196,9 +197,9 @@ def _difference(motion: Array, exact: Array) -> float:
     return float(np.sqrt(np.mean((motion - exact) ** 2) / np.mean(exact**2)))
 
 
-def _call_time(system: FirstOrder, calls: int = 1000) -> float:
+def _call_time(system: FirstOrder) -> float:
     state = np.repeat(1e-2 * np.array(SCALES), [system.n, system.n, system.m])
     begin = time.perf_counter()
-    for _ in range(calls):
+    for _ in range(CALLS):
         system(0.0, state)
-    return (time.perf_counter() - begin) / calls
+    return (time.perf_counter() - begin) / CALLS

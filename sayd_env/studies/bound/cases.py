@@ -193,33 +193,13 @@ def _rolled_out(case: Case, policy: PolicySpec) -> Rollout:
 
 
 def _commands(rollout: Rollout, setup: Setup, shape: tuple[int, int], case: Case) -> Array:
-    """Commands of a policy, NaN where they are not those of the search's valves and clock."""
+    """Commands of a policy by the search's clock; NaN behind the last, and where clock or valves differ."""
     own = case.semi_active.config
-    if any(getattr(setup.config, key) != getattr(own, key) for key in ("damper", "valves")):
-        return np.full(shape, np.nan)
-    return held(rollout.actions.astype(np.float64), setup.config.control_period, own.control_period, shape)
-
-
-def held(actions: Array, period: float, by: float, shape: tuple[int, int]) -> Array:
-    """Commands by a clock of a whole number of times as many periods.
-
-    Parameters
-    ----------
-    actions : ndarray, shape (m, A)
-        One for each period (s), from the beginning.
-    period, by : float
-        Theirs and that of the clock, s.
-    shape : tuple of int
-        (n, A) of what is wanted; n periods of the clock.
-
-    Returns
-    -------
-    ndarray, shape (n, A)
-        NaN behind the last action, and everywhere where the clock does not fit.
-    """
-    found = np.full(shape, np.nan)
-    if is_multiple(period, by):
-        every = np.repeat(actions, round(period / by), axis=0)[: shape[0]]
+    found, period = np.full(shape, np.nan), setup.config.control_period
+    alike = all(getattr(setup.config, key) == getattr(own, key) for key in ("damper", "valves"))
+    if alike and is_multiple(period, own.control_period):
+        times = round(period / own.control_period)
+        every = np.repeat(rollout.actions.astype(np.float64), times, axis=0)[: shape[0]]
         found[: len(every)] = every
     return found
 

@@ -124,7 +124,7 @@ class DrawnLines:
             The line of the seed is one.
         """
         line, time = self.lines[seed], self.environment.episode_s
-        found = float(Trip(line, first_speed(line)).distance(time))
+        found = float(Trip(line, _first_speed(line)).distance(time))
         if found < shortest:
             raise ConfigError(
                 f"lines: the line of seed {seed} is {found:.0f} m long after {time:g} s; "
@@ -172,7 +172,7 @@ class ScenarioGrid:
             model, wheels = VehicleModel(scenario), cycle(config.wheels)
             for seed, line in drawn.lines.items():
                 for speed in (line.slowest, line.fastest):
-                    model.check_speed(first_speed(line) if speed is None else speed)
+                    model.check_speed(_first_speed(line) if speed is None else speed)
                 drawn.check_length(seed, scenario.assessment.segment_length)
             conditions += [Condition(next(wheels), line=seed) for seed in drawn.lines]
         tracks = tuple(track.irregularity for track in config.tracks)
@@ -207,7 +207,7 @@ class ScenarioGrid:
                 if each.line is not None:
                     assert self.drawn is not None  # the line is one of it
                     line = self.drawn.lines[each.line]
-                    lines.append(Run(policy, on_wheels[name], along, first_speed(line), *rest, line))
+                    lines.append(Run(policy, on_wheels[name], along, _first_speed(line), *rest, line))
                     continue
                 assert each.track is not None  # of straight track
                 assert each.speed_kmh is not None
@@ -275,14 +275,8 @@ def run_all(
     }
 
 
-def first_speed(line: Line) -> float:
-    """Speed (m/s) with which a drawn line begins.
-
-    Raises
-    ------
-    ConfigError
-        It has none.
-    """
+def _first_speed(line: Line) -> float:
+    """Speed (m/s) with which a drawn line begins; one without is refused."""
     found = line.speed_at(0.0)
     if found is None:
         raise ConfigError("lines.environment: its lines leave the speed out; expected some with speed_kmh")

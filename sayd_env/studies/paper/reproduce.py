@@ -205,14 +205,15 @@ def reproduce(
     vehicle = Vehicle(scenario, setup, sayd, policies)
     judged_again = study.assumptions if assumptions else ()
     grid = study.speeds("creep_laws")
-    own, others, new_laws, worn_laws, *again = _parts(
-        context or RunContext(),
-        [
-            len(seeds) * runs_of_a_seed(study, study.fixed),
-            len(seeds) * len(control_periods) * len(skyhook_runs(study.speeds("sayd"))),
-            *2 * [len(seeds) * len(creep_laws) * len(grid)],
-            *(min(a.seeds, len(seeds)) * runs_of_a_seed(study) for a in judged_again),
-        ],
+    context = context or RunContext()
+    runs = [
+        len(seeds) * runs_of_a_seed(study, study.fixed),
+        len(seeds) * len(control_periods) * len(skyhook_runs(study.speeds("sayd"))),
+        *2 * [len(seeds) * len(creep_laws) * len(grid)],
+        *(min(a.seeds, len(seeds)) * runs_of_a_seed(study) for a in judged_again),
+    ]
+    own, others, new_laws, worn_laws, *again = (
+        context.part(begin, sum(runs)) for begin in accumulate(runs[:-1], initial=0)
     )
     judged = judge_rows(vehicle, study, seeds, own, study.fixed)
     by_period: periods.PeriodClaims = {}
@@ -260,8 +261,3 @@ def row_policies(files: Sequence[str] = (), fixed: Sequence[str] = ()) -> dict[s
     if len(own) < len(files):
         raise ConfigError(f"controllers {', '.join(files)}: two files are of the same controller")
     return {name: policy_spec(name) for name in (*PAPER, *fixed)} | own
-
-
-def _parts(context: RunContext, runs: Sequence[int]) -> list[RunContext]:
-    """Contexts of the parts of the study, each of so many runs."""
-    return [context.part(begin, sum(runs)) for begin in accumulate(runs[:-1], initial=0)]

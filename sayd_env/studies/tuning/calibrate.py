@@ -440,7 +440,8 @@ class _Passive:
         """Residuals of rows P1 to P10, and of what M1, M5 and S1 need, at each place."""
         stage = self.config.passive
         values = [stage.values(place) for place in places]
-        return _each(values, lambda part: self._measured(part, seeds, length), _lost(P_ROWS))
+        lost: Outcome = dict.fromkeys(P_ROWS, LOST), {}
+        return _each(values, lambda part: self._measured(part, seeds, length), lost)
 
     def _measured(self, values: Sequence[Mapping[str, float]], seeds: int, length: float) -> list[Outcome]:
         tracks = range(self.config.first_seed, self.config.first_seed + seeds)
@@ -499,7 +500,7 @@ class _SemiActive:
             lambda part: [
                 controlled_residuals(m) for m in self.measured(part, required_runs(), seeds, length)
             ],
-            _lost(CONTROLLED_ROWS),
+            lost=(dict.fromkeys(CONTROLLED_ROWS, LOST), {}),
         )
 
     def measured(
@@ -513,34 +514,23 @@ class _SemiActive:
         tracks = range(self.config.first_seed, self.config.first_seed + seeds)
         runs: list[Run] = []
         for vehicle, own in pairs:
-            runs += self._runs(vehicle, own, required, tracks, length)
+            numbers = self.config.semi_active.assignments(own)
+            more = ["wear=1.0", f"damper={self.config.semi_active_damper}"]
+            more += [f"{key}={number!r}" for key, number in numbers.items() if not key.startswith(CONTROL)]
+            scenario = vehicle_of(self.config, vehicle, length, more)
+            environment = environment_of(scenario, load_environment())
+            policies = {name: self._policy(name, numbers) for name, _, _ in required}
+            runs += [
+                Run(policies[name], scenario, environment, speed, track, current)
+                for name, speed, current in required
+                for track in tracks
+            ]
         records = self.context.records(assessed_controlled, runs, ControlledRun)
         count = len(required) * len(tracks)
         limits, assessment = model_limits(VehicleModel(runs[0].scenario)), runs[0].scenario.assessment
         return [
             ControlledMeasures(ControlledRuns(records[i : i + count]), limits, required, assessment)
             for i in range(0, len(records), count)
-        ]
-
-    def _runs(
-        self,
-        vehicle: Mapping[str, float],
-        own: Mapping[str, float],
-        required: Sequence[tuple[str, float, float]],
-        tracks: Sequence[int],
-        length: float,
-    ) -> list[Run]:
-        numbers = self.config.semi_active.assignments(own)
-        damper = [f"{key}={number!r}" for key, number in numbers.items() if not key.startswith(CONTROL)]
-        scenario = vehicle_of(
-            self.config, vehicle, length, ["wear=1.0", f"damper={self.config.semi_active_damper}", *damper]
-        )
-        environment = environment_of(scenario, load_environment())
-        policies = {name: self._policy(name, numbers) for name, _, _ in required}
-        return [
-            Run(policies[name], scenario, environment, speed, track, current)
-            for name, speed, current in required
-            for track in tracks
         ]
 
     @staticmethod
@@ -565,10 +555,6 @@ def vehicle_of(
     """The base scenario with values of the passive stage and, over them, further assignments."""
     keys = [f"{key}={number!r}" for key, number in config.passive.assignments(values).items()]
     return load_scenario(config.base, [*keys, f"assessment.length={length!r}", *more])
-
-
-def _lost(rows: Sequence[str]) -> Outcome:
-    return dict.fromkeys(rows, LOST), {}
 
 
 def _each(

@@ -147,7 +147,7 @@ class SearchResult:
 
     def training_file(self) -> str:
         """Text of a training: the base with the settings that were found."""
-        content = with_settings(self.base, self.best.settings).model_dump(mode="json")
+        content = _with_settings(self.base, self.best.settings).model_dump(mode="json")
         head = [
             f"# {self.algorithm} with settings that `sayd tune` has found.",
             f"# command: {self.command}; commit: {self.commit}; {len(self.trials)} trials of "
@@ -223,7 +223,7 @@ def search(
     for name, each in settings.ranges.items():  # refused before the first trial
         ends = each.choices or (_typed(each, each.low), _typed(each, each.high))
         for value in ends:
-            with_settings(base, {name: value})
+            _with_settings(base, {name: value})
     with reserved(folder, "searches"):
         _check_folder(folder, settings, seed, base)
         run = _Search(base, settings, folder, executor or ExecutorChoice(), progress, seed)
@@ -233,14 +233,8 @@ def search(
     return SearchResult(algorithm, settings, whole, trials, git_state()[0], command)
 
 
-def with_settings(base: TrainConfig, found: Mapping[str, Any]) -> TrainConfig:
-    """A training with other settings.
-
-    Raises
-    ------
-    ConfigError
-        One that it does not have, or a value that is not allowed.
-    """
+def _with_settings(base: TrainConfig, found: Mapping[str, Any]) -> TrainConfig:
+    """A training with other settings; one that it does not have, and a value not allowed, are refused."""
     assignments = [f"{key}={json.dumps(value)}" for key, value in found.items()]
     content = apply_overrides(base.model_dump(mode="json"), assignments, "ranges")
     return validate(TrainConfig, content, "ranges")
@@ -339,7 +333,7 @@ class _Search:
     def _run(self, trial: Any, number: int) -> None:
         """One trial, with so many before it."""
         found = {name: self._suggest(trial, name, each) for name, each in self.settings.ranges.items()}
-        config, steps = with_settings(self.base, found), self.settings.total_steps
+        config, steps = _with_settings(self.base, found), self.settings.total_steps
         every = config.evaluation.every
         folder = self.folder / TRIALS / f"{trial.number:04d}"
         shutil.rmtree(folder, ignore_errors=True)
@@ -380,7 +374,7 @@ class _Search:
         if not self.settings.finalist_seeds:
             return []
         complete = _by_cost(trials)
-        own = [trial for trial in complete if with_settings(self.base, trial.settings) == self.base]
+        own = [trial for trial in complete if _with_settings(self.base, trial.settings) == self.base]
         return list({trial.number: trial for trial in [*complete[: self.settings.finalists], *own]}.values())
 
     def _again(self, trial: Trial, number: int) -> tuple[float, ...]:
@@ -388,7 +382,7 @@ class _Search:
         seeds = self.settings.finalist_seeds
         before = (self.settings.trials + number * len(seeds)) * self.settings.total_steps
         result = train_seeds(
-            with_settings(self.base, trial.settings),
+            _with_settings(self.base, trial.settings),
             seeds,
             self.folder / FINALISTS / f"{trial.number:04d}",
             parallel=self.executor.count,

@@ -160,17 +160,15 @@ class TuneResult:
             | {"better": int(np.less(e.costs, self.before.costs).sum()), "derailed": e.derailed}
             for name, e in self.shown.items()
         ]
-        title = f"J of {self._count()}: {self.settings.mean} mean, and plain mean"
+        lines = self.settings.lines
+        along = "" if lines is None else f" and {len(lines.seeds)} lines"
+        judged_on = f"{len(self.settings.scenarios)} scenarios{along}"
+        title = f"J of {judged_on}: {self.settings.mean} mean, and plain mean"
         Listing(title, COSTS, costs).print(console, wide)
         console.print(
             f"simulated: {self.simulated:,.0f} s; one PPO training: {training_seconds():,.0f} s",
             highlight=False,
         )
-
-    def _count(self) -> str:
-        lines = self.settings.lines
-        along = "" if lines is None else f" and {len(lines.seeds)} lines"
-        return f"{len(self.settings.scenarios)} scenarios{along}"
 
     def control_file(self) -> str:
         """Text of a file of parameters: the controller's own, with the tuned gains in their places."""

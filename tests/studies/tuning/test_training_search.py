@@ -214,4 +214,4 @@ def test_the_packaged_searches_fit_their_trainings(name: str) -> None:
     base = load_train(name)
     for key, each in found.ranges.items():
         for value in each.choices or (each.low, each.high):
-            study.with_settings(base, {key: int(value) if each.whole else value})
+            study._with_settings(base, {key: int(value) if each.whole else value})
