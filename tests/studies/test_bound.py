@@ -13,7 +13,7 @@ from sayd_env.cli import main
 from sayd_env.config.bound import load_bound, load_conditions
 from sayd_env.runs.policies import policy_specs
 from sayd_env.studies.bound.bound import bound
-from sayd_env.studies.bound.cases import CONSTANT, SCHEDULE, held
+from sayd_env.studies.bound.cases import CONSTANT, SCHEDULE, _held
 from sayd_env.studies.bound.result import CLAIRVOYANT, REFERENCE, BoundResult, Reached
 
 LINE = """
@@ -75,11 +75,11 @@ def test_convergence_has_a_row_for_each_setting(result: BoundResult) -> None:
 def test_commands_of_a_slower_clock_hold() -> None:
     slow = np.array([[0.1, 0.2], [0.3, 0.4]])
     np.testing.assert_array_equal(
-        held(slow, 0.02, 0.01, (5, 2)), [[0.1, 0.2], [0.1, 0.2], [0.3, 0.4], [0.3, 0.4], [np.nan, np.nan]]
+        _held(slow, 0.02, 0.01, (5, 2)), [[0.1, 0.2], [0.1, 0.2], [0.3, 0.4], [0.3, 0.4], [np.nan, np.nan]]
     )
-    np.testing.assert_array_equal(held(slow, 0.02, 0.02, (1, 2)), [[0.1, 0.2]])
+    np.testing.assert_array_equal(_held(slow, 0.02, 0.02, (1, 2)), [[0.1, 0.2]])
     for period in (0.025, 0.005):
-        assert np.isnan(held(slow, period, 0.01, (2, 2))).all()
+        assert np.isnan(_held(slow, period, 0.01, (2, 2))).all()
 
 
 def made(name: str, costs: dict[str, float]) -> Reached:

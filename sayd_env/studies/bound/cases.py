@@ -193,13 +193,18 @@ def _rolled_out(case: Case, policy: PolicySpec) -> Rollout:
 
 
 def _commands(rollout: Rollout, setup: Setup, shape: tuple[int, int], case: Case) -> Array:
-    """Commands of a policy by the search's clock; NaN behind the last, and where clock or valves differ."""
+    """Commands of a policy, NaN where they are not those of the search's valves and clock."""
     own = case.semi_active.config
-    found, period = np.full(shape, np.nan), setup.config.control_period
-    alike = all(getattr(setup.config, key) == getattr(own, key) for key in ("damper", "valves"))
-    if alike and is_multiple(period, own.control_period):
-        times = round(period / own.control_period)
-        every = np.repeat(rollout.actions.astype(np.float64), times, axis=0)[: shape[0]]
+    if any(getattr(setup.config, key) != getattr(own, key) for key in ("damper", "valves")):
+        return np.full(shape, np.nan)
+    return _held(rollout.actions.astype(np.float64), setup.config.control_period, own.control_period, shape)
+
+
+def _held(actions: Array, period: float, by: float, shape: tuple[int, int]) -> Array:
+    """Commands of a period (s) by a clock of shorter ones; NaN behind the last, and where it does not fit."""
+    found = np.full(shape, np.nan)
+    if is_multiple(period, by):
+        every = np.repeat(actions, round(period / by), axis=0)[: shape[0]]
         found[: len(every)] = every
     return found
 
