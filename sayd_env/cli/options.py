@@ -21,7 +21,6 @@ from sayd_env.config import ConfigError, packaged_names
 from sayd_env.config.loader import YAML, assigned_keys, is_path
 
 if TYPE_CHECKING:
-    from sayd_env.cli.output import Output
     from sayd_env.config.environment import EnvironmentConfig
     from sayd_env.config.scenario import Scenario
     from sayd_env.config.sweep import Variant
@@ -399,14 +398,14 @@ def say_notes(parts: Mapping[str, Any]) -> None:
 
 
 def say_same_tracks(
-    output: Output, scenarios: Iterable[Scenario], seeds: int, line: str | None = None
+    say: Callable[[str], None], scenarios: Iterable[Scenario], seeds: int, line: str | None = None
 ) -> None:
     """Tell, below a result, where several seeds made no other track."""
     from sayd_env.measured.lines import irregularities_along  # noqa: PLC0415 - keeps --help fast
 
-    found = irregularities_along([each.track for each in scenarios], line)
-    if seeds > 1 and all(each.type != "spectrum" for each in found):
-        output.say("the track is the same for every seed: nothing of it is drawn")
+    tracks = [each.track for each in scenarios]
+    if seeds > 1 and all(each.type != "spectrum" for each in irregularities_along(tracks, line)):
+        say("the track is the same for every seed: nothing of it is drawn")
 
 
 class VehicleOptions(ScenarioOptions):

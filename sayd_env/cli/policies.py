@@ -106,7 +106,7 @@ def evaluate(
         lambda run: over_variants(variants, scenarios, runs, one, run),
         {**dict(scenarios[0]), "environment": setup, **where},
         seed,
-        after=lambda _, output: options.say_same_tracks(output, scenarios, seeds, line),
+        after=lambda _, output: options.say_same_tracks(output.say, scenarios, seeds, line),
     )
 
 
@@ -169,7 +169,7 @@ def map_(
         ),
         {**dict(chosen), "environment": setup, "conditions": found},
         seed,
-        after=lambda _, output: options.say_same_tracks(output, [chosen], len(numbers)),
+        after=lambda _, output: options.say_same_tracks(output.say, [chosen], len(numbers)),
     )
 
 

@@ -67,7 +67,7 @@ def critical_speed(
         lambda run: over_variants(variants, scenarios, runs, one, run),
         {**dict(first), "policy": None if spec is None else spec.identity()},
         seed,
-        after=lambda _, output: options.say_same_tracks(output, scenarios, seeds),
+        after=lambda _, output: options.say_same_tracks(output.say, scenarios, seeds),
     )
 
 
@@ -127,7 +127,7 @@ def reproduce(
     damper, specs = load_sayd(sayd), row_policies(controllers or (), plan.fixed)
 
     def judge(result: ReproduceResult, output: Output) -> None:
-        options.say_same_tracks(output, [chosen], count)
+        options.say_same_tracks(output.say, [chosen], count)
         failed = [row for row in result.failed if row not in allowed]
         if strict and failed:
             raise StudyError(f"rows that do not hold: {', '.join(failed)}")

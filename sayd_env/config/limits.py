@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from sayd_env.config.distribution import Distribution
+if TYPE_CHECKING:
+    from sayd_env.config.distribution import Distribution
 
 WORN_OUT = 1.2
 """Largest wear of a tread: 1 is the worn wheel that a profile describes, beyond it the hollow grows on by the

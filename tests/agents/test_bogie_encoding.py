@@ -189,6 +189,7 @@ def test_a_schedule_is_one_of_speed() -> None:
 def test_what_does_not_fit_is_refused(
     keywords: dict[str, Any], inputs: dict[str, InputConfig], output: OutputConfig, message: str
 ) -> None:
-    interface = SaydEnv(**{"observation": "history", "history": ROWS} | keywords).interface
+    usual = {} if "observation" in keywords else {"observation": "history", "history": ROWS}
+    interface = SaydEnv(**usual | keywords).interface
     with pytest.raises(ConfigError, match=message):
         BogieEncoding(interface, inputs, 1.0, output)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from sayd_env.cli.options import VehicleOptions, gauge_text, say_same_tracks
-from sayd_env.cli.output import Output
 from sayd_env.config import ConfigError
 from sayd_env.config.damper import load_sayd
 from sayd_env.config.profile import load_wheel
@@ -161,13 +160,11 @@ def test_a_damper_may_be_a_file(tmp_path: Path):
         (["track=smooth"], 2, "conditions", False),  # which has spectra of its own
     ],
 )
-def test_several_seeds_on_one_track_are_said(
-    settings: list[str], seeds: int, line: str | None, said: bool, capsys: pytest.CaptureFixture[str]
-):
+def test_several_seeds_on_one_track_are_said(settings: list[str], seeds: int, line: str | None, said: bool):
     """But for the sensors' errors each of them is the same run, shown as a median."""
-    output = Output("evaluate", None, as_json=False, wide=False)
-    say_same_tracks(output, [load_scenario(None, settings)], seeds, line)
-    assert ("the track is the same for every seed" in capsys.readouterr().out) == said
+    words: list[str] = []
+    say_same_tracks(words.append, [load_scenario(None, settings)], seeds, line)
+    assert words == ["the track is the same for every seed: nothing of it is drawn"] * said
 
 
 def test_wear_of_a_named_profile_may_be_assigned():
