@@ -267,7 +267,8 @@ class ScenarioOptions(Group):
         for option in ("wear", "friction", "profile", "rail", "gauge", "track", "damper"):
             own = keys.get(option, option)
             for key in assigned_keys(self.assignments):
-                if getattr(self, option, None) and (own == key or own.startswith(f"{key}.")):
+                given = getattr(self, option, None) is not None
+                if given and (own == key or own.startswith(f"{key}.")):
                     raise ConfigError(f"--{option}: sets what --set {key} does; give one")
 
     def refuse_said(self, line: str | None) -> None:
@@ -302,7 +303,8 @@ class ScenarioOptions(Group):
 
         keys = [key for key in assigned_keys(self.assignments) if key.partition(".")[0] == "damper"]
         given = f"--set {keys[0]}" if keys else f"--damper {self.damper}"
-        usual, replaced = load_scenario(self.config or default).damper, replaces_dampers(policies)
+        config, replaced = default if self.config is None else self.config, replaces_dampers(policies)
+        usual = load_scenario(config).damper
         for each in found:
             if each.damper == usual:
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -49,7 +50,7 @@ class Schedule:
         assert self.interface is not None  # it is bound
         period = 0 if state is None else int(state)
         time = (period + 0.5) * self.interface.control_period
-        command = self.commands[np.searchsorted(self.until[:-1], time, side="right")]
+        command = self.commands[bisect_right(self.until, time, hi=len(self.until) - 1)]
         shape = (len(observation), self.interface.actions)
         return np.full(shape, command, dtype=np.float32), period + 1
 

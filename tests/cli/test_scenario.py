@@ -86,7 +86,7 @@ def test_explicit_wear_is_stronger_than_new_and_worn():
     ("flags", "assignment"),
     [
         ({"friction": 0.4}, "friction=0.2"),
-        ({"wear": 0.4}, "wear=0.2"),
+        ({"wear": 0.0}, "wear=0.2"),
         ({"profile": "worn"}, "wear=0.2"),
         ({"profile": "lma"}, "wheel=s1002"),
         ({"gauge": "1435"}, "track.gauge=1.436"),
