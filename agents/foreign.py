@@ -121,7 +121,7 @@ def _refuse_forgotten_statistics(path: Path) -> None:
 
 def _is_statistics(path: Path) -> bool:
     """Whether a pickle is a `VecNormalize`, by its name or by the class with which its content begins."""
-    if not path.is_file():  # reading a pipe would wait for ever
+    if not path.is_file():  # reading a pipe would wait without end
         return False
     try:
         with path.open("rb") as stream:
@@ -294,7 +294,7 @@ def _policy(path: Path, model: Any, interface: Interface, made: dict[str, Any], 
         squash="tanh" if squashed else "clip",
         made=made,
     )
-    own = layers if squashed or scaled else _doubled(layers)
+    own = layers if squashed or scaled else _of_commands(layers)
     return StoredPolicy(description, own, str(path), normalisation)
 
 
@@ -303,7 +303,7 @@ def _numbers(tensor: Any) -> Array32:
     return values
 
 
-def _doubled(layers: Layers) -> Layers:
+def _of_commands(layers: Layers) -> Layers:
     """Layers whose output, cut off at -1 and 1, stands for a command that was cut off at 0 and 1."""
     weight, bias = layers[-1]
     return (*layers[:-1], (2.0 * weight, 2.0 * bias - 1.0))

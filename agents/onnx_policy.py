@@ -124,16 +124,20 @@ class OnnxRunner:
         self._session = _session(policy.content, policy.where)
         inputs = self._session.get_inputs()
         self._width = _state_width(inputs, self._session.get_outputs())
-        found = [tuple(each.shape) for each in inputs if not self._width or each.name != STATE]
+        seen = [each for each in inputs if not self._width or each.name != STATE]
         flat = (int(np.prod(interface.shape)),)
-        shapes = [shape for shape in (interface.shape, flat) if len(found) == 1 and _fits(found[0], shape)]
-        if not shapes or inputs[0].type != "tensor(float)":
+        shapes = [
+            shape
+            for shape in (interface.shape, flat)
+            if len(seen) == 1 and _fits(tuple(seen[0].shape), shape)
+        ]
+        if not shapes or seen[0].type != "tensor(float)":
             raise ConfigError(
                 f"{self._where}: takes {', '.join(f'{each.type} {each.shape}' for each in inputs)}; the "
                 f"environment's observation '{interface.observation}' is float32 of shape (N, "
                 f"{', '.join(map(str, interface.shape))})"
             )
-        self._input, self._shape = inputs[0].name, shapes[0]
+        self._input, self._shape = seen[0].name, shapes[0]
 
     def predict(
         self,

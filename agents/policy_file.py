@@ -320,7 +320,7 @@ class LearnedPolicy:
         self.interface = interface
         self.encoding = stored.encoding(interface)
         self.sensors = self.encoding.sensors
-        self.layers, self.estimator = _doubled(stored.layers), _doubled(stored.estimator)
+        self.layers, self.estimator = _in_double(stored.layers), _in_double(stored.estimator)
         self._activate = np.tanh if description.network.activation == "tanh" else _relu
         self._squash = description.squash == "tanh"
 
@@ -440,7 +440,7 @@ class RememberingPolicy(LearnedPolicy):
         return (commands[0] if single else commands), after
 
 
-def _doubled(layers: Layers) -> Weights:
+def _in_double(layers: Layers) -> Weights:
     """Layers in double precision, so that the number of vehicles side by side shows in no command."""
     return [
         (np.ascontiguousarray(weight.T, dtype=np.float64), bias.astype(np.float64)) for weight, bias in layers

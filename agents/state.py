@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sayd_env.config import ConfigError
+from sayd_env.config.explain import shown
 from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.interface import Interface, RunIn
 
@@ -38,7 +39,12 @@ def started(state: Any | None, episode_start: Any | None, count: int, width: int
     """
     if state is None:
         return np.zeros((count, width))
-    before = np.array(state, dtype=np.float64)
+    try:
+        before = np.array(state, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ConfigError(
+            f"{source}: state: found {shown(state)}; expected what the last call returned"
+        ) from None
     if before.shape != (count, width):
         raise ConfigError(
             f"{source}: found a state of shape {before.shape}; expected {(count, width)}, what the call "

@@ -27,7 +27,7 @@ from sayd_env.baselines.policy import Policy
 from sayd_env.baselines.safe import SAFE, SafeFallback
 from sayd_env.baselines.skyhook import ContinuousSkyhook, OnOffSkyhook
 from sayd_env.baselines.speed_schedule import SpeedSchedule
-from sayd_env.config import ConfigError, packaged_names
+from sayd_env.config import ConfigError
 from sayd_env.config.control import controller_of, load_controller
 from sayd_env.config.explain import shown
 from sayd_env.envs.registration import policy_loader
@@ -53,8 +53,8 @@ _KINDS: dict[str, Any] = {
     "mppt1-estimate": Mppt,
     "mppt2-estimate": Mppt,
 }
-NAMES = tuple(name for name in _KINDS if name in ("passive", *packaged_names("control")))
-"""Controllers that `make` knows: those whose parameters come with the program."""
+NAMES = tuple(_KINDS)
+"""Controllers that `make` knows."""
 
 
 def make(name: str, env_or_spec: Any, **parameters: Any) -> Any:

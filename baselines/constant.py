@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.baselines.policy import Policy
+from sayd_env.baselines.policy import Memoryless
 from sayd_env.config import ConfigError
 from sayd_env.config.control import ConstantConfig, PassiveControlConfig
 from sayd_env.config.damper import PassiveDamperConfig
@@ -13,8 +12,8 @@ from sayd_env.config.units import Array
 from sayd_env.envs.interface import Interface
 
 
-class OpenLoop(Policy[ConstantConfig | PassiveControlConfig, int]):
-    """A policy with a constant command; its state is the number of vehicles."""
+class OpenLoop(Memoryless[ConstantConfig | PassiveControlConfig]):
+    """A policy with a constant command."""
 
     def __init__(
         self,
@@ -25,15 +24,6 @@ class OpenLoop(Policy[ConstantConfig | PassiveControlConfig, int]):
     ) -> None:
         super().__init__(name, interface, parameters, ())
         self._current = current
-
-    def _count(self, state: int) -> int:
-        return state
-
-    def _begin(self, rows: Array) -> int:
-        return len(rows)
-
-    def _restart(self, state: int, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
-        pass
 
     def _command(self, state: int, rows: Array) -> Array:
         return np.full((state, self.interface.actions), self._current)

@@ -103,7 +103,6 @@ class _OfSignals(HuntingIndicator):
 
     def __init__(self, name: str, interface: Interface, parameters: SafeConfig) -> None:
         super().__init__(interface)
-        self._assessment, self._rate = interface.assessment, 1.0 / interface.control_period
         self._period, self._slowest = periods_of_a_second(interface), parameters.slowest
         self._share = -math.expm1(-interface.control_period / parameters.smoothing)
         self._band = control_band(name, interface)
@@ -113,15 +112,7 @@ class _OfSignals(HuntingIndicator):
         """Filters at rest."""
         count, groups = len(rows), len(BOGIES) * len(rows)
         speeds = np.repeat(self._speed(rows[:, -1]), len(BOGIES))
-        filters = band_state(
-            self._band,
-            self._rate,
-            self._assessment,
-            speeds,
-            len(POINTS) * groups,
-            groups,
-            self._slowest,
-        )
+        filters = band_state(self._band, speeds, len(POINTS) * groups, groups, self._slowest)
         return Hunting(np.zeros(count, dtype=np.int64), np.zeros((count, 4)), filters)
 
     def restart(self, state: Hunting, rows: Array, vehicle: int) -> None:
@@ -130,7 +121,7 @@ class _OfSignals(HuntingIndicator):
         (speed,) = self._speed(rows[vehicle : vehicle + 1, -1])
         state.count[vehicle], state.squares[vehicle] = 0, 0.0
         for group in range(len(BOGIES) * vehicle, len(BOGIES) * (vehicle + 1)):
-            restart(self._band, state.filters, self._rate, self._assessment, group, float(speed))
+            restart(self._band, state.filters, group, float(speed))
 
     def take(self, state: Hunting, rows: Array) -> None:
         """Filter them; once a second look for f_0."""

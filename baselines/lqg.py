@@ -18,10 +18,9 @@ from scipy.linalg import expm, solve_continuous_lyapunov, solve_discrete_are
 
 from sayd_env.baselines.inverse_damper import InverseDamper
 from sayd_env.baselines.lqg_design import READ, ReducedPlant, reduced_plants
-from sayd_env.baselines.policy import BogiePolicy, of_all_dampers
+from sayd_env.baselines.policy import BogiePolicy, of_all_dampers, semi_active, yaw_part
 from sayd_env.config import ConfigError
 from sayd_env.config.control import LqgConfig
-from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.interface import BOGIES, POINTS, Interface
 
@@ -154,12 +153,7 @@ class Lqg(BogiePolicy[LqgConfig, Estimate]):
     """
 
     def __init__(self, name: str, interface: Interface, parameters: LqgConfig) -> None:
-        damper = interface.damper
-        if not isinstance(damper, SaydDamperConfig):
-            raise ConfigError(
-                f"{name}: needs the characteristic of semi-active dampers, the environment has passive ones; "
-                "make it with damper='sayd'"
-            )
+        damper = semi_active(name, interface)
         dampers = tuple(signal for quantity in QUANTITIES for signal in of_all_dampers(quantity))
         super().__init__(name, interface, parameters, ("speed", *ACCELERATIONS, *dampers))
         period, limits = interface.control_period, (interface.acceleration_limit, interface.force_reference)
@@ -207,17 +201,17 @@ class Lqg(BogiePolicy[LqgConfig, Estimate]):
 
     def _begin(self, rows: Array) -> Estimate:
         states = [np.zeros((len(rows), len(each.bare))) for each in self.designs]
-        return Estimate(states, _yaw(_of(rows, "stroke")))
+        return Estimate(states, yaw_part(_of(rows, "stroke")))
 
     def _restart(self, state: Estimate, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
         for each in state.states:
             each[vehicles] = 0.0
-        state.rest[vehicles] = _yaw(_of(rows[vehicles], "stroke"))
+        state.rest[vehicles] = yaw_part(_of(rows[vehicles], "stroke"))
 
     def _command_bogies(self, state: Estimate, rows: Array) -> Array:
-        strokes = _yaw(_of(rows, "stroke"))
+        strokes = yaw_part(_of(rows, "stroke"))
         state.rest += self._forget * (strokes - state.rest)
-        force = -self._area * _yaw(_of(rows, "pressure_a") - _of(rows, "pressure_b"))
+        force = -self._area * yaw_part(_of(rows, "pressure_a") - _of(rows, "pressure_b"))
         readings = np.hstack([rows[:, 1 : 1 + len(ACCELERATIONS)], strokes - state.rest])
         wanted, rate = np.zeros_like(force), np.zeros_like(force)
         shares = self._shares(rows[:, 0])
@@ -269,9 +263,3 @@ def _of(rows: Array, quantity: str) -> Array:
     """(n, 8) readings of a quantity of all dampers."""
     first = 1 + len(ACCELERATIONS) + 8 * QUANTITIES.index(quantity)
     return rows[:, first : first + 8]
-
-
-def _yaw(values: Array) -> Array:
-    """(n, 2) half the difference of the sides' means of eight dampers' values."""
-    sides = values.reshape(-1, len(BOGIES), 2, 2).mean(axis=3)
-    return np.asarray(0.5 * (sides[:, :, 0] - sides[:, :, 1]))

@@ -108,7 +108,13 @@ def reduced_plants(parameters: LqgConfig, damper: SaydDamperConfig) -> list[Redu
 
 
 def plant_at(model: VehicleModel, speed: float, parameters: LqgConfig) -> ReducedPlant:
-    """Reduced plant of a vehicle with closed dampers at a speed (m/s)."""
+    """Reduced plant of a vehicle with closed dampers at a speed (m/s).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The reduction fails.
+    """
     from sayd_env.physics.state_space import wheelset_delays  # noqa: PLC0415 - keeps the start fast
 
     whole = stable_system(model, speed, parameters).delayed(*wheelset_delays(model, speed), order=ORDER)
@@ -141,7 +147,23 @@ def stable_system(model: VehicleModel, speed: float, parameters: LqgConfig) -> S
 
 
 def balanced(a: Array, b: Array, c: Array, states: int) -> tuple[Array, Array, Array]:
-    """Balanced truncation of a stable system by the square roots of its Gramians."""
+    """Balanced truncation of a stable system by the square roots of its Gramians.
+
+    Parameters
+    ----------
+    a, b, c : ndarray, shapes (n, n), (n, m), (p, n)
+        Of dx/dt = a x + b u, y = c x.
+    states : int
+        That are kept.
+
+    Returns
+    -------
+    tuple of ndarray, shapes (states, states), (states, m), (p, states)
+
+    References
+    ----------
+    Laub, Heath, Paige and Ward, IEEE Transactions on Automatic Control 32(2), 115-122 (1987).
+    """
     a, scaled = matrix_balance(a, permute=False)
     b, c = np.linalg.solve(scaled, b), c @ scaled
     roots = []

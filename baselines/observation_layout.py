@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Box
 
 from sayd_env.config import ConfigError
 from sayd_env.config.explain import shown
@@ -89,12 +90,16 @@ def _check_wrappers(source: Any, inner: Any) -> None:
             continue
         own: Any = getattr(inner, name)
         seen: Any = getattr(source, name, own)
-        if seen != own and (kind == "observations" or np.isfinite([seen.low, seen.high]).all()):
+        if seen != own and (kind == "observations" or not _takes_any(seen)):
             raise ConfigError(_CHANGED.format(kind))
     while source is not inner and source is not None:
         if getattr(source, "norm_obs", False):  # SB3's VecNormalize, whose space stays as it was
             raise ConfigError(_CHANGED.format("observations"))
         source = getattr(source, "venv", None)
+
+
+def _takes_any(actions: Any) -> bool:
+    return isinstance(actions, Box) and not np.isfinite([actions.low, actions.high]).all()
 
 
 _CHANGED = (

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sayd_env.config import ConfigError, Model
+from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.explain import shown
 from sayd_env.config.units import Array, Array32, Flags
 from sayd_env.envs.interface import BOGIES, DAMPERS, Interface
@@ -147,6 +148,19 @@ class Policy(ABC, Generic[Parameters, State]):
         """Advance by one control period; return the valve commands, shape (N, A)."""
 
 
+class Memoryless(Policy[Parameters, int]):
+    """A policy that remembers nothing; its state is the number of vehicles."""
+
+    def _count(self, state: int) -> int:
+        return state
+
+    def _begin(self, rows: Array) -> int:
+        return len(rows)
+
+    def _restart(self, state: int, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
+        pass
+
+
 class BogiePolicy(Policy[Parameters, State]):
     """Two controllers, one for each bogie, whose dampers share one command."""
 
@@ -168,6 +182,28 @@ class BogiePolicy(Policy[Parameters, State]):
     @abstractmethod
     def _command_bogies(self, state: State, rows: Array) -> Array:
         """Advance by one control period; return the valve commands of front and rear, shape (N, 2)."""
+
+
+def semi_active(name: str, interface: Interface) -> SaydDamperConfig:
+    """The dampers of an environment, of which a controller needs the characteristic.
+
+    Raises
+    ------
+    ConfigError
+        They are passive.
+    """
+    if not isinstance(interface.damper, SaydDamperConfig):
+        raise ConfigError(
+            f"{name}: needs the characteristic of semi-active dampers, the environment has passive ones; "
+            "make it with damper='sayd'"
+        )
+    return interface.damper
+
+
+def yaw_part(values: Array) -> Array:
+    """Half the difference of the sides' means of each bogie, (n, 2), from values of the dampers, (n, 8)."""
+    sides = values.reshape(-1, len(BOGIES), 2, 2).mean(axis=3)
+    return np.asarray(0.5 * (sides[:, :, 0] - sides[:, :, 1]))
 
 
 def of_both(signal: str) -> tuple[str, ...]:

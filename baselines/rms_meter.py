@@ -171,8 +171,6 @@ class SignalRmsMeter(RmsMeter):
 
     def __init__(self, name: str, interface: Interface, parameters: BogieCostConfig) -> None:
         self._period = periods_of_a_second(interface)
-        self._assessment = interface.assessment
-        self._rate = 1.0 / interface.control_period
         self._slowest = parameters.slowest
         self._band = control_band(name, interface)
         pressures: tuple[str, ...] = ()
@@ -217,13 +215,13 @@ class SignalRmsMeter(RmsMeter):
 
     def _rest(self, filters: BandState, vehicle: int, speed: float) -> None:
         for group in (2 * vehicle, 2 * vehicle + 1):
-            restart(self._band, filters, self._rate, self._assessment, group, speed)
+            restart(self._band, filters, group, speed)
 
     def _filters(self, rows: Array) -> BandState:
         # One group each bogie, for each has its own f_0.
         speed = np.repeat(self._speed(rows[:, 0]), 2)
         groups = len(speed)
-        return band_state(self._band, self._rate, self._assessment, speed, groups, groups, self._slowest)
+        return band_state(self._band, speed, groups, groups, self._slowest)
 
     def _restart_filters(self, readings: Readings, rows: Array, vehicle: int) -> None:
         (speed,) = self._speed(rows[vehicle : vehicle + 1, 0])

@@ -14,6 +14,7 @@ from sayd_env.baselines.hunting_indicator import Hunting, hunting_indicator
 from sayd_env.baselines.observation_layout import interface_of
 from sayd_env.baselines.sensor_twins import Agreement, SensorTwins
 from sayd_env.config import ConfigError
+from sayd_env.config.explain import shown
 from sayd_env.config.safe import load_safe
 from sayd_env.config.units import Array, Array32, Flags, Integers
 from sayd_env.envs.interface import BOGIES, RunIn
@@ -144,7 +145,7 @@ class SafeFallback:
         """
         if not len(run_in.observations):
             return None
-        rows = run_in.observations.astype(np.float64)
+        rows = _numbers(run_in.observations.astype(np.float64))
         state = self._begin(rows[-1])
         # The last observation is that of the reset: `predict` gets it.
         for t, row in enumerate(rows[:-1]):
@@ -174,10 +175,14 @@ class SafeFallback:
             Shapes that do not fit each other or the environment; as the policy inside.
         """
         values, single = self.interface.rows(observation, self.name)
-        newest = values[:, -1] if self.interface.observation == "history" else values
+        newest = _numbers(values[:, -1] if self.interface.observation == "history" else values)
         starts = None if episode_start is None else np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
         if state is None:
             state = self._begin(newest)
+        elif not isinstance(state, Watch):
+            raise ConfigError(
+                f"{self.name}: state: found {shown(state)}; expected what the last call returned"
+            )
         elif len(state.share) != len(newest):
             raise ConfigError(
                 f"{self.name}: the state is that of {len(state.share)} vehicles, the observation that of "
@@ -237,9 +242,6 @@ class SafeFallback:
         self._twins.restart(state.agreement, rows[:, self._pairs], vehicle)
 
     def _take(self, state: Watch, rows: Array) -> None:
-        """Take readings; one that is no number counts as a dead sensor's."""
-        if not np.isfinite(rows).all():
-            rows = np.where(np.isfinite(rows), rows, 0.0)
         self._indicator.take(state.hunting, rows[:, self._hunting])
         self._twins.take(state.agreement, rows[:, self._pairs])
 
@@ -277,6 +279,11 @@ class SafeFallback:
         closed = self.parameters.command
         mixed = closed + of_each * (np.asarray(action, dtype=np.float64) - closed)
         return np.where(of_each == 1.0, action, mixed.astype(np.float32))
+
+
+def _numbers(rows: Array) -> Array:
+    """Readings of which one that is no number is a dead sensor's."""
+    return rows if np.isfinite(rows).all() else np.where(np.isfinite(rows), rows, 0.0)
 
 
 def _sensors_of(policy: Any) -> Collection[str] | None:

@@ -11,10 +11,8 @@ import numpy.typing as npt
 from scipy.signal import cont2discrete
 
 from sayd_env.baselines.inverse_damper import InverseDamper
-from sayd_env.baselines.policy import BogiePolicy, of_all_dampers
-from sayd_env.config import ConfigError
+from sayd_env.baselines.policy import BogiePolicy, of_all_dampers, semi_active, yaw_part
 from sayd_env.config.control import SkyhookConfig
-from sayd_env.config.damper import SaydDamperConfig
 from sayd_env.config.units import Array
 from sayd_env.envs.interface import BOGIES, Interface
 from sayd_env.physics.kernel import kernel
@@ -52,8 +50,8 @@ class Skyhook(BogiePolicy[SkyhookConfig, Motion]):
     effect. The readings are means over the control period, for which the discrete filter is exact.
 
     **dL'** is the slope at the end of the parabola through the last three means m of the stroke, (2 m_n - 3
-    m_(n-1) + m_(n-2)) / T: a plain difference would lag by a control period, 18 degrees at 5 Hz. A
-    first-order low-pass follows.
+    m_(n-1) + m_(n-2)) / T: a plain difference would lag by a control period, 18 degrees at 5 Hz. Before the
+    first reading the stroke counts as constant. A first-order low-pass follows.
     """
 
     def __init__(self, name: str, interface: Interface, parameters: SkyhookConfig) -> None:
@@ -87,13 +85,13 @@ class Skyhook(BogiePolicy[SkyhookConfig, Motion]):
             rate=np.zeros(bogies),
             command=np.full(bogies, self.parameters.closed),
         )
-        state.strokes[:] = _yaw_strokes(rows)
+        state.strokes[:] = _yaw_strokes(rows)[:, :, None]
         return state
 
     def _restart(self, state: Motion, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
         for values in (state.displacement, state.velocity, state.rate):
             values[vehicles] = 0.0
-        state.strokes[vehicles] = _yaw_strokes(rows[vehicles])
+        state.strokes[vehicles] = _yaw_strokes(rows[vehicles])[:, :, None]
         state.command[vehicles] = self.parameters.closed
 
     def _command_bogies(self, state: Motion, rows: Array) -> Array:
@@ -177,12 +175,8 @@ class ContinuousSkyhook(Skyhook):
 
     def __init__(self, name: str, interface: Interface, parameters: SkyhookConfig) -> None:
         super().__init__(name, interface, parameters)
-        if not isinstance(interface.damper, SaydDamperConfig):
-            raise ConfigError(
-                f"{name}: needs the characteristic of semi-active dampers, the environment has passive ones; "
-                "make it with damper='sayd'"
-            )
-        self._inverse_damper = InverseDamper(interface.damper, parameters.closed, parameters.open)
+        damper = semi_active(name, interface)
+        self._inverse_damper = InverseDamper(damper, parameters.closed, parameters.open)
 
     def _wanted(self, velocity: Array, rate: Array) -> Array:
         share = np.ones_like(velocity)
@@ -192,10 +186,7 @@ class ContinuousSkyhook(Skyhook):
 
 
 def _yaw_strokes(rows: Array) -> Array:
-    """Half the difference of the sides' mean strokes, repeated: shape (vehicles, bogies, 2 times)."""
-    sides = rows[:, len(ACCELERATIONS) :].reshape(-1, len(BOGIES), 2, 2).mean(axis=3)
-    yaw = 0.5 * (sides[:, :, 0] - sides[:, :, 1])
-    return np.repeat(yaw[:, :, None], 2, axis=2)
+    return yaw_part(rows[:, len(ACCELERATIONS) :])
 
 
 # It calls no kernel of another file of this package: Numba would not notice an edit there.

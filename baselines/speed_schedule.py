@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from sayd_env.baselines.policy import Policy
+from sayd_env.baselines.policy import Memoryless
 from sayd_env.config.control import SpeedScheduleConfig
 from sayd_env.config.units import KMH, Array
 from sayd_env.envs.interface import Interface
 
 
-class SpeedSchedule(Policy[SpeedScheduleConfig, int]):
+class SpeedSchedule(Memoryless[SpeedScheduleConfig]):
     """V over the train's speed, linear between the speeds of a table and constant beyond its ends.
 
     ==============  ====  ============================================
@@ -26,15 +25,6 @@ class SpeedSchedule(Policy[SpeedScheduleConfig, int]):
 
     def __init__(self, name: str, interface: Interface, parameters: SpeedScheduleConfig) -> None:
         super().__init__(name, interface, parameters, ("speed",))
-
-    def _count(self, state: int) -> int:
-        return state
-
-    def _begin(self, rows: Array) -> int:
-        return len(rows)
-
-    def _restart(self, state: int, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
-        pass
 
     def _command(self, state: int, rows: Array) -> Array:
         commands = np.interp(rows[:, 0] * KMH, self.parameters.speeds_kmh, self.parameters.commands)

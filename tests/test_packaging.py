@@ -172,7 +172,8 @@ def test_the_wheel_holds_every_module_configuration_and_policy(wheel: Path) -> N
     expected = {"sayd_env/py.typed"}
     for place, inside in (("sayd_env", ""), *((name, "sayd_env/") for name in OUTSIDE)):
         for pattern in PACKED:
-            expected |= {inside + path.relative_to(ROOT).as_posix() for path in (ROOT / place).rglob(pattern)}
+            found = (path.relative_to(ROOT) for path in (ROOT / place).rglob(pattern))
+            expected |= {inside + path.as_posix() for path in found if "__pycache__" not in path.parts}
     information = {name for name in names if ".dist-info/" in name}
     assert names - information == expected
     (top,) = (name for name in information if name.endswith("/top_level.txt"))

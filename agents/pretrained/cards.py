@@ -26,8 +26,9 @@ _HEAD = """# Ready policies
 
 Trained by `sayd train`, as the files themselves tell: each holds its whole configuration, the versions and
 the command. `sayd evaluate --policies ppo-s3` runs one, without torch; `ppo` alone is the first training,
-whichever is the best. J is the mean over the scenarios of its evaluations while it learned: no result of
-a comparison. `plant` begins the hash of environments, vehicle, track, dampers and sensors, with all numbers.
+whichever is the best. J is the arithmetic mean over the scenarios of its evaluations while it learned: no
+result of a comparison. `plant` has the first digits of the hash of environments, vehicle, track, dampers and
+sensors, with all numbers.
 
 `python -m sayd_env.agents.pretrained.cards` makes this page from the files, and the picture from the tables
 beside them.

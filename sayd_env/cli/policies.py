@@ -317,7 +317,7 @@ def compare(
     All policies meet the same scenarios: speeds, wear, friction, tracks and seeds of the configuration, the
     rest drawn from the seed; with --quick a few of the conditions, with one seed. J is that of evaluate, in
     MPPT2's weighting; it is judged off line and with other weights of the force, too. Intervals are
-    bootstraps over training seeds and scenarios. The best constant current of each condition is the bound for
+    bootstraps over training seeds and scenarios. The best constant command of each condition is the bound for
     slow policies. Finished runs are kept in the output directory: an interrupted comparison goes on where it
     stopped.
     """
@@ -448,7 +448,8 @@ def tune(
 
     The list, the ranges and the budget are those of configs/study/tuning.yaml (--config, --set); J has the
     weights of MPPT2 (--set reward=low-force). constant: Brent's search, some three minutes; the others:
-    differential evolution, then COBYQA, six to eleven minutes; --quick takes a few scenarios and evaluations.
+    differential evolution, then COBYQA, up to a quarter of an hour; --quick takes a few scenarios and
+    evaluations.
     The simulated time is printed beside that of one PPO training.
 
     The result is a file of parameters that --policies takes like a name, for example

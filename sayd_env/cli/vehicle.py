@@ -164,9 +164,10 @@ def calibrate(
 ) -> Plan:
     """Find what the paper leaves open from its statements, within sourced ranges.
 
-    The passive vehicle first, then damper, valve and controllers. Takes an hour or two; finished runs are
-    kept in the output directory, so an interrupted calibration goes on where it stopped. The result is also
-    a folder of parts, configs, as the packaged ones are.
+    The passive vehicle first, then damper, valve and controllers. Takes one to two and a half hours;
+    finished runs are kept in the output directory, so an interrupted calibration goes on where it stopped.
+    The result is also a folder of parts, configs, as the packaged ones are. Files of one's own:
+    --set semi_active_damper=own/sayd.yaml, --set controllers=[own/mppt1.yaml], and base for the vehicle.
     """
     from sayd_env.config.calibration import load_calibration  # noqa: PLC0415 - keeps --help fast
     from sayd_env.config.software import git_state  # noqa: PLC0415

@@ -8,8 +8,13 @@ from typing import Literal
 from pydantic import Field, field_validator, model_validator
 
 from sayd_env.config.base import Model, Number, quantity
+from sayd_env.config.control import controller_of
 from sayd_env.config.loader import read_study
 
+SKYHOOKS = ("skyhook-onoff", "skyhook-continuous")
+"""Controllers whose common numbers have keys of ``control.skyhook``."""
+PLACES = ("damper.", "control.mppt1.", "control.mppt2.", "control.skyhook.")
+"""Beginnings of the keys of the semi-active stage."""
 LENGTH = "Assessed distance of each run; rows M6 and M7 look at what follows after 15 s at 300 km/h"
 
 
@@ -117,13 +122,34 @@ class CalibrationConfig(Model):
 
     base: str = Field(description="Study whose free numbers are calibrated, with passive yaw dampers")
     semi_active_damper: str = Field(description="Semi-active damper whose free numbers are calibrated")
+    controllers: tuple[str, ...] = Field(
+        description="Files of controllers whose free numbers are calibrated: own/mppt1.yaml; else ours",
+        default=(),
+    )
     first_seed: int = quantity("-", "First track seed; apart from those of the reproduction", ge=0)
     passive: Stage = Field(description="Vehicle, wheels, track and passive damper, from rows P1 to P10")
     semi_active: Stage = Field(
         description="Damper, valve and controllers, from rows M1 to M9 and S1 to S5; keys begin with "
-        "damper (the semi-active one) or control.NAME"
+        "damper (the semi-active one), control.mppt1, control.mppt2 or control.skyhook (both)"
     )
     sensitivity: Sensitivity
+
+    @field_validator("semi_active")
+    @classmethod
+    def _of_controllers(cls, semi_active: Stage) -> Stage:
+        for parameter in semi_active.parameters:
+            for key in parameter.keys:
+                if not key.startswith(PLACES):
+                    raise ValueError(
+                        f"parameter '{parameter.name}': found key '{key}'; expected one that begins with "
+                        f"{', '.join(PLACES)}"
+                    )
+        return semi_active
+
+    @property
+    def controller_files(self) -> dict[str, str]:
+        """Files of one's own by the controllers that they are of."""
+        return {controller_of(file): file for file in self.controllers}
 
 
 def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ()) -> CalibrationConfig:
@@ -134,4 +160,4 @@ def load_calibration(name: str = "calibration", overrides: tuple[str, ...] = ())
     ConfigError
         A file, key or value that cannot be used.
     """
-    return read_study(CalibrationConfig, name, overrides, "base")
+    return read_study(CalibrationConfig, name, overrides, "base", "semi_active_damper", "controllers.*")

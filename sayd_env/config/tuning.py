@@ -105,6 +105,10 @@ class ControllerTuning(Model):
             )
         if len(self.gains) == 1 and self.search in (1, 2):
             raise ValueError("the global search of one gain needs three evaluations or none")
+        if len(self.gains) == 1 and (self.polish == 1 or self.search == self.polish == 0):
+            raise ValueError(
+                "the local search of one gain needs two evaluations, or none behind a global one"
+            )
         if self.population < 1 + len(self.guesses):
             raise ValueError(f"the population of {self.population} is too small for all guesses")
 

@@ -188,13 +188,10 @@ def make_vehicle(
     bias, spread = np.array([s.bias for s in each]), np.array([s.noise for s in each])
     if errors is not None:
         bias, spread = bias + errors.bias, spread * errors.noise
-    assessment = model.scenario.assessment
 
     def filters() -> BandState:
         return band_state(
             band_constants,
-            settings.sample_rate,
-            assessment,
             speed,
             channels=POINTS,
             groups=places.BOGIES,

@@ -17,7 +17,7 @@ from sayd_env.config.environment import EnvironmentConfig
 from sayd_env.config.line import LineConfig
 from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.units import Array, Integers
-from sayd_env.envs.cost import charged, squares
+from sayd_env.envs.cost import charged, squares, weighted
 from sayd_env.envs.loop import (
     LOG_ACCELERATION,
     LOG_BODY,
@@ -35,12 +35,11 @@ from sayd_env.envs.vehicle import model_limits
 from sayd_env.measured.lines import load_line
 from sayd_env.physics.plant import LANES
 from sayd_env.physics.simulator import VehicleModel
-from sayd_env.runs.controlled import high_frequency_power, refuse_divergence
-from sayd_env.runs.metrics import Row, band_passed, row_of
+from sayd_env.runs.controlled import force_use, refuse_divergence
+from sayd_env.runs.metrics import Row, band_passed, comfort_index, row_of
 from sayd_env.runs.policies import PolicySpec, for_policy
 from sayd_env.runs.rollouts import Run, environment_of, roll_out_runs
 from sayd_env.stability import assess
-from sayd_env.stability.comfort import BLOCK, mean_comfort
 from sayd_env.stability.signals import sliding_rms
 
 _WHEEL_LOADS = range(WHEEL_VERTICAL, WHEEL_VERTICAL + LANES)
@@ -276,9 +275,8 @@ def whole_row(run: Run, rollout: Rollout) -> Row:
 
 def _over_the_line(run: Run, rollout: Rollout) -> dict[str, float]:
     assert run.line is not None
-    scenario, trip, rate = run.scenario, Trip(run.line, run.speed), rollout.sample_rate
+    scenario, trip = run.scenario, Trip(run.line, run.speed)
     bounds = model_limits(VehicleModel(scenario))
-    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
     force = rollout.true[rollout.run_in :, LOG_HYDRAULIC:LOG_CURRENT]
     on_bogie = rollout.true[rollout.run_in :, LOG_FORCE:LOG_HYDRAULIC]
     offline = (
@@ -286,19 +284,18 @@ def _over_the_line(run: Run, rollout: Rollout) -> dict[str, float]:
         float(np.mean((force / scenario.cost.force_reference) ** 2)),
     )
     acceleration, shift = (float(np.nan_to_num(rms).max()) for rms in _sliding_rms(run, rollout, trip))
-    judged = scenario.vehicle.floor_height is not None and len(force) >= BLOCK * rate
-    places = (rollout.true[:, k : k + 3] for k in range(LOG_BODY, LOG_BODY + 9, 3))
+    rms, peak, power = force_use(on_bogie, rollout.sample_rate)
     return {
-        "J_run": float(np.dot(weights, rollout.cost())),
-        "J_offline": float(np.dot(weights, offline)),
+        "J_run": weighted(scenario.cost, *rollout.cost()),
+        "J_offline": weighted(scenario.cost, *offline),
         "J_offline_acceleration": offline[0],
         "J_offline_force": offline[1],
         "acceleration_ratio": acceleration / bounds.acceleration,
         "track_shift_ratio": shift / bounds.track_shift_force,
-        "force_rms_n": float(np.sqrt(np.mean(on_bogie**2))),
-        "force_peak_n": float(np.max(np.abs(on_bogie))),
-        "force_power_above_10_hz_n2": high_frequency_power(on_bogie, rate),
-        "comfort": max(mean_comfort(each, rate, rollout.run_in) for each in places) if judged else math.nan,
+        "force_rms_n": rms,
+        "force_peak_n": peak,
+        "force_power_above_10_hz_n2": power,
+        "comfort": comfort_index(rollout, scenario, slice(rollout.run_in, len(rollout.true))),
     }
 
 
@@ -392,6 +389,8 @@ def _sliding_rms(run: Run, rollout: Rollout, trip: Trip) -> tuple[Array, Array]:
             continue
         if rollout.ending is not None and reached < section.end:
             found[:, k] = math.inf
+            continue
+        if min(section.end, reached) - start < shortest:  # the episode's time ends there
             continue
         first, last = np.searchsorted(distance, (start, section.end))
         part = slice(max(int(first) - around, 0), int(last) + around)

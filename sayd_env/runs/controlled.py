@@ -154,19 +154,25 @@ def controlled_run_of(policy: str, rollout: Rollout, settings: AssessmentConfig)
     assessed = assessed_run(acceleration, track_shift, episode.speed, episode.seed, settings)
     part = assessed_part(len(signals), rate, episode.speed, settings)
     force = signals[part, LOG_FORCE:LOG_HYDRAULIC]
+    rms, peak, power = force_use(force, rate)
     trace, trace_period = _trace(signals[part.start :, LOG_FORCE + _REAR_DAMPER], rate)
     return ControlledRun(
         **vars(assessed),
         policy=policy,
         initial_current=episode.initial_current,
-        force_rms=float(np.sqrt(np.mean(force**2))),
-        force_peak=float(np.max(np.abs(force))),
-        force_power_high=high_frequency_power(force, rate),
+        force_rms=rms,
+        force_peak=peak,
+        force_power_high=power,
         command=rollout.actions[: int(len(force) / rate / period + 1e-6)],
         control_period=period,
         force_trace=trace,
         trace_period=trace_period,
     )
+
+
+def force_use(force: Array, rate: float) -> tuple[float, float, float]:
+    """RMS (N), peak (N) and power above 10 Hz (N^2) of dampers' forces, shape (samples, dampers)."""
+    return float(np.sqrt(np.mean(force**2))), float(np.max(np.abs(force))), high_frequency_power(force, rate)
 
 
 def refuse_divergence(rollout: Rollout) -> None:
@@ -238,7 +244,7 @@ class ControlledRuns:
             (run.policy, run.initial_current, round(run.speed * KMH, 6), run.seed): run for run in self.runs
         }
         if not self.runs or len(self._runs) < len(self.runs):
-            raise ValueError("a run is there twice" if self.runs else "no runs")
+            raise ValueError("the same run twice" if self.runs else "no runs")
         self.seeds = tuple(sorted({run.seed for run in self.runs}))
         self.variants = tuple(dict.fromkeys((run.policy, run.initial_current) for run in self.runs))
         """Controllers with their initial currents, in the order of the runs."""

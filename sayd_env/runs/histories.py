@@ -82,7 +82,7 @@ class HistorySignal:
     """One signal of a run, and where a rollout has it."""
 
     name: str
-    """SignalGroup and place, for example ``damper_force.front.left.upper``."""
+    """Quantity and place, for example ``damper_force.front.left.upper``."""
     unit: str
     kept: str
     """``true``, ``traced`` or ``actions``: attribute of the rollout."""

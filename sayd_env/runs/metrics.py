@@ -11,9 +11,9 @@ import numpy as np
 
 from sayd_env.config.assessment import AssessmentConfig
 from sayd_env.config.environment import EnvironmentConfig
-from sayd_env.config.scenario import CostConfig
+from sayd_env.config.scenario import CostConfig, Scenario
 from sayd_env.config.units import KMH, Array, Array32, Flags
-from sayd_env.envs.cost import charged
+from sayd_env.envs.cost import charged, weighted
 from sayd_env.envs.loop import (
     BOGIES,
     LOG_ACCELERATION,
@@ -31,7 +31,7 @@ from sayd_env.runs.passive import assessed_part
 from sayd_env.runs.policies import PASSIVE
 from sayd_env.runs.rollouts import Run, roll_out_runs
 from sayd_env.stability import assessed_span, averaged_spectra, band_pass, distance_run
-from sayd_env.stability.comfort import mean_comfort
+from sayd_env.stability.comfort import BLOCK, mean_comfort
 
 LOWER, UPPER = 0.25, 0.75
 """A valve switches when its command goes from the lower quarter of its range to the upper one, or back."""
@@ -250,11 +250,13 @@ def band_passed(
     return band_pass(acceleration, rate, f0, settings)
 
 
-def comfort_index(rollout: Rollout, settings: AssessmentConfig) -> float:
-    """Worst mean comfort index of the three places on the floor over the assessed length; NaN below 5 s."""
+def comfort_index(rollout: Rollout, scenario: Scenario, part: slice) -> float:
+    """Worst mean comfort index of the three places on the floor over some samples.
+
+    NaN below 5 s, and of vehicles without a floor.
+    """
     rate = rollout.sample_rate
-    part = assessed_part(len(rollout.true), rate, rollout.episode.speed, settings)
-    if part.stop - part.start < 5.0 * rate:
+    if scenario.vehicle.floor_height is None or part.stop - part.start < BLOCK * rate:
         return math.nan
     places = (rollout.true[:, k : k + 3] for k in range(LOG_BODY, LOG_BODY + 9, 3))
     return max(mean_comfort(place, rate, part.start, part.stop) for place in places)
@@ -274,7 +276,6 @@ def switchings(command: Array32, lower: float = LOWER, upper: float = UPPER) -> 
 def _measured(run: Run, rollout: Rollout) -> dict[str, float]:
     scenario, speed, rate = run.scenario, rollout.episode.speed, rollout.sample_rate
     settings, bounds = scenario.assessment, model_limits(VehicleModel(scenario))
-    weights = scenario.cost.acceleration_weight, scenario.cost.force_weight
     controlled = controlled_run_of("", rollout, settings)
     acceleration = rollout.true[:, LOG_ACCELERATION:LOG_TRACK_SHIFT]
     distance = distance_run(speed, rate, len(acceleration))
@@ -288,8 +289,8 @@ def _measured(run: Run, rollout: Rollout) -> dict[str, float]:
         float(np.mean((force / scenario.cost.force_reference) ** 2)),
     )
     return {
-        "J_run": float(np.dot(weights, rollout.cost(math.floor((settings.length or 0.0) / speed)))),
-        "J_offline": float(np.dot(weights, offline)),
+        "J_run": weighted(scenario.cost, *rollout.cost(math.floor((settings.length or 0.0) / speed))),
+        "J_offline": weighted(scenario.cost, *offline),
         "J_offline_acceleration": offline[0],
         "J_offline_force": offline[1],
         "acceleration_ratio": float(controlled.acceleration.max() / bounds.acceleration),
@@ -298,7 +299,7 @@ def _measured(run: Run, rollout: Rollout) -> dict[str, float]:
         "force_peak_n": controlled.force_peak,
         "force_power_above_10_hz_n2": controlled.force_power_high,
         # Without a floor in the vehicle's description there is no place to judge.
-        "comfort": math.nan if scenario.vehicle.floor_height is None else comfort_index(rollout, settings),
+        "comfort": comfort_index(rollout, scenario, part),
     }
 
 

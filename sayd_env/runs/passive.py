@@ -81,7 +81,10 @@ class Criterion:
         return math.nan if found is None else found * KMH
 
     def extrapolated_kmh(self) -> float:
-        """The same, where the first or the last segment of the medians goes on beyond the grid."""
+        """The same, where the first or the last segment of the medians goes on beyond the grid.
+
+        One that is flat or falls rises by a limit in 200 km/h there, so that every place has a finite value.
+        """
         v, peak = self.speeds * KMH, self.medians()
         above = np.flatnonzero(peak > self.limit)
         i = len(v) - 1 if above.size == 0 else max(1, int(above[0]))
@@ -211,6 +214,11 @@ def simulated(runs: Sequence[PassiveRun]) -> list[tuple[Array, Array]]:
     -------
     list of tuple of ndarray, shape (t, w)
         Lateral acceleration of the bogie frame (m/s2) and track shift force (N) at each wheelset.
+
+    Raises
+    ------
+    Diverged
+        Numbers of a run did not stay finite.
     """
     models = {id(run.scenario): VehicleModel(run.scenario) for run in runs}
     batch = BatchSimulator(
@@ -235,7 +243,13 @@ def _samples(run: PassiveRun) -> int:
 def assessed_run(
     acceleration: Array, track_shift: Array, speed: float, seed: int, settings: AssessmentConfig
 ) -> Assessed:
-    """Assess the signals of a run, both of shape (t, w) and run-in included."""
+    """Assess the signals of a run (m/s2, N), both of shape (t, w) and run-in included.
+
+    Raises
+    ------
+    DataError
+        Signals too short for the assessment.
+    """
     result = assess(np.hstack([acceleration, track_shift]), settings.sample_rate, speed, settings)
     w = acceleration.shape[1]
     f, peak = result.dominant_frequency, result.maximum

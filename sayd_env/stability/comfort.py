@@ -14,7 +14,7 @@ from sayd_env.config.units import Array, ComplexArray
 BLOCK = 5.0
 """Time of one weighted RMS value, s."""
 QUANTILE = 0.95
-"""Share of the RMS values that the one which counts is not below."""
+"""Quantile of the RMS values that counts."""
 FACTOR = 6.0
 """Of the mean comfort index: it is 6 for a weighted RMS of 1 m/s2."""
 
@@ -106,6 +106,11 @@ def weighted(signals: Array, sample_rate: float, name: str) -> Array:
     ndarray, shape (t, c)
         Weighted accelerations (m/s2). The response is exact at every frequency: it is applied to the
         spectrum of the signal, continued by zeros so that its end does not run into its start.
+
+    Raises
+    ------
+    DataError
+        An unknown weighting.
     """
     n = len(signals)
     length = next_fast_len(2 * n, real=True)
@@ -136,7 +141,7 @@ def mean_comfort(acceleration: Array, sample_rate: float, start: int = 0, stop: 
     Raises
     ------
     DataError
-        Less than 5 s, or a value that is not a number.
+        Another shape, less than 5 s, or a value that is not a number.
     """
     signals = np.asarray(acceleration, dtype=np.float64)
     if signals.ndim != 2 or signals.shape[1] != 3:

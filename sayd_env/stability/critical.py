@@ -109,7 +109,12 @@ def grid_sensitivity(
 def thinned_grids(speeds: Array, values: Array, limit: float) -> list[CriticalSpeed]:
     """Critical speeds with each inner speed of the grid left out in turn.
 
-    Other grids for `grid_sensitivity` that cost no simulation. Parameters as in `critical_speed`.
+    Other grids for `grid_sensitivity` that cost no simulation. Parameters and errors as in `critical_speed`.
+
+    Returns
+    -------
+    list of CriticalSpeed
+        One for each inner speed.
     """
     speeds, values = _checked(speeds, values)
     return [

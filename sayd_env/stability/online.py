@@ -140,8 +140,6 @@ def _phases(frequency: Array, step: float, interval: float) -> Array:
 
 def band_state(
     constants: Band,
-    rate: float,
-    assessment: AssessmentConfig,
     speed: float | Array,
     channels: int,
     groups: int,
@@ -153,10 +151,6 @@ def band_state(
     ----------
     constants : Band
         The filters.
-    rate : float
-        Samples per second (Hz), as given to `band`.
-    assessment : AssessmentConfig
-        Distance behind f_0.
     speed : float or ndarray, shape (groups,)
         Speed of each group's vehicle (m/s).
     channels, groups : int
@@ -172,10 +166,10 @@ def band_state(
     if groups < 1 or channels < groups or channels % groups:
         raise ConfigError(f"{channels} channels in {groups} groups; expected the same number in each group")
     speeds = np.broadcast_to(np.asarray(speed, dtype=np.float64), (groups,))
-    length = np.array([_length(constants, rate, assessment, v) for v in speeds])
+    length = np.array([_length(constants, v) for v in speeds])
     capacity = int(length.max())
     if slowest is not None:
-        capacity = max(capacity, _length(constants, rate, assessment, slowest))
+        capacity = max(capacity, _length(constants, slowest))
     settling, start = int(constants.counts[1]), int(constants.counts[2])
     window = np.zeros((capacity, groups))
     for group, n in enumerate(length):
@@ -194,9 +188,7 @@ def band_state(
     )
 
 
-def restart(
-    constants: Band, state: BandState, rate: float, assessment: AssessmentConfig, group: int, speed: float
-) -> None:
+def restart(constants: Band, state: BandState, group: int, speed: float) -> None:
     """Put one group back to rest, in place, as if it had been made for this speed just now.
 
     Raises
@@ -204,7 +196,7 @@ def restart(
     ConfigError
         A speed below the slowest one that the state was made for.
     """
-    length = _length(constants, rate, assessment, speed)
+    length = _length(constants, speed)
     capacity = len(state.history)
     if length > capacity:
         raise ConfigError(
@@ -222,11 +214,12 @@ def restart(
     state.window[:length, group] = _window(length)
 
 
-def _length(constants: Band, rate: float, assessment: AssessmentConfig, speed: float) -> int:
+def _length(constants: Band, speed: float) -> int:
     """Whole blocks within one segment of the assessment: any run of its length has them all."""
     if not (math.isfinite(speed) and speed >= SLOWEST):
         raise ConfigError(f"on-line filter: found a speed of {speed:g} m/s; expected {SLOWEST:g} m/s or more")
-    blocks = assessment.segment_length / speed * rate / int(constants.counts[0])
+    distance, rate = constants.segment
+    blocks = float(distance) / speed * float(rate) / int(constants.counts[0])
     return max(2, math.floor(blocks + 1e-9))
 
 

@@ -114,6 +114,11 @@ def averaged_spectra(
         Frequency grid (Hz).
     spectra : array of shape (channels, m)
         Mean square of a harmonic component at each frequency (unit of the signal squared).
+
+    Raises
+    ------
+    DataError
+        A span shorter than one segment.
     """
     step = settings.frequency_step
     count = round((settings.frequency_max - settings.frequency_min) / step) + 3
@@ -173,7 +178,13 @@ def band_pass(signals: Array, sample_rate: float, frequency: Array, settings: As
 
 
 def band_sections(f0: float, settings: AssessmentConfig, sample_rate: float) -> Array:
-    """Butterworth band-pass around f_0 (Hz) as second-order sections, designed once; not to be changed."""
+    """Butterworth band-pass around f_0 (Hz): second-order sections, (s, 6), made once and not to be changed.
+
+    Raises
+    ------
+    DataError
+        A sampling rate (Hz) too low for the band.
+    """
     edges = (max(f0 - settings.band_half_width, settings.band_min), f0 + settings.band_half_width)
     if not edges[1] < 0.5 * sample_rate:
         raise DataError(

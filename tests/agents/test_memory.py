@@ -249,6 +249,29 @@ def test_onnx_gives_the_same_commands(
         np.testing.assert_allclose(one, other, atol=1e-6, rtol=0)
         commands.append(one)
     assert np.ptp(commands) > 0.1
+    with pytest.raises(ConfigError, match=r"state: found .*; expected what the last call returned"):
+        model.predict(seen[0], object())
+
+
+def test_inputs_of_a_model_have_no_order(interface: Interface, tmp_path: Path) -> None:
+    onnx = pytest.importorskip("onnx", reason="needs the extra 'onnx'")
+    pytest.importorskip("onnxruntime", reason="needs the extra 'onnx'")
+    from sayd_env.agents.export import export_onnx  # noqa: PLC0415
+    from sayd_env.agents.onnx_policy import read_onnx  # noqa: PLC0415
+
+    export_onnx(policy_of(interface, 1, "tanh"), tmp_path / "policy.onnx")
+    model = onnx.load(tmp_path / "policy.onnx")
+    inputs = [*model.graph.input]
+    del model.graph.input[:]
+    model.graph.input.extend(inputs[::-1])
+    onnx.save(model, tmp_path / "turned.onnx")
+    seen = blocks(interface, 1, 5)[0]
+    first, other = (
+        read_onnx(tmp_path / name).bound(interface).predict(seen)[0]
+        for name in ("policy.onnx", "turned.onnx")
+    )
+    assert len(inputs) == 2
+    np.testing.assert_array_equal(first, other)
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,8 @@ def test_a_run_holds_what_it_needs_to_be_understood(trained: Trained) -> None:
     assert load_train(str(folder / "config.yaml")) == trained.config
     assert read_policy(folder / "best.npz").environment_version == VERSION
     (start,) = yaml.safe_load((folder / "run.yaml").read_text())["starts"]
-    assert start["libraries"]["torch"] == torch.__version__
+    # A build's label, as +cpu, is not in the metadata of every one.
+    assert start["libraries"]["torch"].partition("+")[0] == torch.__version__.partition("+")[0]
     assert len(steps_on_disk(folder)) == trained.config.checkpoint.keep
     assert trained.steps >= 200
     rows = Table(folder / "evaluations.csv").rows

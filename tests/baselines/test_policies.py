@@ -336,6 +336,8 @@ def test_changed_actions_are_refused(vehicle):
     with pytest.raises(ConfigError, match="a wrapper changes the environment's actions"):
         baselines.make("constant:0.3", gym.wrappers.vector.RescaleAction(vector, *ENDS))
     vector.close()
+    with pytest.raises(ConfigError, match="a wrapper changes the environment's actions"):
+        baselines.make("constant:0.3", gym.wrappers.DiscretizeAction(vehicle(), 5))
     clipped = gym.wrappers.ClipAction(vehicle())
     assert baselines.make("constant:0.3", clipped).interface is clipped.unwrapped.interface
 

@@ -311,13 +311,33 @@ def test_it_reports_how_much_it_intervenes(interface, observe):
     assert policy.interventions(state).tolist() == [[0.4, 0.0]]
 
 
-def test_readings_that_are_no_numbers_are_a_dead_sensor(interface):
+@pytest.mark.parametrize("begin", [0, 200])
+def test_readings_that_are_no_numbers_are_a_dead_sensor(interface, begin):
     """Of a client's own, where the policy inside does not mind."""
     made = interface()
     rows = waves(made, 1.0, 6.0)
-    rows[200:, made.index("lateral_acceleration.rear.leading")] = np.nan
+    rows[begin:, made.index("lateral_acceleration.rear.leading")] = np.nan
     commands = shares(SafeFallback(Open(made)), rows)
     assert np.all(commands[-1] == [1.0, 0.0])
+
+
+def test_a_speed_that_is_no_number_is_a_dead_one(interface):
+    made = interface()
+    rows = waves(made, 1.0, 6.0)
+    missing = rows.copy()
+    missing[:, made.index("speed")], rows[:, made.index("speed")] = np.nan, 0.0
+    commands = [shares(SafeFallback(Open(made)), each) for each in (missing, rows)]
+    assert np.array_equal(*commands)
+    assert np.all(commands[0][-1] == 0.0)
+
+
+def test_a_sensor_that_was_dead_at_first_is_trusted_again(interface):
+    made = interface()
+    rows = waves(made, 1.0, 30.0)
+    rows[:200, made.index("lateral_acceleration.rear.leading")] = np.nan
+    commands = shares(SafeFallback(Open(made)), rows)
+    assert np.all(commands[199] == [1.0, 0.0])
+    assert np.all(commands[-1] == 1.0)
 
 
 def test_what_cannot_be_is_refused(interface):
@@ -327,6 +347,10 @@ def test_what_cannot_be_is_refused(interface):
         (lambda: SafeFallback(Open(made), tripp=0.1), "unknown key 'tripp', did you mean 'trip'"),
         (lambda: SafeFallback(SafeFallback(Open(made))), "is a fallback already"),
         (lambda: SafeFallback(object()), "no attribute 'interface'"),
+        (
+            lambda: SafeFallback(Open(made)).predict(np.zeros(made.shape, np.float32), object()),
+            "state: found .*; expected what the last call returned",
+        ),
         (lambda: SafeFallback(Open(interface(control_period=0.05))), "50 ms is too long"),
         (lambda: baselines.make("safe:nobody", made), "policy 'nobody': unknown"),
         (lambda: SafeFallback(Open(made)).predict(np.zeros(3)), "found an observation of shape"),

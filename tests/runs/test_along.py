@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from sayd_env.config.assessment import load_assessment
 from sayd_env.config.line import LineConfig, LineSectionConfig, resolve
 from sayd_env.envs.loop import LOG
+from sayd_env.runs import along
 from sayd_env.runs.along import Trip, offline_along
 
 RATE, SPEED, RUN_IN = 500.0, 80.0, 500
@@ -33,6 +35,21 @@ def test_a_sine_has_half_its_square_whatever_its_frequency_in_a_section():
     """4 Hz, then 9 Hz: a filter of one frequency would lose one of them."""
     rollout, trip = made(1.4, (4.0, 9.0), (2000.0, 2000.0))
     assert offline_along(rollout, trip, load_assessment()) == pytest.approx(1.4**2 / 2.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("on_the_second", "judged"), [(300.0, False), (700.0, True)])
+def test_a_straight_on_which_the_time_runs_out_is_judged_if_it_is_long_enough(
+    on_the_second: float, judged: bool
+):
+    """A segment of the spectrum takes 500 m. A sine has an RMS of its amplitude by the root of two."""
+    rollout, trip = made(1.0, (5.0, 5.0), (1500.0, 2000.0))
+    kept = RUN_IN + round((1500.0 + on_the_second) / SPEED * RATE)
+    rollout.true, rollout.times, rollout.ending = rollout.true[:kept], rollout.times[:kept], None
+    run = SimpleNamespace(scenario=SimpleNamespace(assessment=load_assessment()))
+    (first, second), _ = along._sliding_rms(run, rollout, trip)
+    assert first == pytest.approx(math.sqrt(0.5), rel=0.02)
+    # At the end of the signals the filter rings.
+    assert second == pytest.approx(math.sqrt(0.5) if judged else math.nan, rel=0.04, nan_ok=True)
 
 
 def test_a_short_last_section_counts_with_the_one_before():

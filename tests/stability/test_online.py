@@ -96,7 +96,7 @@ def hunting(seconds: int, rate: float, channels: int, seed: int = 3) -> np.ndarr
 
 def test_long_random_signal_equals_scipy(constants: Band) -> None:
     signals = hunting(60, RATE, 4)
-    filtered, chosen = run(constants, band_state(constants, RATE, ASSESSMENT, SPEED, 4, 2), signals)
+    filtered, chosen = run(constants, band_state(constants, SPEED, 4, 2), signals)
     expected, frequencies = reference(signals, RATE, SPEED, 2)
     np.testing.assert_allclose(chosen, frequencies, rtol=0, atol=1e-9)
     assert len(np.unique(frequencies[:, 0])) > 20  # so that filters really moved
@@ -107,7 +107,7 @@ def test_long_random_signal_equals_scipy(constants: Band) -> None:
 def test_any_rate_equals_scipy(rate: float) -> None:
     constants = band(ONLINE, ASSESSMENT, rate)
     signals = hunting(25, rate, 2, seed=int(rate))
-    filtered, chosen = run(constants, band_state(constants, rate, ASSESSMENT, SPEED, 2, 1), signals, rate)
+    filtered, chosen = run(constants, band_state(constants, SPEED, 2, 1), signals, rate)
     expected, frequencies = reference(signals, rate, SPEED, 1)
     np.testing.assert_allclose(chosen, frequencies, rtol=0, atol=1e-9)
     np.testing.assert_allclose(filtered, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
@@ -118,14 +118,14 @@ def test_f0_of_a_tone_is_the_nearest_on_the_grid_at_any_speed(constants: Band, s
     tones = np.array([1.5, 1.72, 2.26, 3.33, 4.04, 5.58, 7.77, 10.01, 12.0])
     speed = speed_kmh / 3.6
     t = np.arange(int(500 / speed) * 1000 + 2001) / RATE
-    state = band_state(constants, RATE, ASSESSMENT, speed, len(tones), len(tones))
+    state = band_state(constants, speed, len(tones), len(tones))
     _, chosen = run(constants, state, 0.7 * np.sin(2 * np.pi * np.outer(t, tones) + 0.4) + 3.0)
     assert np.abs(chosen[-1] - tones).max() <= 0.5 * ONLINE.frequency_step
 
 
 def test_f0_is_5_hz_until_500_m_are_run(constants: Band) -> None:
     signals = np.sin(2 * np.pi * 8 * np.arange(6000) / RATE)[:, None]
-    state = band_state(constants, RATE, ASSESSMENT, SPEED, 1, 1)
+    state = band_state(constants, SPEED, 1, 1)
     out = np.empty(1)
     for i, sample in enumerate(signals):
         retune(constants, state) if i in (1000, 4000, 4990, 4999) else None
@@ -141,7 +141,7 @@ def test_f0_is_5_hz_until_500_m_are_run(constants: Band) -> None:
 def test_gain_is_that_of_a_butterworth_band(constants: Band, f: float) -> None:
     """Closed form of the digital band of order 4 around 5 Hz: one pass, not two."""
     t = np.arange(20_000) / RATE
-    state = band_state(constants, RATE, ASSESSMENT, 10.0, 1, 1)  # 500 m take 50 s: f_0 stays
+    state = band_state(constants, 10.0, 1, 1)  # 500 m take 50 s: f_0 stays
     filtered, _ = run(constants, state, np.sin(2 * np.pi * f * t)[:, None])
     w, low, high = (np.tan(np.pi * x / RATE) for x in (f, 3.0, 7.0))
     gain = 1 / np.sqrt(1 + ((w * w - low * high) / (w * (high - low))) ** 8)
@@ -153,8 +153,8 @@ def test_a_group_adds_the_spectra_of_its_points(constants: Band) -> None:
     t = np.arange(7000) / RATE
     slow, fast = (np.sin(2 * np.pi * f * t) for f in (4.0, 7.0))
     points = np.stack([slow + 0.8 * fast, 0.8 * fast], axis=1)  # mean squares 1 to 2 * 0.64
-    together = run(constants, band_state(constants, RATE, ASSESSMENT, SPEED, 2, 1), points)[1]
-    apart = run(constants, band_state(constants, RATE, ASSESSMENT, SPEED, 2, 2), points)[1]
+    together = run(constants, band_state(constants, SPEED, 2, 1), points)[1]
+    apart = run(constants, band_state(constants, SPEED, 2, 2), points)[1]
     assert together[-1] == pytest.approx([7.0])
     assert apart[-1] == pytest.approx([4.0, 7.0])
 
@@ -162,35 +162,33 @@ def test_a_group_adds_the_spectra_of_its_points(constants: Band) -> None:
 def test_groups_in_one_state_run_as_alone(constants: Band) -> None:
     signals = hunting(15, RATE, 6)
     speeds = np.array([55.0, 111.0, 83.0])
-    together = run(constants, band_state(constants, RATE, ASSESSMENT, speeds, 6, 3), signals)
+    together = run(constants, band_state(constants, speeds, 6, 3), signals)
     for group, speed in enumerate(speeds):
         own = np.ascontiguousarray(signals[:, 2 * group : 2 * group + 2])
-        alone = run(constants, band_state(constants, RATE, ASSESSMENT, speed, 2, 1), own)
+        alone = run(constants, band_state(constants, speed, 2, 1), own)
         np.testing.assert_array_equal(together[0][:, 2 * group : 2 * group + 2], alone[0])
         np.testing.assert_array_equal(together[1][:, group], alone[1][:, 0])
 
 
 def test_a_restarted_group_runs_as_new_and_leaves_the_others_alone(constants: Band) -> None:
     before, after = hunting(7, RATE, 4), hunting(12, RATE, 4, seed=8)
-    state, untouched = (
-        band_state(constants, RATE, ASSESSMENT, np.array([90.0, 100.0]), 4, 2, slowest=60.0) for _ in range(2)
-    )
+    state, untouched = (band_state(constants, np.array([90.0, 100.0]), 4, 2, slowest=60.0) for _ in range(2))
     run(constants, state, before[:6997])  # within a block
     run(constants, untouched, before[:6997])
-    restart(constants, state, RATE, ASSESSMENT, 1, 62.0)
+    restart(constants, state, 1, 62.0)
     filtered, chosen = run(constants, state, after)
     others, _ = run(constants, untouched, after)
     np.testing.assert_array_equal(filtered[:, :2], others[:, :2])
-    new = band_state(constants, RATE, ASSESSMENT, 62.0, 2, 1)
+    new = band_state(constants, 62.0, 2, 1)
     expected, frequencies = run(constants, new, np.ascontiguousarray(after[:, 2:]))
     np.testing.assert_array_equal(filtered[:, 2:], expected)
     np.testing.assert_array_equal(chosen[:, 1:], frequencies)
     with pytest.raises(ConfigError, match=r"keeps 833 block means, 50 m/s needs 1000"):
-        restart(constants, state, RATE, ASSESSMENT, 0, 50.0)
+        restart(constants, state, 0, 50.0)
 
 
 def test_one_group_can_be_retuned_by_itself(constants: Band) -> None:
-    state = band_state(constants, RATE, ASSESSMENT, SPEED, 2, 2)
+    state = band_state(constants, SPEED, 2, 2)
     out = np.empty(2)
     for value in np.sin(2 * np.pi * 8 * np.arange(5000) / RATE):
         push(constants, state, np.full(2, value), out)
@@ -204,9 +202,9 @@ def test_unusable_samples_stay_in_their_channel_and_pass(constants: Band, bad: f
     spoilt = signals.copy()
     spoilt[5500, 1] = bad
     spoilt[5600:5650, 0] = bad
-    state = band_state(constants, RATE, ASSESSMENT, SPEED, 4, 2)
+    state = band_state(constants, SPEED, 4, 2)
     filtered, chosen = run(constants, state, spoilt)
-    clean, frequencies = run(constants, band_state(constants, RATE, ASSESSMENT, SPEED, 4, 2), signals)
+    clean, frequencies = run(constants, band_state(constants, SPEED, 4, 2), signals)
     np.testing.assert_array_equal(filtered[:, 2:], clean[:, 2:])
     np.testing.assert_array_equal(chosen[:, 1], frequencies[:, 1])
     assert chosen.min() >= 1.5
@@ -218,14 +216,14 @@ def test_unusable_samples_stay_in_their_channel_and_pass(constants: Band, bad: f
 
 @pytest.mark.parametrize("value", [0.0, 3.0, -1e6])
 def test_a_constant_signal_moves_nothing(constants: Band, value: float) -> None:
-    state = band_state(constants, RATE, ASSESSMENT, SPEED, 2, 1)
+    state = band_state(constants, SPEED, 2, 1)
     filtered, chosen = run(constants, state, np.full((12_000, 2), value))
     assert chosen == pytest.approx(5.0)
     assert np.abs(filtered[8000:]).max() <= 1e-6 * abs(value)
 
 
 def test_a_state_is_made_of_arrays_whose_first_axes_can_be_stacked(constants: Band) -> None:
-    states = [band_state(constants, RATE, ASSESSMENT, speed, 4, 2) for speed in (60.0, 110.0)]
+    states = [band_state(constants, speed, 4, 2) for speed in (60.0, 110.0)]
     for name, fields in zip(BandState._fields, zip(*states, strict=True), strict=True):
         assert all(isinstance(field, np.ndarray) for field in fields), name
         assert fields[0].shape[1:] == fields[1].shape[1:], name
@@ -269,13 +267,12 @@ def test_settings_must_be_positive(key: str) -> None:
 )
 def test_unusable_states(constants: Band, speed: float, channels: int, groups: int, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        band_state(constants, RATE, ASSESSMENT, speed, channels, groups)
+        band_state(constants, speed, channels, groups)
 
 
 def test_a_spectrum_follows_the_speed_and_not_a_dead_sensor(constants: Band) -> None:
     """500 m at the present speed; where the sensor reads 0 or nothing the spectrum stays as long as it is."""
-    assessment = load_assessment()
-    fast, slow = (band_state(constants, RATE, assessment, v, 2, 1, slowest=50.0) for v in (100.0, 70.0))
+    fast, slow = (band_state(constants, v, 2, 1, slowest=50.0) for v in (100.0, 70.0))
     follow_speed(constants, fast, 0, 70.0)
     assert np.array_equal(fast.length, slow.length)
     np.testing.assert_allclose(fast.window, slow.window, rtol=1e-12, atol=1e-15)

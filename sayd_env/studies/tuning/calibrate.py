@@ -42,6 +42,7 @@ from sayd_env.studies.paper.controlled_claims import (
     ControlledMeasures,
     required_runs,
 )
+from sayd_env.studies.paper.reproduce import row_policies
 from sayd_env.studies.tuning.parts import part_files
 from sayd_env.studies.tuning.search import best_of, draw_costs
 from sayd_env.studies.tuning.targets import (
@@ -50,6 +51,8 @@ from sayd_env.studies.tuning.targets import (
     MPPT2_300,
     NEW,
     ROWS_OF_CONTROLLERS,
+    ROWS_OF_VEHICLE,
+    ROWS_WITH_CONTROL,
     WORN,
     WORN_FORCE,
     Measures,
@@ -140,9 +143,9 @@ class CalibrationResult:
             "evaluations": sum(len(trials) for trials in self.trials.values()),
         }
         found: dict[str, str] = {}
-        for name, stage in self._stages().items():
+        for name in self.trials:
             cost = {"cost": f"{self.best(name).cost:.3g}"}
-            found |= part_files(stage, self.values(name), about | cost, semi_active=name == "semi_active")
+            found |= part_files(self.config, name, self.values(name), about | cost)
         return found
 
     def as_dict(self) -> dict[str, Any]:
@@ -248,10 +251,13 @@ def calibrate(
 
     Raises
     ------
+    ConfigError
+        A file of a controller that no row is about.
     StudyError
         No numbers gave a finite run.
     """
     context = context or RunContext()
+    row_policies(config.controllers)
     stages = config.passive, config.semi_active
     planned = sum(search.evaluations for stage in stages for search in stage.searches)
     progress = _Evaluations(context.progress, planned + sum(_of_sensitivity(config)))
@@ -379,13 +385,12 @@ def _search(
     trials, drawn from all, so that the places spread where the surfaces are uncertain.
     """
     random = np.random.default_rng(seed)
-    count = len(start)
     low, high = np.maximum(start - search.radius, 0.0), np.minimum(start + search.radius, 1.0)
-    cube = qmc.LatinHypercube(count, rng=seed).random(search.samples - 1)
+    cube = qmc.LatinHypercube(len(start), rng=seed).random(search.samples - 1)
     made = tried([start, *qmc.scale(cube, low, high)])
     while len(made) < search.evaluations:
-        places = [_least(made, columns, low, high, random, drawn=i > 0) for i in range(PLACES)]
-        made += tried(places)
+        count = min(PLACES, search.evaluations - len(made))
+        made += tried([_least(made, columns, low, high, random, drawn=i > 0) for i in range(count)])
     return best_of(made)
 
 
@@ -440,7 +445,7 @@ class _Passive:
         """Residuals of rows P1 to P10, and of what M1, M5 and S1 need, at each place."""
         stage = self.config.passive
         values = [stage.values(place) for place in places]
-        lost: Outcome = dict.fromkeys(P_ROWS, LOST), {}
+        lost: Outcome = dict.fromkeys(ROWS_OF_VEHICLE, LOST), {}
         return _each(values, lambda part: self._measured(part, seeds, length), lost)
 
     def _measured(self, values: Sequence[Mapping[str, float]], seeds: int, length: float) -> list[Outcome]:
@@ -457,10 +462,14 @@ class _Passive:
             gathered([next(records) for _ in range(len(tracks) * len(speeds))], speeds, tracks)
             for _, speeds in scenarios
         ]
-        limits = model_limits(VehicleModel(scenarios[0][0]))
+        limits = [model_limits(VehicleModel(scenario)) for scenario, _ in scenarios[::2]]
         held, frequency = self._held(values, tracks, length, self.context.part(len(runs), whole))
-        rows = zip(sweeps[::2], sweeps[1::2], held / limits.acceleration, frequency, strict=True)
-        return [passive_residuals(new, worn, limits, *each) for new, worn, *each in rows]
+        return [
+            passive_residuals(new, worn, own, accelerations / own.acceleration, frequencies)
+            for new, worn, own, accelerations, frequencies in zip(
+                sweeps[::2], sweeps[1::2], limits, held, frequency, strict=True
+            )
+        ]
 
     def _held(
         self, values: Sequence[Mapping[str, float]], tracks: Sequence[int], length: float, context: RunContext
@@ -500,7 +509,7 @@ class _SemiActive:
             lambda part: [
                 controlled_residuals(m) for m in self.measured(part, required_runs(), seeds, length)
             ],
-            lost=(dict.fromkeys(CONTROLLED_ROWS, LOST), {}),
+            lost=(dict.fromkeys(ROWS_WITH_CONTROL, LOST), {}),
         )
 
     def measured(
@@ -527,14 +536,17 @@ class _SemiActive:
             ]
         records = self.context.records(assessed_controlled, runs, ControlledRun)
         count = len(required) * len(tracks)
-        limits, assessment = model_limits(VehicleModel(runs[0].scenario)), runs[0].scenario.assessment
         return [
-            ControlledMeasures(ControlledRuns(records[i : i + count]), limits, required, assessment)
+            ControlledMeasures(
+                ControlledRuns(records[i : i + count]),
+                model_limits(VehicleModel(runs[i].scenario)),
+                required,
+                runs[i].scenario.assessment,
+            )
             for i in range(0, len(records), count)
         ]
 
-    @staticmethod
-    def _policy(name: str, numbers: Mapping[str, float]) -> PolicySpec:
+    def _policy(self, name: str, numbers: Mapping[str, float]) -> PolicySpec:
         files = (name, "skyhook") if name.startswith("skyhook") else (name,)
         own = {
             parameter: number
@@ -542,11 +554,8 @@ class _SemiActive:
             for key, number in numbers.items()
             if (parameter := key.removeprefix(f"{CONTROL}{file}.")) != key
         }
-        return PolicySpec(name, load_controller(name, own).model_dump())
-
-
-P_ROWS = (*(f"P{i}" for i in range(1, 11)), "M1, M5, S1", "M2")
-CONTROLLED_ROWS = (*(f"M{i}" for i in range(1, 10)), "S1", "S3", "S4", "S5")
+        file = self.config.controller_files.get(name, name)
+        return PolicySpec(name, load_controller(file, own).model_dump())
 
 
 def vehicle_of(

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from sayd_env.config.calibration import Stage
+from sayd_env.config.calibration import SKYHOOKS, CalibrationConfig, Stage
+from sayd_env.config.loader import from_anywhere
 from sayd_env.studies.tuning.search import provenance_lines
 
 
@@ -22,7 +23,8 @@ class _Part(NamedTuple):
     """Further lines."""
 
 
-PASSIVE = (
+_ESTIMATES = "estimates"
+_PASSIVE = (
     _Part(
         "vehicle.",
         "vehicle/emu.yaml",
@@ -44,55 +46,89 @@ PASSIVE = (
         "",
         "study/nominal.yaml",
         "The paper's conditions: the parts, and what belongs to no part.",
-        "estimates",
+        _ESTIMATES,
         "description: the EMU of the paper with passive yaw dampers\n"
         "vehicle: emu\ndamper: passive\nwheel: s1002cn\ntrack: german_low",
     ),
 )
-"""Where the numbers of the passive stage belong; the first part whose keys fit takes one."""
 _CONTROLLERS = {
     "mppt1": "MPPT1, eq. (27) to (31) of Wang et al. (2022): weighs running stability alone.",
     "mppt2": "MPPT2, eq. (27) to (31) of Wang et al. (2022): weighs running stability and damper force.",
     "skyhook": "The estimator of bogie velocity and stroke rate that both skyhooks read.",
 }
-SEMI_ACTIVE = (
-    _Part("damper.", "damper/sayd.yaml", "The semi-active yaw damper.", "sayd-estimate", "name: sayd"),
-    *(
-        _Part(f"control.{name}.", f"control/{name}.yaml", about, f"{name}-estimate")
-        for name, about in _CONTROLLERS.items()
-    ),
-)
-"""The same for the semi-active stage."""
+
+
+def passive_parts(config: CalibrationConfig) -> tuple[_Part, ...]:
+    """Where the numbers of the passive stage belong; the first part whose keys fit takes one.
+
+    A base of one's own may name any parts: what is found over it is one study.
+    """
+    if config.base == _ESTIMATES:
+        return _PASSIVE
+    return (_Part("", "study/calibrated.yaml", f"Over {config.base}.", from_anywhere(config.base)),)
+
+
+def semi_active_parts(config: CalibrationConfig) -> tuple[_Part, ...]:
+    """The same for the semi-active stage: over the damper and the controllers with which it ran.
+
+    What both skyhooks share goes into their estimator, and into each file of one's own.
+    """
+    damper = from_anywhere(config.semi_active_damper)
+    files = {name: from_anywhere(file) for name, file in config.controller_files.items()}
+    own = [name for name in SKYHOOKS if name in files]
+    names = {name: [name] for name in ("mppt1", "mppt2")}
+    names["skyhook"] = own if len(own) == len(SKYHOOKS) else ["skyhook", *own]
+    return (
+        _Part("damper.", "damper/sayd.yaml", "The semi-active yaw damper.", damper, "name: sayd"),
+        *(
+            _Part(
+                f"control.{controller}.",
+                f"control/{name}.yaml",
+                _CONTROLLERS[controller],
+                files.get(name, f"{name}-estimate"),
+            )
+            for controller, of_it in names.items()
+            for name in of_it
+        ),
+    )
+
+
+_STAGES = {
+    "passive": ("P1 to P10", passive_parts),
+    "semi_active": ("M1 to M9 and S1 to S5", semi_active_parts),
+}
 
 
 def part_files(
-    stage: Stage, values: Mapping[str, float], about: Mapping[str, object], *, semi_active: bool
+    config: CalibrationConfig, name: str, values: Mapping[str, float], about: Mapping[str, object]
 ) -> dict[str, str]:
     """Text of each part that a stage calibrates, by its path in `configs/`.
 
     Parameters
     ----------
+    name : str
+        Of the stage: ``passive`` or ``semi_active``.
     values : mapping
         Calibrated value of each parameter by name.
     about : mapping
         What stands under `provenance`.
-    semi_active : bool
-        Which of the two stages it is.
     """
-    rows = "M1 to M9 and S1 to S5" if semi_active else "P1 to P10"
+    stage: Stage = getattr(config, name)
+    rows, parts_of = _STAGES[name]
+    parts = parts_of(config)
     lines: dict[_Part, list[str]] = {}
-    parts = SEMI_ACTIVE if semi_active else PASSIVE
     for key, number in stage.assignments(values).items():
-        part = next(part for part in parts if key.startswith(part.keys))
-        own = lines.setdefault(part, [])
-        for parameter in stage.parameters_of(key):
-            comment = (
-                f"  # {parameter.name}: {values[parameter.name]:.5g} {parameter.unit}, "
-                f"from {parameter.low:g} to {parameter.high:g}"
-            )
-            if comment not in own:
-                own.append(comment)
-        own.append(f"  {key.removeprefix(part.keys)}: {number!r}")
+        begins = next(part.keys for part in parts if key.startswith(part.keys))
+        for part in (part for part in parts if part.keys == begins):
+            own = lines.setdefault(part, [])
+            for parameter in stage.parameters_of(key):
+                comment = (
+                    f"  # {parameter.name}: {values[parameter.name]:.5g} {parameter.unit}, "
+                    f"from {parameter.low:g} to {parameter.high:g}"
+                )
+                if comment not in own:
+                    own.append(comment)
+            own.append(f"  {key.removeprefix(begins)}: {number!r}")
     return {part.path: _text(part, rows, about, own) for part, own in lines.items()}
 
 

@@ -90,12 +90,13 @@ def minimise(tuning: ControllerTuning, own: Gains, cost: CostAt, seed: int) -> N
             places = np.linspace(low, high, count)
             best = int(np.argmin([cost("search", np.array([x])) for x in places]))
             low, high = places[max(best - 1, 0)], places[min(best + 1, count - 1)]
-        minimize_scalar(
-            lambda x: cost("polish", np.array([x])),
-            bounds=(low, high),
-            method="bounded",
-            options={"maxiter": tuning.polish, "xatol": 0.0},
-        )
+        if tuning.polish:
+            minimize_scalar(
+                lambda x: cost("polish", np.array([x])),
+                bounds=(low, high),
+                method="bounded",
+                options={"maxiter": tuning.polish, "xatol": 0.0},
+            )
         return
     found = differential_evolution(
         lambda x: cost("search", x),
@@ -116,7 +117,7 @@ def minimise(tuning: ControllerTuning, own: Gains, cost: CostAt, seed: int) -> N
                 "maxfev": tuning.polish,
                 "scale": True,
                 "initial_tr_radius": tuning.radius,
-                "final_tr_radius": min(LAST_RADIUS, tuning.radius),
+                "final_tr_radius": LAST_RADIUS,
             },
         )
 

@@ -36,6 +36,10 @@ Measures: TypeAlias = dict[str, float]
 
 NEW, WORN, WORN_FORCE = "critical_new_kmh", "critical_worn_kmh", "critical_worn_force_kmh"
 FREQUENCY = "frequency_new_hz"
+ROWS_OF_VEHICLE = (*(f"P{i}" for i in range(1, 11)), "M1, M5, S1", "M2")
+"""Residuals of the passive stage."""
+ROWS_WITH_CONTROL = (*(f"M{i}" for i in range(1, 10)), "S1", "S3", "S4", "S5")
+"""Residuals of the semi-active stage."""
 ROWS_OF_CONTROLLERS = {
     "mppt1": ("M1", "M2", "M3", "M4", "M8", "M9", "S3"),
     "mppt2": ("M5", "M6", "M7", "M8", "M9", "S3"),

@@ -290,7 +290,9 @@ class _Search:
         if drawn == 0:
             self._enqueue_own()
         self.study.sampler = optuna.samplers.TPESampler(
-            seed=(seed + 7919 * drawn) % 2**32, n_startup_trials=settings.random_trials
+            # A prime far above the number of trials: seeds of resumed searches do not meet.
+            seed=(seed + 7919 * drawn) % 2**32,
+            n_startup_trials=settings.random_trials,
         )
         self.study.pruner = optuna.pruners.MedianPruner(
             n_startup_trials=settings.random_trials // 2,
@@ -309,8 +311,13 @@ class _Search:
         content = self.base.model_dump(mode="json")
         own = {name: reduce(getitem, name.split("."), content) for name in self.settings.ranges}
         if all(each.holds(own[name]) for name, each in self.settings.ranges.items()):
-            choices = {name for name, each in self.settings.ranges.items() if each.choices}
-            self.study.enqueue_trial({n: json.dumps(v) if n in choices else v for n, v in own.items()})
+            # As the range writes it: 0 and 0.0 are equal, their texts are not.
+            choices = {
+                name: json.dumps(next(choice for choice in each.choices if choice == own[name]))
+                for name, each in self.settings.ranges.items()
+                if each.choices
+            }
+            self.study.enqueue_trial(own | choices)
 
     def run(self) -> None:
         """Make the trials that are left."""

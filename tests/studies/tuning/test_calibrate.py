@@ -14,7 +14,7 @@ import pytest
 
 from sayd_env.cli import main
 from sayd_env.config import ConfigError, StudyError
-from sayd_env.config.calibration import CalibrationConfig, load_calibration
+from sayd_env.config.calibration import CalibrationConfig, Search, load_calibration
 from sayd_env.config.control import MpptConfig, load_controller
 from sayd_env.config.damper import PassiveDamperConfig, load_sayd
 from sayd_env.config.scenario import load_scenario
@@ -95,6 +95,9 @@ def config(study: Path) -> CalibrationConfig:
     return load_calibration(str(study))
 
 
+ROWS_OF_MPPT2 = [("mppt2", 300 / 3.6, 0.0)]
+
+
 class Stop(Exception):
     pass
 
@@ -151,8 +154,8 @@ def test_the_packaged_calibration_sets_numbers_that_its_parts_take(place: float,
         passive.values([place] * len(passive.parameters)),
         own.values([place] * len(own.parameters)),
     )
-    texts = part_files(passive, values, ABOUT, semi_active=False)
-    texts |= part_files(own, mine, ABOUT, semi_active=True)
+    texts = part_files(config, "passive", values, ABOUT)
+    texts |= part_files(config, "semi_active", mine, ABOUT)
     for name, text in texts.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
@@ -368,23 +371,101 @@ def test_the_command_says_what_it_found(
     names = {"result.json", "evaluations_passive.csv", "evaluations_semi_active.csv", "sensitivity.csv"}
     assert {path.name for path in out.iterdir()} == {*names, "runs", "cost.png", "configs"}
     parts = {str(path.relative_to(out / "configs")) for path in (out / "configs").rglob("*.yaml")}
-    own = {"damper/passive.yaml", "control/skyhook.yaml", "control/mppt2.yaml"}
-    assert parts == own | {"study/nominal.yaml"}
+    assert parts == {"study/calibrated.yaml", "control/skyhook.yaml", "control/mppt2.yaml"}
     for name in ("passive", "semi_active"):
         residuals = np.array(list(content[name]["residuals"].values()))
         assert content[name]["cost"] == pytest.approx(np.sum((3 * np.arcsinh(residuals / 3)) ** 2))
     values = content["passive"]["parameters"]
-    made_by = (out / "configs" / "damper" / "passive.yaml").read_text()
+    made_by = (out / "configs" / "study" / "calibrated.yaml").read_text()
     assert f"command: sayd calibrate --config {study} --json --out {out}" in made_by
-    stored = load_scenario("estimates", [f"damper={out}/configs/damper/passive.yaml"])
+    stored = load_scenario(f"{out}/configs/study/calibrated.yaml")
     assert isinstance(stored.damper, PassiveDamperConfig)
     assert stored.damper.series_stiffness == values["series stiffness"]
+    assert stored.friction == values["friction"]
+    assert (stored.track.irregularity.scale, stored.assessment.run_in) == (0.5, 200.0)  # of its base
     calibrated, *moved = content["sensitivity"]
     assert calibrated["name"] == "as calibrated"
     friction = values["friction"]
     steps = [min(friction + 0.02, 0.5), max(friction - 0.02, 0.3)]  # a tenth of 0.3 to 0.5
     assert [line["value"] for line in moved[2:4]] == pytest.approx(steps, abs=1e-5)
     assert {line["critical_new_kmh"] for line in moved[4:]} == {None}  # the damper is another
+
+
+def test_files_of_controllers_and_dampers_are_what_is_calibrated(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """What a file sets beside the free numbers is in the runs, and in the parts that are written."""
+    own = study.parent / "own"
+    own.mkdir()
+    (own / "mppt2.yaml").write_text("base: mppt2\nset: {v_min: 0.01, delta_v_up: 0.06}\n")
+    (own / "damper.yaml").write_text("base: sayd\nset: {valve.delay: 3.0e-3}\n")
+    monkeypatch.chdir(own)
+    settings = ("controllers=[mppt2.yaml]", "semi_active_damper=damper.yaml")
+    config = load_calibration(str(study), settings)
+    values = config.semi_active.values((0.0, 0.5, 0.5))
+
+    class Caught(RunContext):
+        def records(self, assess, runs, kind):
+            raise Stop(runs)
+
+    vehicle = config.passive.values((0.5, 0.5))
+    with pytest.raises(Stop) as stop:
+        module._SemiActive(config, vehicle, Caught()).measured([(vehicle, values)], ROWS_OF_MPPT2, 1, 1500.0)
+    (run,) = stop.value.args[0]
+    assert run.policy.parameters["v_min"] == 0.01
+    assert run.policy.parameters["threshold_min"] == pytest.approx(values["lower threshold"])
+    assert run.scenario.damper.valve.delay == 3e-3
+    texts = part_files(config, "semi_active", values, ABOUT)
+    (own / "new").mkdir()
+    (own / "new" / "mppt2.yaml").write_text(texts["control/mppt2.yaml"])
+    written = load_controller("new/mppt2.yaml").model_dump() | {"provenance": None}
+    assert written == run.policy.parameters | {"provenance": None}
+
+
+def test_what_the_skyhooks_share_goes_into_each_file_of_ones_own(study: Path):
+    own = study.parent / "skyhooks"
+    own.mkdir()
+    (own / "skyhook-onoff.yaml").write_text("base: skyhook-onoff\nset: {open: 0.9}\n")
+    config = load_calibration(str(study), (f"controllers=['{own}/skyhook-onoff.yaml']",))
+    values = config.semi_active.values((0.5, 0.5, 0.5))
+    texts = part_files(config, "semi_active", values, ABOUT)
+    assert {path for path in texts if "skyhook" in path} == {
+        "control/skyhook.yaml",
+        "control/skyhook-onoff.yaml",
+    }
+    (own / "new").mkdir()
+    (own / "new" / "skyhook-onoff.yaml").write_text(texts["control/skyhook-onoff.yaml"])
+    written = load_controller(f"{own}/new/skyhook-onoff.yaml").model_dump()
+    assert (written["open"], written["corner"]) == (0.9, values["corner"])
+
+
+def test_no_search_makes_more_evaluations_than_it_says():
+    """Places are tried four at a time; the last round is shorter."""
+    search = Search(name="all", seeds=1, length=1500.0, radius=1.0, samples=4, evaluations=6)
+
+    def tried(places):
+        return [module.Trial("all", tuple(place), {"P1": float(np.sum(place))}, {}) for place in places]
+
+    rounds = []
+    module._search(
+        search,
+        np.array([0.5, 0.5]),
+        lambda row: (0, 1),
+        lambda places: rounds.append(tried(places)) or [*rounds[-1]],
+        0,
+    )
+    assert [len(each) for each in rounds] == [4, 2]
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [("[lqg]", "controller 'lqg': no row is about it"), ("[mine.yaml]", "unknown controller")],
+)
+def test_files_of_other_controllers_are_refused(
+    files: str, message: str, study: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["calibrate", "--config", str(study), "--set", f"controllers={files}", "--json"]) == 2
+    assert message in capsys.readouterr().err
 
 
 def test_large_residuals_count_by_their_logarithm():
@@ -400,6 +481,10 @@ def test_large_residuals_count_by_their_logarithm():
         ("passive.searches.all.samples=3", "search 'all': 3 samples; surfaces over 2 parameters need 4"),
         ("semi_active.searches.all.length=1000", "length: found 1000"),
         ("passive.starts=2", "starts: found 2 with one search"),
+        (
+            "semi_active.parameters.corner.keys={control.skyhook-onoff.open: 1.0}",
+            "found key 'control.skyhook-onoff.open'; expected one that begins with damper., control.mppt1.",
+        ),
     ],
 )
 def test_bad_calibrations_are_refused(change: str, message: str, study: Path):

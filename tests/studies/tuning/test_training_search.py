@@ -164,6 +164,22 @@ def test_the_trainings_own_settings_are_tried_first(
     assert trainings.configs[1] != trainings.configs[0]
 
 
+def test_a_choice_is_the_trainings_own_whatever_its_text(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The packaged training has an entropy bonus of 0.0, the range one of 0."""
+    trainings = Trainings()
+    monkeypatch.setattr(study, "train", trainings)
+    ranges = {
+        "learning.ent_coef": RangeConfig(choices=(0, 0.01)),
+        "discount_s": RangeConfig(low=1.0, high=9.0, log=True),
+    }
+    study.search("ppo", settings(ranges=ranges, trials=1), tmp_path / "s")
+    packaged = load_train("ppo")
+    (first,) = trainings.configs[:1]
+    assert (first.discount_s, first.learning.ent_coef) == (packaged.discount_s, packaged.learning.ent_coef)
+
+
 @pytest.mark.parametrize(("worse", "own_wins"), [(1.0, True), (0.0, False)])
 def test_luck_of_single_trainings_does_not_decide(
     worse: float, own_wins: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

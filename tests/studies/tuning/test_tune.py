@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from sayd_env.cli import main
 from sayd_env.config.control import SpeedScheduleConfig, load_controller
@@ -55,6 +56,26 @@ def test_one_gain_s_optimum_is_found():
     minimise(search_of(gains={"current": {"low": 0.0, "high": 1.0}}, polish=12), {}, cost, 0)
     assert len(tried) <= 12
     assert min(tried, key=lambda x: abs(x - 0.42)) == pytest.approx(0.42, abs=1e-6)
+
+
+@pytest.mark.parametrize(("search", "polish", "tried"), [(5, 0, 5), (5, 4, 9)])
+def test_one_gain_s_search_keeps_to_its_budget(search: int, polish: int, tried: int):
+    places: list[float] = []
+
+    def cost(stage: str, place: np.ndarray) -> float:
+        places.append(float(place[0]))
+        return float(np.cos(3.0 * place[0]))
+
+    minimise(
+        search_of(gains={"current": {"low": 0.0, "high": 1.0}}, search=search, polish=polish), {}, cost, 0
+    )
+    assert len(places) == tried
+
+
+@pytest.mark.parametrize(("search", "polish"), [(0, 0), (0, 1), (5, 1)])
+def test_a_search_of_one_gain_with_too_few_evaluations_is_refused(search: int, polish: int):
+    with pytest.raises(ValidationError, match="local search of one gain needs two evaluations, or none"):
+        search_of(gains={"current": {"low": 0.0, "high": 1.0}}, search=search, polish=polish)
 
 
 def test_several_gains_optimum_is_found_within_the_budget():
@@ -156,7 +177,7 @@ def test_progress_counts_every_evaluation_once(bowl: type[Bowl]):
 
 
 def test_the_mean_is_the_geometric_one_over_scenarios_and_lines(bowl: type[Bowl]):
-    """PolicyCosts of 0.02 + 0.1 k, of each list by itself."""
+    """Costs of 0.02 + 0.1 k, of each list by itself."""
     result = tune("constant", load_tuning())
     costs = [0.02 + 0.1 * k for k in (*range(32), *range(8))]
     least = result.best.gains["current"]
