@@ -61,3 +61,35 @@ def test_what_holds_is_that_of_the_table_of_claims():
 
 def test_there_are_snippets():
     assert {page for page, _ in SNIPPETS} == set(PAGES)
+
+
+SHOWN = {
+    "m/s": ("mm/s", 1e3),
+    "N": ("kN", 1e-3),
+    "N/m": ("MN/m", 1e-6),
+    "m": ("mm", 1e3),
+    "m2": ("mm2", 1e6),
+    "Pa": ("bar", 1e-5),
+    "s": ("ms", 1e3),
+}
+"""Units of the table of calibrated numbers, by those of the configuration."""
+
+
+def test_the_calibrated_numbers_are_those_of_the_parts():
+    """The table beside the comments of configs/, which `sayd calibrate` has written."""
+    found = re.findall(
+        r"^  # (.+): (\S+) (.+), from (\S+) to (\S+)$",
+        "\n".join(path.read_text(encoding="utf-8") for path in sorted((ROOT / "configs").rglob("*.yaml"))),
+        re.MULTILINE,
+    )
+    expected = {}
+    for name, value, unit, *ends in found:
+        shown, factor = SHOWN.get(unit, (unit, 1.0))
+        numbers = [f"{float(number) * factor:.4g}" for number in (*ends, value)]
+        label = name if shown == "-" else f"{name}, {shown}"
+        expected[label] = (f"{numbers[0]} to {numbers[1]}", numbers[2])
+    rows = re.findall(
+        r"^\| ([^|]+) \| (\S+ to \S+) \| (\S+) \| \S* ?\| \S+ \|$", read("docs/claims.md"), re.M
+    )
+    assert {name: (ends, value) for name, ends, value in rows} == expected
+    assert len(expected) == 27

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from sayd_env.envs.interface import Interface
 
 QUICK = """
 base: {base}
@@ -35,3 +39,19 @@ def quick_faults(tmp_path_factory: pytest.TempPathFactory) -> str:
 def two_seconds(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Path of the nominal environment with a run-in of 20 m and episodes of 2 s."""
     return _quick(tmp_path_factory.mktemp("env"), "nominal", 2.0)
+
+
+@pytest.fixture(scope="module")
+def mirrored(interface: Interface) -> Callable[[np.ndarray], np.ndarray]:
+    """Observations of the same motion seen in a mirror: sides exchanged, lateral accelerations reversed."""
+
+    def turned(block: np.ndarray) -> np.ndarray:
+        found = block.copy()
+        for i, signal in enumerate(interface.signals):
+            quantity, *place = signal.name.split(".")
+            other = [{"left": "right", "right": "left"}.get(part, part) for part in place]
+            source = interface.index(".".join([quantity, *other]))
+            found[..., i] = block[..., source] * (-1.0 if quantity == "lateral_acceleration" else 1.0)
+        return found
+
+    return turned

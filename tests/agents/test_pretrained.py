@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from sayd_env.agents import pretrained
+from sayd_env.agents.policy_file import read_policy
 from sayd_env.agents.pretrained.curves import draw_gains
 from sayd_env.config import ConfigError
 
@@ -45,8 +46,13 @@ def test_nothing_there_is_no_error(tmp_path: Path):
     assert pretrained.groups(tmp_path) == {}
     with pytest.raises(ConfigError, match="none come with this installation"):
         pretrained.path("ppo", tmp_path)
-    for files in pretrained.groups().values():  # the package's own
-        assert all(file.is_file() for file in files)
+
+
+def test_the_package_s_own_files_can_be_read():
+    groups = pretrained.groups()
+    assert groups
+    for name, files in groups.items():
+        assert [read_policy(file).algorithm for file in files] == [name] * len(files)
 
 
 def test_the_leaderboard_says_what_the_comparison_found():

@@ -92,6 +92,7 @@ def test_naming_a_part_of_the_nominal_scenario_changes_nothing(key: str, tmp_pat
         {"profile": "s1002cn", "wear": 1.0},
         {"config": "nominal"},
         {"config": "nominal", "damper": "passive", "track": "german_low"},
+        {"rail": "cn60"},
     ],
 )
 def test_options_that_name_the_defaults_change_nothing(flags: dict[str, Any]):

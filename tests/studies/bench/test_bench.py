@@ -290,7 +290,7 @@ def test_a_speed_out_of_range() -> None:
 
 
 def test_runs_by_executor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every executor makes the same runs."""
+    """Short runs of two policies on some seeds, and of each executor a rate and the time of its start."""
     assert len(short_runs()) == 32
     monkeypatch.setattr(bench_executors, "SEEDS", 1)
     assert [run.policy.title for run in short_runs()] == ["passive", "mppt2"]
