@@ -84,7 +84,13 @@ class JoinedVecEnv(VecEnv):
         return [every[i] for i in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of all environments, as the parts do."""
+        """Set an attribute of all environments, as the parts do.
+
+        Raises
+        ------
+        ConfigError
+            Only some vehicles are meant.
+        """
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise ConfigError(f"{attr_name}: the vehicles of a part are one object; set it for all of them")
         for part in self.parts:

@@ -85,13 +85,13 @@ class Skyhook(BogiePolicy[SkyhookConfig, Motion]):
             rate=np.zeros(bogies),
             command=np.full(bogies, self.parameters.closed),
         )
-        state.strokes[:] = _yaw_strokes(rows)[:, :, None]
+        state.strokes[:] = yaw_part(rows[:, len(ACCELERATIONS) :])[:, :, None]
         return state
 
     def _restart(self, state: Motion, rows: Array, vehicles: npt.NDArray[np.intp]) -> None:
         for values in (state.displacement, state.velocity, state.rate):
             values[vehicles] = 0.0
-        state.strokes[vehicles] = _yaw_strokes(rows[vehicles])[:, :, None]
+        state.strokes[vehicles] = yaw_part(rows[vehicles, len(ACCELERATIONS) :])[:, :, None]
         state.command[vehicles] = self.parameters.closed
 
     def _command_bogies(self, state: Motion, rows: Array) -> Array:
@@ -183,10 +183,6 @@ class ContinuousSkyhook(Skyhook):
         with np.errstate(over="ignore"):
             np.divide(velocity, rate, out=share, where=rate != 0.0)
         return self._inverse_damper.currents(rate, share)
-
-
-def _yaw_strokes(rows: Array) -> Array:
-    return yaw_part(rows[:, len(ACCELERATIONS) :])
 
 
 # It calls no kernel of another file of this package: Numba would not notice an edit there.

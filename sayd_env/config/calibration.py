@@ -13,7 +13,7 @@ from sayd_env.config.loader import read_study
 
 SKYHOOKS = ("skyhook-onoff", "skyhook-continuous")
 """Controllers whose common numbers have keys of ``control.skyhook``."""
-PLACES = ("damper.", "control.mppt1.", "control.mppt2.", "control.skyhook.")
+BEGINNINGS = ("damper.", "control.mppt1.", "control.mppt2.", "control.skyhook.")
 """Beginnings of the keys of the semi-active stage."""
 LENGTH = "Assessed distance of each run; rows M6 and M7 look at what follows after 15 s at 300 km/h"
 
@@ -139,10 +139,10 @@ class CalibrationConfig(Model):
     def _of_controllers(cls, semi_active: Stage) -> Stage:
         for parameter in semi_active.parameters:
             for key in parameter.keys:
-                if not key.startswith(PLACES):
+                if not key.startswith(BEGINNINGS):
                     raise ValueError(
                         f"parameter '{parameter.name}': found key '{key}'; expected one that begins with "
-                        f"{', '.join(PLACES)}"
+                        f"{', '.join(BEGINNINGS)}"
                     )
         return semi_active
 

@@ -140,6 +140,16 @@ class QuickTuning(Model):
     population: int = quantity("-", "Points of a generation", ge=5)
     polish: int = quantity("-", "Evaluations of the local search", ge=0)
 
+    def budget(self, tuning: ControllerTuning) -> dict[str, int]:
+        """Evaluations of a search: a local one for one gain, a global one else and where that has none."""
+        polish = min(tuning.polish, self.polish)
+        local = len(tuning.gains) == 1 and polish >= 2
+        return {
+            "population": self.population,
+            "search": 0 if local else self.search,
+            "polish": polish if local else 0,
+        }
+
 
 class TuningConfig(Model):
     """Scenarios, references and searches."""
@@ -202,10 +212,7 @@ class TuningConfig(Model):
         """The same with the budget of a quick run."""
         every = max(1, len(self.scenarios) // self.quick.scenarios)
         searches = {
-            name: tuning.model_copy(
-                update={"polish": min(tuning.polish, self.quick.polish), "population": self.quick.population}
-                | ({"search": self.quick.search, "polish": 0} if len(tuning.gains) > 1 else {"search": 0})
-            )
+            name: tuning.model_copy(update=self.quick.budget(tuning))
             for name, tuning in self.controllers.items()
         }
         kept = self.scenarios[every - 1 :: every][: self.quick.scenarios]

@@ -390,7 +390,8 @@ def _sliding_rms(run: Run, rollout: Rollout, trip: Trip) -> tuple[Array, Array]:
         if rollout.ending is not None and reached < section.end:
             found[:, k] = math.inf
             continue
-        if min(section.end, reached) - start < shortest:  # the episode's time ends there
+        # Where the episode's time ends; distances differ by rounding.
+        if min(section.end, reached) - start < shortest * (1.0 - 1e-6):
             continue
         first, last = np.searchsorted(distance, (start, section.end))
         part = slice(max(int(first) - around, 0), int(last) + around)

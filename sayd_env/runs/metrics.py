@@ -298,7 +298,6 @@ def _measured(run: Run, rollout: Rollout) -> dict[str, float]:
         "force_rms_n": controlled.force_rms,
         "force_peak_n": controlled.force_peak,
         "force_power_above_10_hz_n2": controlled.force_power_high,
-        # Without a floor in the vehicle's description there is no place to judge.
         "comfort": comfort_index(rollout, scenario, part),
     }
 

@@ -83,7 +83,7 @@ class Criterion:
     def extrapolated_kmh(self) -> float:
         """The same, where the first or the last segment of the medians goes on beyond the grid.
 
-        One that is flat or falls rises by a limit in 200 km/h there, so that every place has a finite value.
+        It goes on with the limit in 200 km/h at least, so that there is a finite value.
         """
         v, peak = self.speeds * KMH, self.medians()
         above = np.flatnonzero(peak > self.limit)

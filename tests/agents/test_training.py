@@ -314,6 +314,14 @@ def test_no_period_costs_more_than_the_worst(tmp_path: Path) -> None:
     assert rewards.min() == pytest.approx(-5 * 1e-6 * per_second, rel=1e-5)  # five periods, each at the worst
 
 
+def test_a_vehicle_has_no_attributes_of_its_own(tmp_path: Path) -> None:
+    env, _ = make_learning_env(load_train("ppo", settings("ppo", tmp_path)))
+    env.unwrapped.set_attr("note", 1)
+    assert set(env.unwrapped.get_attr("note")) == {1}
+    with pytest.raises(ConfigError, match="one object"):
+        env.unwrapped.set_attr("note", 2, [0])
+
+
 def test_each_bogie_is_paid_for_itself(tmp_path: Path) -> None:
     config = load_train("ppo", settings("ppo", tmp_path))
     env, _ = make_learning_env(config)

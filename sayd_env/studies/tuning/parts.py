@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from sayd_env.config.calibration import SKYHOOKS, CalibrationConfig, Stage
 from sayd_env.config.loader import from_anywhere
-from sayd_env.studies.tuning.search import provenance_lines
+from sayd_env.studies.tuning.search import as_yaml, provenance_lines
 
 
 class _Part(NamedTuple):
@@ -68,13 +68,18 @@ def passive_parts(config: CalibrationConfig) -> tuple[_Part, ...]:
     return (_Part("", "study/calibrated.yaml", f"Over {config.base}.", from_anywhere(config.base)),)
 
 
+def _base(part: str, name_or_path: str) -> str:
+    """What a part stands on: not on itself, where the packaged one of its name was calibrated anew."""
+    return f"{part}-estimate" if name_or_path == part else from_anywhere(name_or_path)
+
+
 def semi_active_parts(config: CalibrationConfig) -> tuple[_Part, ...]:
     """The same for the semi-active stage: over the damper and the controllers with which it ran.
 
     What both skyhooks share goes into their estimator, and into each file of one's own.
     """
-    damper = from_anywhere(config.semi_active_damper)
-    files = {name: from_anywhere(file) for name, file in config.controller_files.items()}
+    damper = _base("sayd", config.semi_active_damper)
+    files = {name: _base(name, file) for name, file in config.controller_files.items()}
     own = [name for name in SKYHOOKS if name in files]
     names = {name: [name] for name in ("mppt1", "mppt2")}
     names["skyhook"] = own if len(own) == len(SKYHOOKS) else ["skyhook", *own]
@@ -140,7 +145,7 @@ def _text(part: _Part, rows: str, about: Mapping[str, object], numbers: list[str
             f"# Written by `sayd calibrate`, which found the numbers under `set` from rows {rows}",
             "# of the paper's statements, within the ranges of configs/study/calibration.yaml, or of",
             "# the study that its command names.",
-            f"base: {part.base}",
+            f"base: {as_yaml(part.base)}",
             *([part.more] if part.more else []),
             *provenance_lines(about),
             "set:",

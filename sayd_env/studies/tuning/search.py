@@ -60,11 +60,11 @@ def draw_costs(axes: Axes, evaluations: Sequence[Tried]) -> None:
 
 def provenance_lines(about: Mapping[str, object]) -> list[str]:
     """Where the numbers of a YAML file come from."""
-    return ["provenance:", *(f"  {name}: {_as_yaml(str(value))}" for name, value in about.items())]
+    return ["provenance:", *(f"  {name}: {as_yaml(str(value))}" for name, value in about.items())]
 
 
-def _as_yaml(text: str) -> str:
-    """The text, in quotes where YAML would read something else: a command may hold any sign."""
+def as_yaml(text: str) -> str:
+    """The text, in quotes where YAML would read something else: a command or a path may hold any sign."""
     try:
         found = yaml.safe_load(f"- {text}")[0]
     except yaml.YAMLError:

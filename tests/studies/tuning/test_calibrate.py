@@ -24,7 +24,7 @@ from sayd_env.runs.passive import Sweep
 from sayd_env.stability import Limits
 from sayd_env.studies.tuning import calibrate as module
 from sayd_env.studies.tuning.calibrate import CalibrationResult, calibrate, damped
-from sayd_env.studies.tuning.parts import part_files
+from sayd_env.studies.tuning.parts import part_files, semi_active_parts
 from sayd_env.studies.tuning.targets import above, below, passive_residuals
 
 STUDY = """
@@ -442,6 +442,24 @@ def test_what_the_skyhooks_share_goes_into_each_file_of_ones_own(study: Path):
     (own / "new" / "skyhook-onoff.yaml").write_text(texts["control/skyhook-onoff.yaml"])
     written = load_controller(f"{own}/new/skyhook-onoff.yaml").model_dump()
     assert (written["open"], written["corner"]) == (0.9, values["corner"])
+
+
+def test_no_part_stands_on_itself(study: Path):
+    """Packaged ones that are calibrated anew stand on their estimates; a path may hold any sign."""
+    config = load_calibration(str(study), ("semi_active_damper=sayd", "controllers=[mppt2]"))
+    damper, controllers = semi_active_parts(config)[0], semi_active_parts(config)[1:]
+    assert (damper.base, {part.base for part in controllers}) == (
+        "sayd-estimate",
+        {"mppt1-estimate", "mppt2-estimate", "skyhook-estimate"},
+    )
+    odd = study.parent / "q #1"
+    odd.mkdir()
+    (odd / "mppt2.yaml").write_text("base: mppt2\nset: {v_min: 0.01}\n")
+    config = load_calibration(str(study), (f"controllers=['{odd}/mppt2.yaml']",))
+    text = part_files(config, "semi_active", config.semi_active.values((0.5, 0.5, 0.5)), ABOUT)
+    (odd / "new").mkdir()
+    (odd / "new" / "mppt2.yaml").write_text(text["control/mppt2.yaml"])
+    assert load_controller(f"{odd}/new/mppt2.yaml").model_dump()["v_min"] == 0.01
 
 
 def test_no_search_makes_more_evaluations_than_it_says():

@@ -72,6 +72,20 @@ def test_one_gain_s_search_keeps_to_its_budget(search: int, polish: int, tried: 
     assert len(places) == tried
 
 
+@pytest.mark.parametrize(
+    ("change", "budget"),
+    [
+        ("quick.polish=5", (0, 5)),
+        ("quick.polish=1", (10, 0)),
+        ("controllers.constant.polish=0", (10, 0)),
+        ("controllers.constant.polish=3", (0, 3)),
+    ],
+)
+def test_a_quick_search_of_one_gain_makes_evaluations(change: str, budget: tuple[int, int]):
+    quick = load_tuning(overrides=(change,)).shortened().of("constant")
+    assert (quick.search, quick.polish) == budget
+
+
 @pytest.mark.parametrize(("search", "polish"), [(0, 0), (0, 1), (5, 1)])
 def test_a_search_of_one_gain_with_too_few_evaluations_is_refused(search: int, polish: int):
     with pytest.raises(ValidationError, match="local search of one gain needs two evaluations, or none"):
