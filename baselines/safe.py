@@ -175,7 +175,10 @@ class SafeFallback:
             Shapes that do not fit each other or the environment; as the policy inside.
         """
         values, single = self.interface.rows(observation, self.name)
-        newest = _numbers(values[:, -1] if self.interface.observation == "history" else values)
+        if not np.isfinite(values).all():
+            values = _numbers(values)
+            observation = values[0] if single else values
+        newest = values[:, -1] if self.interface.observation == "history" else values
         starts = None if episode_start is None else np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
         if state is None:
             state = self._begin(newest)

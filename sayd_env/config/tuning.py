@@ -141,13 +141,12 @@ class QuickTuning(Model):
     polish: int = quantity("-", "Evaluations of the local search", ge=0)
 
     def budget(self, tuning: ControllerTuning) -> dict[str, int]:
-        """Evaluations of a search: a local one for one gain, a global one else and where that has none."""
-        polish = min(tuning.polish, self.polish)
-        local = len(tuning.gains) == 1 and polish >= 2
+        """Evaluations of a search: a global one, and behind that of one gain a local one."""
+        polish = min(tuning.polish, self.polish) if len(tuning.gains) == 1 else 0
         return {
             "population": self.population,
-            "search": 0 if local else self.search,
-            "polish": polish if local else 0,
+            "search": self.search,
+            "polish": polish if polish >= 2 else 0,
         }
 
 

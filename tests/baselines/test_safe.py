@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sayd_env import baselines
+from sayd_env import baselines, load_policy
 from sayd_env.baselines.safe import SafeFallback
 from sayd_env.config import ConfigError
 from sayd_env.config.safe import load_safe
@@ -319,6 +319,27 @@ def test_readings_that_are_no_numbers_are_a_dead_sensor(interface, begin):
     rows[begin:, made.index("lateral_acceleration.rear.leading")] = np.nan
     commands = shares(SafeFallback(Open(made)), rows)
     assert np.all(commands[-1] == [1.0, 0.0])
+
+
+@pytest.mark.parametrize("inside", ["mppt2", "constant:0.3", "skyhook-onoff", "ppo"])
+@pytest.mark.parametrize("missing", [np.nan, np.inf])
+def test_the_policy_inside_gets_a_dead_sensor_s_zero(interface, inside, missing):
+    """One behaviour for all: alone controllers refuse such a reading, and learned ones take it."""
+    made = load_policy("ppo").interface if inside == "ppo" else interface()
+    outcomes = []
+    for value in (missing, 0.0):
+        guarded, state = baselines.make(f"safe:{inside}", made), None
+        generator = np.random.default_rng(5)
+        for step in range(200):
+            seen = generator.normal(size=made.shape).astype(np.float32)
+            seen[..., made.index("speed")] = 80.0
+            if step >= 50:
+                seen[...] = value
+            action, state = guarded.predict(seen, state)
+            outcomes.append(action)
+        assert np.all(action == 0.0)  # the speed is dead: the valves are closed
+        assert np.all(guarded.interventions(state) > 0.0)
+    assert np.array_equal(outcomes[:200], outcomes[200:])
 
 
 def test_a_speed_that_is_no_number_is_a_dead_one(interface):

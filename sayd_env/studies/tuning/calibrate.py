@@ -22,6 +22,7 @@ from scipy.stats import qmc
 from sayd_env.config import StudyError
 from sayd_env.config.calibration import CalibrationConfig, Parameter, Search, Stage
 from sayd_env.config.control import load_controller
+from sayd_env.config.damper import load_sayd
 from sayd_env.config.environment import load_environment
 from sayd_env.config.reproduction import load_reproduction
 from sayd_env.config.scenario import Scenario, load_scenario
@@ -33,7 +34,7 @@ from sayd_env.report.figures import Plot, legend_below, panels
 from sayd_env.runs.context import Progress, RunContext
 from sayd_env.runs.controlled import ControlledRun, ControlledRuns, assessed_controlled
 from sayd_env.runs.passive import Assessed, PassiveRun, assessed, assessed_or_derailed, gathered
-from sayd_env.runs.policies import PolicySpec
+from sayd_env.runs.policies import PAPER, PolicySpec
 from sayd_env.runs.rollouts import Run, environment_of
 from sayd_env.studies.paper.controlled_claims import (
     CLOSED,
@@ -44,7 +45,7 @@ from sayd_env.studies.paper.controlled_claims import (
 )
 from sayd_env.studies.paper.reproduce import row_policies
 from sayd_env.studies.tuning.parts import part_files
-from sayd_env.studies.tuning.search import best_of, draw_costs
+from sayd_env.studies.tuning.search import as_yaml, best_of, draw_costs
 from sayd_env.studies.tuning.targets import (
     FREQUENCY,
     MPPT1_400,
@@ -252,12 +253,16 @@ def calibrate(
     Raises
     ------
     ConfigError
-        A file of a controller that no row is about.
+        A file of a controller that no row is about; a damper that is not semi-active; a key, or an end of a
+        range, that cannot be used.
     StudyError
         No numbers gave a finite run.
     """
     context = context or RunContext()
     row_policies(config.controllers)
+    for end in (0.0, 0.5, 1.0):  # hours before a run would need them
+        vehicle = config.passive.values([end] * len(config.passive.parameters))
+        _SemiActive(config, vehicle, context).check(end)
     stages = config.passive, config.semi_active
     planned = sum(search.evaluations for stage in stages for search in stage.searches)
     progress = _Evaluations(context.progress, planned + sum(_of_sensitivity(config)))
@@ -481,7 +486,7 @@ class _Passive:
         runs = []
         for each in values:
             for command in HELD:
-                damper = [f"damper={self.config.semi_active_damper}", f"damper.current={command}"]
+                damper = [_semi_active_damper(self.config), f"damper.current={command}"]
                 scenario = vehicle_of(self.config, each, length, ["wear=1.0", *damper])
                 runs += [PassiveRun(scenario, 400 / KMH, track) for track in tracks]
         records = context.records(assessed_or_derailed, runs, Assessed)
@@ -524,9 +529,7 @@ class _SemiActive:
         runs: list[Run] = []
         for vehicle, own in pairs:
             numbers = self.config.semi_active.assignments(own)
-            more = ["wear=1.0", f"damper={self.config.semi_active_damper}"]
-            more += [f"{key}={number!r}" for key, number in numbers.items() if not key.startswith(CONTROL)]
-            scenario = vehicle_of(self.config, vehicle, length, more)
+            scenario = self._scenario(vehicle, numbers, length)
             environment = environment_of(scenario, load_environment())
             policies = {name: self._policy(name, numbers) for name, _, _ in required}
             runs += [
@@ -546,6 +549,28 @@ class _SemiActive:
             for i in range(0, len(records), count)
         ]
 
+    def check(self, place: float) -> None:
+        """Read what runs need where all numbers stand at one place of their ranges.
+
+        Raises
+        ------
+        ConfigError
+            A damper that is not semi-active, a key or a number that cannot be used.
+        """
+        stage = self.config.semi_active
+        numbers = stage.assignments(stage.values([place] * len(stage.parameters)))
+        load_sayd(self.config.semi_active_damper)
+        self._scenario(self.vehicle, numbers, stage.searches[0].length)
+        for name in PAPER:
+            self._policy(name, numbers)
+
+    def _scenario(
+        self, vehicle: Mapping[str, float], numbers: Mapping[str, float], length: float
+    ) -> Scenario:
+        more = ["wear=1.0", _semi_active_damper(self.config)]
+        more += [f"{key}={number!r}" for key, number in numbers.items() if not key.startswith(CONTROL)]
+        return vehicle_of(self.config, vehicle, length, more)
+
     def _policy(self, name: str, numbers: Mapping[str, float]) -> PolicySpec:
         files = (name, "skyhook") if name.startswith("skyhook") else (name,)
         own = {
@@ -556,6 +581,10 @@ class _SemiActive:
         }
         file = self.config.controller_files.get(name, name)
         return PolicySpec(name, load_controller(file, own).model_dump())
+
+
+def _semi_active_damper(config: CalibrationConfig) -> str:
+    return f"damper={as_yaml(config.semi_active_damper)}"
 
 
 def vehicle_of(

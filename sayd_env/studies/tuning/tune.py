@@ -165,6 +165,8 @@ class TuneResult:
         judged_on = f"{len(self.settings.scenarios)} scenarios{along}"
         title = f"J of {judged_on}: {self.settings.mean} mean, and plain mean"
         Listing(title, COSTS, costs).print(console, wide)
+        if self.best.cost >= self.before.cost:
+            console.print(f"no better than before: '{self.controller}' as it is has the lower J")
         console.print(
             f"simulated: {self.simulated:,.0f} s; one PPO training: {training_seconds():,.0f} s",
             highlight=False,

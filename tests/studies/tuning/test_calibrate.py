@@ -481,6 +481,50 @@ def test_no_search_makes_more_evaluations_than_it_says():
 
 
 @pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("semi_active_damper=passive", "is a passive damper"),
+        ("semi_active.parameters.0.keys={control.mppt2.nope: 1.0}", "unknown key 'nope'"),
+        ("semi_active.parameters.0.keys={damper.nope: 1.0}", "unknown key 'damper.nope'"),
+        ("semi_active.parameters.2.low=-5", "threshold_max: found"),
+        ("passive.parameters.0.keys={damper.nope: 1.0}", "unknown key 'damper.nope'"),
+    ],
+)
+def test_what_cannot_run_is_refused_before_any_run(change: str, message: str, study: Path):
+    class Caught(RunContext):
+        def records(self, assess, runs, kind):
+            raise Stop(runs)
+
+    with pytest.raises(ConfigError, match=message):
+        calibrate(load_calibration(str(study), (change,)), context=Caught())
+
+
+def test_a_damper_s_path_may_hold_any_sign(study: Path):
+    odd = study.parent / "Zug: neu, #1 [x]"
+    odd.mkdir()
+    (odd / "own.yaml").write_text("base: sayd\nset: {valve.delay: 3.0e-3}\n")
+    config = load_calibration(str(study), (f"semi_active_damper='{odd}/own.yaml'",))
+    runs = []
+
+    class Caught(RunContext):
+        def records(self, assess, made, kind):
+            runs.extend(made)
+            raise Stop
+
+    vehicle = config.passive.values((0.5, 0.5))
+    for asked in (
+        lambda: module._Passive(config, Caught())._held([vehicle], [1], 1500.0, Caught()),
+        lambda: module._SemiActive(config, vehicle, Caught()).measured(
+            [(vehicle, config.semi_active.values((0.5, 0.5, 0.5)))], ROWS_OF_MPPT2, 1, 1500.0
+        ),
+    ):
+        with pytest.raises(Stop):
+            asked()
+    assert [run.scenario.damper.valve.delay for run in runs] == [3e-3] * len(runs)
+    assert len(runs) == HELD + 1
+
+
+@pytest.mark.parametrize(
     ("files", "message"),
     [("[lqg]", "controller 'lqg': no row is about it"), ("[mine.yaml]", "unknown controller")],
 )

@@ -75,10 +75,10 @@ def test_one_gain_s_search_keeps_to_its_budget(search: int, polish: int, tried: 
 @pytest.mark.parametrize(
     ("change", "budget"),
     [
-        ("quick.polish=5", (0, 5)),
+        ("quick.polish=5", (10, 5)),
         ("quick.polish=1", (10, 0)),
         ("controllers.constant.polish=0", (10, 0)),
-        ("controllers.constant.polish=3", (0, 3)),
+        ("controllers.constant.polish=3", (10, 3)),
     ],
 )
 def test_a_quick_search_of_one_gain_makes_evaluations(change: str, budget: tuple[int, int]):
