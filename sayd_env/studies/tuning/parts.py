@@ -81,7 +81,7 @@ def semi_active_parts(config: CalibrationConfig) -> tuple[_Part, ...]:
     damper = _base("sayd", config.semi_active_damper)
     files = {name: _base(name, file) for name, file in config.controller_files.items()}
     own = [name for name in SKYHOOKS if name in files]
-    names = {name: [name] for name in ("mppt1", "mppt2")}
+    names = {name: [name] for name in _CONTROLLERS}
     names["skyhook"] = own if len(own) == len(SKYHOOKS) else ["skyhook", *own]
     return (
         _Part("damper.", "damper/sayd.yaml", "The semi-active yaw damper.", damper, "name: sayd"),
